@@ -1,8 +1,9 @@
 """Write tracks to .csv, row by row, or to .npz."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,11 @@ TRACK_SUFFIXES = (".csv", ".npz")
 _HEADER = b"frame,time,status"
 
 
+@dataclass(frozen=True)
 class TrackWriter:
-    """Collects tracked frames to write."""
+    """Takes the frames of a track by its function ``write``."""
 
-    def __init__(self) -> None:
-        self.frames: list[TrackedFrame] = []
-
-    def write(self, frame: TrackedFrame) -> None:
-        """Add a frame."""
-        self.frames.append(frame)
+    write: Callable[[TrackedFrame], None]
 
 
 @contextmanager
@@ -44,7 +41,7 @@ def track_writer(path: str | os.PathLike[str], n_points: int) -> Iterator[TrackW
     Yields
     ------
     TrackWriter
-        Its method ``write`` adds a :class:`TrackedFrame`.
+        Its function ``write`` adds a :class:`TrackedFrame`.
     """
     path = Path(path)
     check_track_name(path)
@@ -53,10 +50,10 @@ def track_writer(path: str | os.PathLike[str], n_points: int) -> Iterator[TrackW
             with _table(path, temporary, n_points) as table:
                 yield table
             return
-        writer = TrackWriter()
-        yield writer
+        frames: list[TrackedFrame] = []
+        yield TrackWriter(frames.append)
         with temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays_of(writer.frames, n_points))
+            np.savez_compressed(file, allow_pickle=False, **arrays_of(frames, n_points))
 
 
 def check_track_name(path: Path) -> None:
@@ -88,13 +85,7 @@ def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.nda
 
 
 class TrackRows:
-    """Rows of a .csv: frame, status and quality, then x, y, fitted x and y, and covariance of each landmark.
-
-    Attributes
-    ----------
-    header : str
-        Names of the columns, with the end of the line.
-    """
+    """Header and rows of a .csv: frame, status and quality, then x, y, fitted x and y, and covariance of landmarks."""
 
     def __init__(self, n_points: int) -> None:
         names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "var_x{}", "cov_xy{}", "var_y{}")
@@ -107,28 +98,24 @@ class TrackRows:
         """Return the row of a frame, with the end of the line."""
         facts = f"{frame.index},{_number(frame.time, 4)},{frame.status},{frame.fit_status or ''}"
         facts += f",{_number(frame.quality, 4)},{_number(np.rad2deg(frame.theta), 3)}"
-        return f"{facts},{self._points(frame) if frame.ok else self._nothing}\n"
-
-    def _points(self, frame: TrackedFrame) -> str:
+        if not frame.ok:
+            return f"{facts},{self._nothing}\n"
         spread = frame.covariances.reshape(-1, 4)[:, [0, 1, 3]]
-        return self._numbers % tuple(np.concatenate([frame.landmarks, frame.raw, spread], axis=1).ravel().tolist())
-
-
-class _Table(TrackWriter):
-    """Writer of .csv rows, at once."""
-
-    def __init__(self, file, n_points: int):
-        self._file, self._rows, self.n_rows = file, TrackRows(n_points), 0
-        file.write(self._rows.header)
-
-    def write(self, frame: TrackedFrame) -> None:
-        self._file.write(self._rows.of(frame))
-        self._file.flush()
-        self.n_rows += 1
+        numbers = np.concatenate([frame.landmarks, frame.raw, spread], axis=1)
+        return f"{facts},{self._numbers % tuple(numbers.ravel().tolist())}\n"
 
 
 @contextmanager
-def _table(path: Path, temporary: Path, n_points: int) -> Iterator[_Table]:
+def _table(path: Path, temporary: Path, n_points: int) -> Iterator[TrackWriter]:
+    """Write the rows of a .csv at once."""
+    rows, written = TrackRows(n_points), False
+
+    def write(frame: TrackedFrame) -> None:
+        nonlocal written
+        file.write(rows.of(frame))
+        file.flush()
+        written = True
+
     part = temporary.with_name(f"{path.stem}.part{path.suffix}")  # on the disk that a link leads to
     with part.open("a", encoding="utf-8", newline="") as file:
         try:
@@ -136,11 +123,11 @@ def _table(path: Path, temporary: Path, n_points: int) -> Iterator[_Table]:
         except BlockingIOError:
             raise LiaamError(f"{path} is being written by another process; wait, or give another name") from None
         file.truncate(0)
-        table = _Table(file, n_points)
+        file.write(rows.header)
         try:
-            yield table
+            yield TrackWriter(write)
         except BaseException:
-            if not table.n_rows:  # nothing to save
+            if not written:  # nothing to save
                 part.unlink()
             raise
     part.replace(temporary)

@@ -36,11 +36,6 @@ class Belief:
     pv: np.ndarray
     vv: np.ndarray
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Joint covariance of positions and velocities, (2 k, 2 k) float64."""
-        return np.block([[self.pp, self.pv], [self.pv.T, self.vv]])
-
 
 def first_belief(position: np.ndarray, noise: np.ndarray, speed: np.ndarray) -> Belief:
     """Return the estimate after a first measurement of covariance ``noise``; ``speed`` (k,) deviates from rest."""
@@ -48,16 +43,12 @@ def first_belief(position: np.ndarray, noise: np.ndarray, speed: np.ndarray) -> 
     return Belief(position, np.zeros(k), noise, np.zeros((k, k)), np.diag(np.square(speed)))
 
 
-def predict(belief: Belief, drive: np.ndarray, frames: float = 1.0) -> Belief:
-    """Return the estimate some frames later. ``drive`` (k,) is the spectral density of the acceleration."""
-    t, each = frames, np.arange(len(belief.position))
-    pv = belief.pv + t * belief.vv
-    pp = belief.pp + t * (belief.pv + pv.T)
-    vv = belief.vv.copy()
-    pp[each, each] += drive * t**3 / 3.0
-    pv[each, each] += drive * t**2 / 2.0
-    vv[each, each] += drive * t
-    return Belief(belief.position + t * belief.velocity, belief.velocity, pp, pv, vv)
+def predict(belief: Belief, drive: np.ndarray) -> Belief:
+    """Return the estimate one frame later. ``drive`` (k,) is the spectral density of the acceleration."""
+    each = np.diag(drive)
+    pv = belief.pv + belief.vv
+    pp = belief.pp + (belief.pv + pv.T) + each / 3.0
+    return Belief(belief.position + belief.velocity, belief.velocity, pp, pv + each / 2.0, belief.vv + each)
 
 
 def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
@@ -94,17 +85,13 @@ def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
     return replace(belief, pp=belief.pp + more, pv=belief.pv + 0.5 * more, vv=belief.vv + 0.5 * more)
 
 
-def slowed(belief: Belief, factor: float) -> Belief:
-    """Scale the velocity, so that an object out of sight does not move on for ever."""
-    return replace(belief, velocity=factor * belief.velocity)
-
-
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Running moments of a track's second differences.
 
     ``own`` (k,) is their mean square, and ``neighbour`` (k,) the mean product of one with the next, over ``weight``
-    differences. ``last`` holds up to three measurements of consecutive frames, the newest last.
+    differences. ``last`` holds up to three measurements of consecutive frames, the newest last; it is empty after a
+    frame without a measurement.
     """
 
     own: np.ndarray
@@ -133,11 +120,6 @@ def observed(moments: Moments, measured: np.ndarray) -> Moments:
         weight,
         last[1:],
     )
-
-
-def interrupted(moments: Moments) -> Moments:
-    """Return the moments after a frame without a measurement; differences start again."""
-    return replace(moments, last=())
 
 
 def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.ndarray]:

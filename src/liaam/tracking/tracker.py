@@ -6,6 +6,8 @@ one in `review` frames is also fitted from the mean shape, and tracking continue
 A Kalman filter (:mod:`liaam.tracking.kalman`) smooths the fits, with their covariances as measurement noise.
 """
 
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -20,6 +22,7 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import NEAR
 from liaam.fitting.result import LEAST_QUALITY
+from liaam.io import VideoReader
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
@@ -165,33 +168,21 @@ class _Track:
     drive: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class _Loss:
-    """Number of frames since the loss, and time of the next search."""
-
-    frames: int = 0
-    wait: int = 0
-    due: int = 0
-
-    def next_frame(self, searched: bool, longest: int) -> "_Loss":
-        if not searched:
-            return replace(self, frames=self.frames + 1, due=self.due - 1)
-        wait = min(max(1, 2 * self.wait), longest)
-        return _Loss(self.frames + 1, wait, wait - 1)
-
-
 @dataclass(eq=False)
 class TrackState:
     """State of a tracker between two frames, from which another one can continue; see :meth:`Tracker.resume`.
 
-    It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how long
-    the object has been lost, the size (height, width) of the last frame, the last landmarks (n, 2), and the number of
-    the last frame with landmarks, divided by the review interval.
+    It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how many
+    frames the object has been lost, the wait between searches and the time until the next one in frames, the size
+    (height, width) of the last frame, the last landmarks (n, 2), and the number of the last frame with landmarks,
+    divided by the review interval.
     """
 
     count: int = 0
     track: _Track | None = None
-    loss: _Loss = _Loss()
+    lost: int = 0
+    wait: int = 0
+    due: int = 0
     size: tuple[int, int] | None = None
     last: np.ndarray | None = None
     period: int = 0
@@ -276,28 +267,35 @@ class Tracker:
         """
         index = self.state.count if index is None else index
         name = f"{self.name}, frame {index}" if self.name else f"frame {index}"
+        status, tried = TrackStatus.LOST, None
         try:
             pixels, _ = load_picture(image, name)
         except ImageError:
             if self.state.count == 0:
                 raise
-            return self._missed(index, time)
-        self._follow_size(pixels.shape[0], pixels.shape[1])
-        status, tried = self._locate(pixels, index, name)
+            if self._is_expected():
+                self._predicted()  # it keeps moving
+            self._lose(searched=False)
+        else:
+            self._follow_size(pixels.shape[0], pixels.shape[1])
+            status, tried = self._locate(pixels, index, name)
         self.state.count += 1
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
-        self.state.loss, self.state.last, self.state.period = _Loss(), tried.landmarks, self._period_of(index)
+        self.state.lost = self.state.wait = self.state.due = 0
+        self.state.last, self.state.period = tried.landmarks, self._period_of(index)
         return self._seen(tried, status, index, time)
 
-    def _missed(self, index: int, time: float) -> TrackedFrame:
-        """Skip an invalid frame: the object is lost in it and keeps moving."""
-        if self.state.loss.frames <= self.options.patience and self.state.last is not None:
-            self._predicted()
-        self.state.loss = self.state.loss.next_frame(False, self.options.longest_wait)
-        self.state.count, self.result = self.state.count + 1, None
-        return _lost(self.model.n_points, index, time, None)
+    def _is_expected(self) -> bool:
+        """Return whether the object may still be near its last position."""
+        return self.state.lost <= self.options.patience and self.state.last is not None
+
+    def _lose(self, searched: bool) -> None:
+        """Count a frame without the object, and set the time of the next search after one."""
+        if searched:
+            self.state.due = self.state.wait = min(max(1, 2 * self.state.wait), self.options.longest_wait)
+        self.state.lost, self.state.due = self.state.lost + 1, self.state.due - 1
 
     def _follow_size(self, height: int, width: int) -> None:
         """Adapt the state to frames of another size."""
@@ -314,7 +312,7 @@ class Tracker:
             tried = self.fitter.fit(pixels, self.init, name)
             if _usable(tried):
                 return TrackStatus.FOUND, tried
-        elif self.state.loss.frames <= self.options.patience and self.state.last is not None:
+        elif self._is_expected():
             right, tried = self._follow(pixels, name)
             if right and tried is not None:
                 due = self._period_of(index) != self.state.period
@@ -323,20 +321,20 @@ class Tracker:
                     return TrackStatus.TRACKED, tried
                 self.state.track = None  # the motion was wrong
                 return TrackStatus.CORRECTED, better
-        searched = self.state.loss.due <= 0
+        searched = self.state.due <= 0
         if searched:
             right, found = self._search(pixels, name, first)
             tried = found or tried
             if right:
                 self.state.track = None  # the motion before does not apply
                 return TrackStatus.FOUND, tried
-        self.state.loss = self.state.loss.next_frame(searched, self.options.longest_wait)
+        self._lose(searched)
         return TrackStatus.LOST, tried
 
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
         """Fit from the predicted position."""
         start = self._predicted()
-        fitters = (self._near, self.fitter) if self.state.loss.frames == 0 else (self.fitter,)
+        fitters = (self._near, self.fitter) if self.state.lost == 0 else (self.fitter,)
         tried = None
         for fitter in fitters:
             try:
@@ -372,11 +370,11 @@ class Tracker:
         if self.state.track is None:
             return self.state.last
         track = self.state.track
-        moments, belief = track.moments, track.belief
-        if self.state.loss.frames:
-            moments, belief = kalman.interrupted(moments), kalman.slowed(belief, SLOWING)
-        moved = kalman.predict(belief, track.drive)
-        self.state.track = replace(track, belief=moved, moments=moments)
+        if self.state.lost:
+            slower = replace(track.belief, velocity=SLOWING * track.belief.velocity)
+            track = replace(track, belief=slower, moments=replace(track.moments, last=()))
+        moved = kalman.predict(track.belief, track.drive)
+        self.state.track = replace(track, belief=moved)
         return self._motion.shape(moved.position)
 
     def _search(self, pixels: np.ndarray, name: str, first: bool) -> tuple[bool, FitResult | None]:
@@ -422,6 +420,55 @@ class Tracker:
             covariances=covariances,
             raw_covariances=result.landmark_covariances,
         )
+
+
+def track_video(
+    model: AAM,
+    video: str | os.PathLike[str] | int,
+    *,
+    init=None,
+    start: int = 0,
+    stop: int | None = None,
+    method: str | Method = DEFAULT_METHOD,
+    camera: CameraModel | None = None,
+    options: TrackingOptions | None = None,
+) -> Iterator[TrackedFrame]:
+    """Track an object through a video, frame by frame.
+
+    Parameters
+    ----------
+    model : AAM
+    video : path-like or int
+        A file, or a camera number.
+    init : shape, box, or point and size, optional
+        Where the object is in the first frame. By default it is searched for.
+    start, stop : int, optional
+        First frame, and the one after the last.
+    method : str or Method
+    camera : CameraModel, optional
+        Camera of the video, if it is not the training camera.
+    options : TrackingOptions, optional
+
+    Yields
+    ------
+    TrackedFrame
+        One per frame. Frames without the object have the status ``lost``.
+
+    Raises
+    ------
+    VideoError
+        If the video cannot be read.
+
+    Examples
+    --------
+    >>> for frame in track_video(model, "talk.mp4"):  # doctest: +SKIP
+    ...     print(frame.index, frame.status, frame.landmarks.mean(axis=0))
+    """
+    tracker = Tracker(model, method, camera, options or TrackingOptions(), init)
+    with VideoReader(video, start, stop) as frames:
+        tracker.name = frames.name
+        for frame in frames:
+            yield tracker.update(frame.image, frame.time, frame.index)
 
 
 def sharpest(model: AAM, levels: int) -> AAM:
