@@ -53,28 +53,13 @@ def around(
     reach: float,
     lightened: np.ndarray | bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Extrapolate values beyond their mask, and weigh the result.
+    """Extrapolate values (h, w, c) beyond the pixels of weight 1 (h, w, 1), and weigh the result.
 
-    Parameters
-    ----------
-    values : (h, w, c) float32
-    weights : (h, w, 1) float32
-        1 where the values are known, 0 where they are not.
-    own : (h, w, 3) float32
-        Logarithms of the image's light. Pixels that differ from the object in colour, or are separated from it by
-        edges, belong to something else, such as the wall behind a cheek; their weight is low.
-    reach : float
-        Standard deviation of the Gaussian, pixels. Values diffuse between pixels of similar colour, so that those of a
-        shadow stay within it.
-    lightened : (h, w, 1) bool
-        Where the change adds light.
-
-    Returns
-    -------
-    values : (h, w, c) float32
-        Weighted means of nearby values.
-    share : (h, w, 1) float32
-        Weight of the result: 1 next to known values, falling to 0 at :data:`FARTHEST` times the reach.
+    Return means of nearby values, and their share (h, w, 1): 1 next to known values, falling to 0 at :data:`FARTHEST`
+    times the reach, which is the standard deviation of a Gaussian in pixels. Values diffuse between pixels of similar
+    colour, so that those of a shadow stay within it. ``own`` (h, w, 3) are logarithms of the image's light: pixels that
+    differ from the object in colour, or are separated from it by edges, belong to something else, such as the wall
+    behind a cheek, and their share is low. ``lightened`` (h, w, 1) tells where the change adds light.
     """
     import cv2
 
@@ -94,28 +79,13 @@ def around(
 
 
 def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Extrapolate a change of light beyond the mesh from the image's colours.
+    """Extrapolate a change of log light (h, w, 3) beyond the mesh from the logarithms of the image's light, ``own``.
 
     Within a window, the change is modelled as an affine function of the image's log light. Its slope is large across a
     shadow's edge, and small across paint. It is learnt inside the mesh and applied to the window's pixels outside. This
     is a weighted guided filter (He, Sun and Tang, "Guided image filtering", IEEE TPAMI 2013) at a lower resolution (He
-    and Sun, "Fast guided filter", 2015). Narrow windows replace wide ones where they hold enough pixels.
-
-    Parameters
-    ----------
-    change : (h, w, 3) float32
-        Log ratio of the image's light to another light; valid inside the mesh.
-    inside : (h, w) bool
-        Inside the mesh.
-    own : (h, w, 3) float32
-        Logarithms of the image's light.
-    reach : float
-        See :func:`around`.
-
-    Returns
-    -------
-    (h, w, 3) float32
-        Change of light, clipped to its range inside the mesh.
+    and Sun, "Fast guided filter", 2015). Narrow windows replace wide ones where they hold enough pixels. The result is
+    clipped to its range inside the mesh.
     """
     import cv2
 

@@ -17,6 +17,7 @@ priors, with s eliminated (variable projection), and reweights the jumps of s (t
 :mod:`liaam.relighting.shading`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -70,46 +71,23 @@ OUTLYING = 3.0
 """Squared distance of a colour from the curve, in medians, at which its weight is halved."""
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Colour of shading by its brightness.
+def light_curve(
+    brightness: np.ndarray, shading: np.ndarray, weights: np.ndarray
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Fit the curve of the colours of shading (n, 3) by its brightness (n,), robustly and with weights (n,).
 
-    Attributes
-    ----------
-    low, high : float
-        Range of brightness; the colour is constant beyond it.
-    coefficients : (BENDS + 1, 2) float64
-        Chebyshev coefficients on that range, for both rows of :data:`CHROMATICITY`.
-    """
-
-    low: float
-    high: float
-    coefficients: np.ndarray
-
-    def __call__(self, brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return colours (n, 3) at brightnesses (n,), and their derivatives (n, 3)."""
-        from numpy.polynomial import chebyshev
-
-        at, scale = _to_unit(brightness, self.low, self.high)
-        slopes = chebyshev.chebval(at, chebyshev.chebder(self.coefficients)) * (scale * (np.abs(at) < 1))
-        return chebyshev.chebval(at, self.coefficients).T @ CHROMATICITY, slopes.T @ CHROMATICITY
-
-
-def light_curve(brightness: np.ndarray, shading: np.ndarray, weights: np.ndarray) -> Curve:
-    """Fit the curve of shading colours by brightness, robustly.
-
-    Parameters
-    ----------
-    brightness : (n,) float
-        Brightness of the shading, in logarithms.
-    shading : (n, 3) float
-        Shading with errors.
-    weights : (n,) float
+    The curve gives colours (k, 3) at brightnesses (k,), and their derivatives (k, 3). Beyond the range of the given
+    brightnesses the colour is constant.
     """
     from numpy.polynomial import chebyshev
 
     low, high = np.quantile(brightness[weights > 0], [0.005, 0.995]) if weights.any() else (0.0, 0.0)
-    basis = chebyshev.chebvander(_to_unit(brightness, low, high)[0], BENDS)
+    scale = 2.0 / max(high - low, 1e-6)
+
+    def to_unit(values: np.ndarray) -> np.ndarray:
+        return np.clip((values - low) * scale - 1.0, -1.0, 1.0)
+
+    basis = chebyshev.chebvander(to_unit(brightness), BENDS)
     colours, kept = shading @ CHROMATICITY.T, weights
     ridge = 1e-6 * np.eye(BENDS + 1) * max(float(weights.sum()), 1e-12)
     coefficients = np.zeros((BENDS + 1, 2))
@@ -119,13 +97,13 @@ def light_curve(brightness: np.ndarray, shading: np.ndarray, weights: np.ndarray
         squares = np.square(colours - basis @ coefficients)
         off = (squares / np.maximum(np.median(squares[weights > 0], axis=0), 1e-12)).sum(axis=1) if kept.any() else 0.0
         kept = weights / (1.0 + off / OUTLYING)
-    return Curve(float(low), float(high), coefficients)
 
+    def curve(brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        at = to_unit(brightness)
+        slopes = chebyshev.chebval(at, chebyshev.chebder(coefficients)) * (scale * (np.abs(at) < 1))
+        return chebyshev.chebval(at, coefficients).T @ CHROMATICITY, slopes.T @ CHROMATICITY
 
-def _to_unit(values: np.ndarray, low: float, high: float) -> tuple[np.ndarray, float]:
-    """Map values from a range to [-1, 1] and clip them; also return the scale."""
-    scale = 2.0 / max(high - low, 1e-6)
-    return np.clip((values - low) * scale - 1.0, -1.0, 1.0), scale
+    return curve
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,21 +174,8 @@ class Problem:
 def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float = 1.0) -> tuple[ShadowFree, np.ndarray]:
     """Estimate the appearance under the training light jointly with the shading.
 
-    Parameters
-    ----------
-    model : AAM
-    seen : Seen
-        The image, sampled by its fitted landmarks.
-    start : ShadowFree
-        Initial appearance, from the invariant.
-    prior : float
-        Strength of the appearance's prior, see :func:`liaam.relighting.shadow_free`.
-
-    Returns
-    -------
-    appearance : ShadowFree
-    displaced : (n_pixels, 3) float32
-        The same with the landmark corrections applied.
+    It starts from the appearance by the invariant; ``prior`` is that of :func:`liaam.relighting.shadow_free`. Also
+    return the appearance's log light with the landmark corrections applied, (n_pixels, 3) float32.
     """
     known, frame = model.levels[-1].appearances["log"], model.frame
     usable = seen.usable * (known.usable > 0)

@@ -55,19 +55,9 @@ class Lamp:
 
 
 def light_of(lamps: Sequence[Lamp], normals: np.ndarray, ambient: float) -> np.ndarray:
-    """Return the light of lamps on a surface by Lambert's law.
+    """Return the light of lamps, and a fraction of white ambient light, on normals (..., 3) by Lambert's law.
 
-    Parameters
-    ----------
-    lamps : sequence of Lamp
-    normals : (..., 3) float32
-    ambient : float
-        Fraction of white ambient light, 0 to 1.
-
-    Returns
-    -------
-    (..., 3) or (..., 1) float32
-        One channel if all lamps are white. At least :data:`DARKEST`.
+    (..., 3) float32, or (..., 1) if all lamps are white; at least :data:`DARKEST`.
     """
     colours = np.array([np.multiply(lamp.colour, lamp.strength) for lamp in lamps], np.float32).reshape(-1, 3)
     if (np.ptp(colours, axis=1) == 0).all():
@@ -92,13 +82,7 @@ def lit(facing: np.ndarray, softness: float) -> np.ndarray:
 
 
 def unit_direction(direction: Sequence[float]) -> np.ndarray:
-    """Normalise a direction to unit length, (3,) float32.
-
-    Raises
-    ------
-    LiaamError
-        If it is not three finite numbers, or all are 0.
-    """
+    """Normalise a direction to unit length, (3,) float32. Raise if it is not three finite numbers, or all are 0."""
     try:
         light = np.asarray(direction, dtype=np.float64)
     except (TypeError, ValueError):

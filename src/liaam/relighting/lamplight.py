@@ -37,16 +37,9 @@ def unexplained_on_frame(model: AAM) -> np.ndarray:
 def light_on_image(
     model: AAM, coordinates: np.ndarray, shape: np.ndarray, corner: tuple[int, int], size: tuple[int, ...]
 ) -> np.ndarray:
-    """Return the change of log light at the pixels of a box, (bh, bw, 3) float32, 0 without a basis.
+    """Return the change of log light in an image around landmarks (n, 2), (bh, bw, 3) float32, 0 without a basis.
 
-    Parameters
-    ----------
-    model : AAM
-    coordinates : (k,) float
-    shape : (n, 2) float
-        Landmarks, image pixels.
-    corner, size : (int, int)
-        First column and row of the box, and its height and width.
+    It is that of a box, with its first column and row at ``corner``, and of a size (height, width).
     """
     if model.light is None or not len(coordinates):
         return np.zeros((*size, 3), np.float32)

@@ -95,15 +95,10 @@ def without_shading(
         Logarithm of image / appearance, 0 outside the mesh.
     """
     image = as_colour(image)
-    stored = stored_values(image)
     log_rgb, inside = paint(image, shape, model, appearance.log_rgb)
     fresh = np.clip(from_linear(np.exp(log_rgb), response), 0, 1)
-    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
-    shading = np.log(np.maximum(to_linear(stored, response), floor)) - log_rgb
-    return (
-        np.where(inside[..., None], fresh, stored).astype(np.float32),
-        np.where(inside[..., None], shading, 0.0).astype(np.float32),
-    )
+    picture = np.where(inside[..., None], fresh, stored_values(image)).astype(np.float32)
+    return picture, np.where(inside[..., None], log_light(image, response) - log_rgb, np.float32(0.0))
 
 
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -180,7 +179,7 @@ class Relighter:
         weights = inside[self.box][..., None].astype(np.float32)
         if not weights.size:
             return self.picture.copy()
-        nearby, _ = around(values[self.box], weights, self.log_flat, self._reach)
+        nearby, _ = around(values[self.box], weights, self.log_flat, reach_of(self.shape))
         shading = self.share * np.where(weights > 0, values[self.box], nearby)
         shading += light_on_image(self.model, light, self.shape, corner_of(self.box), self.inside.shape)
         return self._with(self.log_flat + shading, np.abs(shading).max(axis=2) > 0)
@@ -190,10 +189,6 @@ class Relighter:
         """Bytes of the arrays of the picture."""
         arrays = (self.picture, self.log_flat, self.log_shading, self.inside, self.share, self.normals)
         return sum(array.nbytes for array in arrays)
-
-    @cached_property
-    def _reach(self) -> float:
-        return reach_of(self.shape)
 
     def _with(self, log_rgb: np.ndarray, relit: np.ndarray | bool = False) -> np.ndarray:
         """Return the image with new logarithms of light where it was changed, or is relit, (bh, bw) bool."""

@@ -88,21 +88,10 @@ class Seen:
 
 
 def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray, light: np.ndarray) -> Shading:
-    """Estimate the shading of a fitted image.
+    """Estimate the shading of a fitted image from its appearance under the training light with corrected landmarks.
 
-    Parameters
-    ----------
-    model : AAM
-    seen : Seen
-    log_rgb : (n_pixels, 3) float32
-        Appearance under the training light, with corrected landmarks
-        (:func:`liaam.relighting.joint.appearance_in_light`).
-    light : (k,) float
-        Coordinates of the light, see :class:`ShadowFree`.
-
-    Returns
-    -------
-    Shading
+    ``log_rgb`` (n_pixels, 3) is from :func:`liaam.relighting.joint.appearance_in_light`, and ``light`` (k,) are its
+    coordinates of the light.
     """
     model_variance = errors_of_the_model(model, log_rgb)
     at_the_border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
@@ -131,16 +120,9 @@ def noise_variance(log_rgb: np.ndarray, response: Response, deviation: float) ->
 def piecewise_smooth(
     frame: ReferenceFrame, values: np.ndarray, weights: np.ndarray, held: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Compute the piecewise smooth part of values on the reference frame, (n_pixels, c) float32.
+    """Compute the piecewise smooth part of values (n_pixels, c) on the reference frame, as float32.
 
-    Parameters
-    ----------
-    frame : ReferenceFrame
-    values : (n_pixels, c) float
-    weights : (n_pixels,) float
-        Pixels of weight 0 are interpolated from their neighbours.
-    held : (n_pixels,) float
-        Weights of a pull towards 0.
+    Pixels of weight 0 are interpolated from their neighbours; ``held`` (n_pixels,) are weights of a pull towards 0.
     """
     pairs, weights = neighbours(frame), np.asarray(weights, np.float64)
     right = values * weights[:, None]
