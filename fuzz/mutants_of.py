@@ -33,7 +33,7 @@ TESTS: dict[str, tuple[str, ...]] = {
 """Tests of each module."""
 
 PARTS: dict[str, tuple[str, ...]] = {
-    "liaam.lamps.bank": ("load_lamps", "_names", "_are_lamps", "_are_sound", "Lamps.save")
+    "liaam.lamps.bank": ("load_lamps", "_names", "Lamps.save")
 }
 """Functions that are tried of a module, where that is not all of them."""
 

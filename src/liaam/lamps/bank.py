@@ -201,21 +201,9 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
 
 
 def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Carry fields to other landmarks.
+    """Carry fields (k, side, side, 3) on a mean shape to the square around another, (k, SIDE, SIDE, 3) float16.
 
-    Parameters
-    ----------
-    mean : (n, 2) float64
-        Mean shape of the fields.
-    fields : (k, side, side, 3) float16
-        Fields of any resolution.
-    shape : (n, 2) float64
-        Where its landmarks lie in the coordinates of the other mean shape.
-
-    Returns
-    -------
-    (k, SIDE, SIDE, 3) float16
-        Fields on the square around the other mean shape.
+    ``shape`` (n, 2) are the landmarks of the first mean shape in the coordinates of the other.
     """
     import cv2  # heavy: imported when first needed
 
@@ -304,7 +292,8 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     broken = "this is not a complete lamp file ({fault}); copy it again or make it again"
     names, tensors = read_tensors(path, lambda *header: _names(path, *header), LiaamError, "lamp file", MAKE, broken)
     mean, fields = tensors["mean"], tensors["fields"]
-    if not _are_sound(mean, fields):
+    has_types = mean.dtype == np.float64 and fields.dtype == np.float16
+    if not has_types or not np.isfinite(fields).all() or not (np.abs(mean) <= 1.0).all():
         raise LiaamError(f"{path}: {_CONTRADICTORY}")
     return Lamps(mean, fields, tuple(names))
 
@@ -318,27 +307,9 @@ def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
     if (about.get("format"), about.get("schema")) != (LAMPS_FORMAT, SCHEMA_VERSION):
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
     names: Any = about.get("names")
-    if not _are_lamps(names, shapes.get("mean", ()), shapes.get("fields", ())):
+    are_names = isinstance(names, list) and 1 <= len(names) <= MOST and all(isinstance(name, str) for name in names)
+    mean = shapes.get("mean", ())
+    is_shape = len(mean) == 2 and mean[0] >= 3 and mean[1] == 2
+    if not are_names or not is_shape or shapes.get("fields") != (len(names), SIDE, SIDE, 3):
         raise LiaamError(f"{path}: {_CONTRADICTORY}")
     return names
-
-
-def _are_lamps(names: Any, mean: tuple[int, ...], fields: tuple[int, ...]) -> bool:
-    return (
-        isinstance(names, list)
-        and 1 <= len(names) <= MOST
-        and all(isinstance(name, str) for name in names)
-        and len(mean) == 2
-        and mean[0] >= 3
-        and mean[1] == 2
-        and fields == (len(names), SIDE, SIDE, 3)
-    )
-
-
-def _are_sound(mean: np.ndarray, fields: np.ndarray) -> bool:
-    return (
-        mean.dtype == np.float64
-        and fields.dtype == np.float16
-        and bool(np.isfinite(fields).all())
-        and bool((np.abs(mean) <= 1.0).all())
-    )
