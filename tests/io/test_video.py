@@ -329,10 +329,6 @@ def test_frames_decoded_ahead_are_limited_in_number_and_bytes():
     assert ahead.full()
 
 
-def test_dropping_a_frame_that_was_just_taken_does_nothing(video):
-    VideoReader(video)._drop()
-
-
 def test_no_file_is_left_open(tmp_path, monkeypatch):
     (tmp_path / "text.txt").write_bytes(b"no video at all " * 50)
     film = film_of_noise(tmp_path / "film.mp4", 150)

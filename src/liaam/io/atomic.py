@@ -122,10 +122,7 @@ def sweep(folder: Path) -> None:
 def lock(descriptor: int, *, wait: bool = False) -> bool:
     """Lock an open file until it is closed; False if the system or the disk has no locks.
 
-    Raises
-    ------
-    BlockingIOError
-        If another process has it, and this one does not wait.
+    Raise BlockingIOError if another process has it, and this one does not wait.
     """
     try:
         if sys.platform == "win32":
@@ -152,15 +149,11 @@ def _remove_unlocked(path: Path, age: float) -> None:
         try:
             facts = os.fstat(descriptor)
             is_old = not age or time.time() - facts.st_mtime > age
-            if is_old and lock(descriptor) and _is_at(path, facts):
+            # Another process may have replaced the file before it was locked.
+            if is_old and lock(descriptor) and os.path.samestat(facts, path.lstat()):
                 path.unlink()
         finally:
             os.close(descriptor)
-
-
-def _is_at(path: Path, facts: os.stat_result) -> bool:
-    """Whether a path still names the same file: another process may have replaced it before it was locked."""
-    return os.path.samestat(facts, path.lstat())
 
 
 @contextmanager
@@ -208,23 +201,18 @@ def _made(temp: Path) -> int:
 
 
 def _publish(temp: Path, target: Path) -> None:
-    """Flush `temp` to disk and rename it over `target`."""
+    """Flush `temp` to disk, rename it over `target`, and flush the rename."""
     if target.exists():
         shutil.copymode(target, temp)
-    descriptor = os.open(temp, os.O_RDWR)
+    _sync(temp, os.O_RDWR)
+    temp.replace(target)
+    with contextlib.suppress(OSError):  # Windows opens no folders
+        _sync(target.parent, os.O_RDONLY)
+
+
+def _sync(path: Path, mode: int) -> None:
+    descriptor = os.open(path, mode)
     try:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-    temp.replace(target)
-    _sync_folder(target.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush the rename to disk, on systems that can open a folder (not Windows)."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -51,27 +51,7 @@ def real_path(path: str | os.PathLike[str]) -> Path:
 
 
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
-    """Check that a file exists and is not empty.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to check.
-    error : type of LiaamError
-        The class of error to raise.
-    kind : str
-        Kind of file for the message, such as "image" or "landmark file".
-
-    Returns
-    -------
-    Path
-        The same path.
-
-    Raises
-    ------
-    LiaamError
-        Of class `error`, if the path is missing, a folder, empty, or not accessible.
-    """
+    """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
     path = Path(path)
     try:
         if path.is_dir():

@@ -39,17 +39,6 @@ _SIGNATURES = (
     (b"BM", "BMP"),
     *((b"P%d" % digit, "PNM") for digit in range(1, 7)),
 )
-_PILLOW_NAMES = {
-    ".png": "PNG",
-    ".jpg": "JPEG",
-    ".jpeg": "JPEG",
-    ".tif": "TIFF",
-    ".tiff": "TIFF",
-    ".bmp": "BMP",
-    ".ppm": "PPM",
-    ".pgm": "PPM",
-    ".pnm": "PPM",
-}
 _DEEP_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm")
 _FLOAT_SUFFIXES = (".tif", ".tiff")
 _EXIF_ORIENTATION = 0x0112
@@ -111,10 +100,7 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
         If the file is missing, a folder, empty, truncated, damaged or in another format, has more than `max_pixels`
         pixels, or holds values of an unsupported type, such as 32-bit or signed integers.
     """
-    if is_raw(path):
-        return read_raw(path, max_pixels)
-    path, header = _checked_file(path, max_pixels)
-    return _decode(path, read_bytes(path, ImageError, _MAX_BYTES), header)
+    return _read(path, max_pixels)
 
 
 def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_PIXELS) -> np.ndarray:
@@ -137,10 +123,7 @@ def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_
     ImageError
         See :func:`read_image`.
     """
-    if is_raw(path):
-        return read_image(path, max_pixels)
-    path, header = _checked_file(path, max_pixels)
-    return _decode(path, read_bytes(path, ImageError, _MAX_BYTES), header, size)
+    return _read(path, max_pixels, size)
 
 
 def decode_image(data: bytes, name: str = "image", max_pixels: int = MAX_PIXELS) -> np.ndarray:
@@ -191,12 +174,14 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     return _read_header(existing_file(path, ImageError, "image")).size
 
 
-def _checked_file(path: str | os.PathLike[str], max_pixels: int) -> tuple[Path, _Header]:
-    """Return the header of a file after checking that its pixels can be decoded."""
+def _read(path: str | os.PathLike[str], max_pixels: int, preview: int | None = None) -> np.ndarray:
+    """Read an image; see :func:`read_preview` for the size."""
+    if is_raw(path):
+        return read_raw(path, max_pixels)
     path = existing_file(path, ImageError, "image")
     header = _read_header(path)
     _check_header(path, header, max_pixels)
-    return path, header
+    return _decode(path, read_bytes(path, ImageError, _MAX_BYTES), header, preview)
 
 
 def _check_header(path: Path | str, header: _Header, max_pixels: int) -> None:
@@ -253,7 +238,7 @@ def _header_of(file: Any, path: Path | str) -> _Header:
                 "PNG."
             )
         file.seek(0)
-        header = _HEADER_READERS[kind](file)
+        header = _HEADER_READERS[kind](file) if kind in _HEADER_READERS else _pillow_header(file, kind)
     except ImageError:
         raise
     except OSError as fault:
@@ -306,14 +291,6 @@ def _pillow_header(file: Any, kind: str) -> _Header:
 def _orientation(tags: Any) -> int:
     value = tags.get(_EXIF_ORIENTATION, 1)
     return value if value in range(1, 9) else 1
-
-
-def _jpeg_header(file: Any) -> _Header:
-    return _pillow_header(file, "JPEG")
-
-
-def _bmp_header(file: Any) -> _Header:
-    return _pillow_header(file, "BMP")
 
 
 def _png_header(file: Any) -> _Header:
@@ -407,13 +384,7 @@ def _tiff_fault(tags: Any, n_bytes: int) -> str:
     return ""
 
 
-_HEADER_READERS = {
-    "PNG": _png_header,
-    "JPEG": _jpeg_header,
-    "TIFF": _tiff_header,
-    "BMP": _bmp_header,
-    "PNM": _pnm_header,
-}
+_HEADER_READERS = {"PNG": _png_header, "TIFF": _tiff_header, "PNM": _pnm_header}
 
 
 # Decoding -----------------------------------------------------------------------------------------
@@ -432,10 +403,7 @@ def _decode_shallow(path: Path | str, data: bytes, header: _Header, preview: int
     """Decode an image with at most 8 bits per channel, and detect truncation."""
     try:
         image = _open_pillow(io.BytesIO(data), header.kind)
-        if image.size not in (
-            (header.width, header.height),
-            header.size,
-        ):  # what was checked is not what would be decoded
+        if image.size not in ((header.width, header.height), header.size):  # what was checked would not be decoded
             raise ValueError("its size can be read in two ways")
         if preview is not None:
             image.draft(None, (preview, preview))  # affects JPEG only
@@ -542,9 +510,9 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
 def _encode_shallow(array: np.ndarray, suffix: str) -> bytes:
     from PIL import Image
 
-    options = {"quality": 95, "subsampling": 0} if _PILLOW_NAMES[suffix] == "JPEG" else {}
-    buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(array)).save(buffer, _PILLOW_NAMES[suffix], **options)
+    kind, buffer = Image.registered_extensions()[suffix], io.BytesIO()
+    options = {"quality": 95, "subsampling": 0} if kind == "JPEG" else {}
+    Image.fromarray(np.ascontiguousarray(array)).save(buffer, kind, **options)
     return buffer.getvalue()
 
 

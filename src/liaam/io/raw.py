@@ -90,13 +90,7 @@ def read_raw(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, half_si
 
 
 def raw_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Return (width, height) of a RAW file in pixels, upright, from the header only.
-
-    Raises
-    ------
-    ImageError
-        If rawpy is not installed, or the file is missing or not a RAW file.
-    """
+    """Return (width, height) of a RAW file in pixels, upright, from the header only."""
     with _opened(path) as (_, raw):
         return _upright_size(raw)
 

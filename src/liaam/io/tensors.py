@@ -18,23 +18,10 @@ def read_tensors(
 ) -> tuple[Any, dict[str, np.ndarray]]:
     """Read the header and the tensors of a file. safetensors checks their sizes against the file's length.
 
-    Parameters
-    ----------
-    path : Path
-    parse : callable
-        Parses the metadata entry ``liaam`` (empty if missing) and the shapes of the tensors into a header, or raises.
-        Called before reading tensors, so that large tensors of a wrong shape take no memory.
-    error : type of LiaamError
-        The class of error to raise.
-    kind, make : str
-        Kind of file, such as "model file", and the command that makes one, for messages.
-    broken : str
-        Message for an incomplete file; ``{fault}`` is replaced by the fault.
-
-    Raises
-    ------
-    LiaamError
-        Of class `error`, if the file is missing, truncated, or of another kind.
+    ``parse`` makes the header from the metadata entry ``liaam`` (empty if missing) and the shapes of the tensors, or
+    raises. It is called before tensors are read, so that large ones of a wrong shape take no memory. Messages name the
+    ``kind`` of file, such as "model file", and the command that can ``make`` one; ``broken`` is that for an incomplete
+    file, with ``{fault}`` in it.
     """
     from safetensors import SafetensorError, safe_open
 

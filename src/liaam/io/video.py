@@ -11,7 +11,7 @@ import os
 import queue
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
@@ -200,13 +200,8 @@ class VideoReader:
                 return
             except queue.Full:
                 if self.live:  # prefer the newest frame
-                    self._drop()
-
-    def _drop(self) -> None:
-        try:
-            self._queue.get_nowait()
-        except queue.Empty:
-            return
+                    with suppress(queue.Empty):
+                        self._queue.get_nowait()
 
 
 class _Ahead(queue.Queue):
@@ -411,10 +406,6 @@ class _Capture:
         self.rate = Fraction(max(1, round(self.capture.get(cv2.CAP_PROP_FPS)) or 25))
         self.n_seen, self.fault = 0, ""
 
-    @property
-    def is_open(self) -> bool:
-        return self.capture.isOpened()
-
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         from time import monotonic
 
@@ -450,7 +441,7 @@ def _open_camera(number: int) -> _Device | _Capture:
         except Exception:  # PyAV is missing or does not support the driver: try OpenCV
             pass
     capture = _quiet_capture(number)
-    if capture.is_open:
+    if capture.capture.isOpened():
         return capture
     capture.close()
     there = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))

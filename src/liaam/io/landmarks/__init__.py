@@ -154,11 +154,6 @@ def parse_landmark_file(path: str | os.PathLike[str]) -> Parsed:
     """Read a landmark file as `Landmarks`, or as a dict of them if the file names its images.
 
     The points are as in the file; :func:`in_pixels` converts them.
-
-    Raises
-    ------
-    LandmarkError
-        As :func:`read_landmarks`.
     """
     suffix = _suffix(Path(path))
     path = existing_file(path, LandmarkError, "landmark file")
@@ -166,13 +161,7 @@ def parse_landmark_file(path: str | os.PathLike[str]) -> Parsed:
 
 
 def parse_landmark_data(name: str, data: bytes, image_size: Size | None = None) -> Parsed:
-    """Parse the content of a landmark file in memory. All its images have the same size.
-
-    Raises
-    ------
-    LandmarkError
-        As :func:`read_landmarks`.
-    """
+    """Parse the content of a landmark file in memory. All its images have the same size."""
     path = Path(name)
     parsed = FORMATS[_suffix(path)].parse(path, decode_text(path, data))
     if isinstance(parsed, Landmarks):
@@ -181,13 +170,7 @@ def parse_landmark_data(name: str, data: bytes, image_size: Size | None = None) 
 
 
 def in_pixels(path: str | os.PathLike[str], landmarks: Landmarks, image_size: Size | None) -> Landmarks:
-    """Convert parsed landmarks to pixels; `image_size` as in :func:`read_landmarks`.
-
-    Raises
-    ------
-    LandmarkError
-        If the format needs the image's size, and it is unknown.
-    """
+    """Convert parsed landmarks to pixels; raise if that needs the image's size, and it is unknown."""
     place = FORMATS[_suffix(Path(path))].place
     if place is None:
         return landmarks

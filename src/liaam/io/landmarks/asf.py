@@ -11,30 +11,20 @@ from dataclasses import replace
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, chain_edges, make_landmarks, parse_count, parse_number
+from liaam.io.landmarks.base import Landmarks, chain_edges, check_count, make_landmarks, parse_count, parse_number
 
 _N_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
 
 
 def parse(path: Path, text: str) -> Landmarks:
-    """Parse the text of an ``.asf`` file into fractions of the image's size.
-
-    Raises
-    ------
-    LandmarkError
-        If a line is invalid or the counts differ.
-    """
+    """Parse the text of an ``.asf`` file into fractions of the image's size."""
     lines = [line for line in map(str.strip, text.splitlines()) if line and not line.startswith("#")]
     if not lines:
         raise LandmarkError(f"{path} holds comments only; it may be cut short: export it again.")
     count = parse_count(path, lines[0], "points")
     columns = [line.split() for line in lines[1:]]
     rows = [row for row in columns if len(row) >= _N_COLUMNS]
-    if len(rows) != count:
-        raise LandmarkError(
-            f"{path}: the header promises {count} points but {len(rows)} are there; "
-            "the file may be cut short: export it again."
-        )
+    check_count(path, "header", count, rows)
     host = lines[-1] if len(columns) > count else None
     return _landmarks(path, rows, host)
 

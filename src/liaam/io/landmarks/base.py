@@ -187,6 +187,15 @@ def parse_count(path: Path, token: str, what: str) -> int:
     return int(token)
 
 
+def check_count(path: Path, where: str, count: int, rows: Sequence[object]) -> None:
+    """Raise unless there are as many rows of points as a line of the file promises."""
+    if len(rows) != count:
+        raise LandmarkError(
+            f"{path}: the {where} promises {count} points but {len(rows)} are there; the file may be cut short: export "
+            "it again."
+        )
+
+
 def parse_number(path: Path, token: str, where: str) -> float:
     """Parse one coordinate, NaN for the usual words for a missing value."""
     token = token.strip()

@@ -33,13 +33,7 @@ _NO_LINES: _Lines = ((), ())
 
 
 def parse(path: Path, text: str) -> dict[str, Landmarks]:
-    """Parse the text of a COCO keypoints file into landmarks by the image's file name.
-
-    Raises
-    ------
-    LandmarkError
-        If the file is not JSON, not COCO, has no keypoints, or has keypoints that are not triples of numbers.
-    """
+    """Parse the text of a COCO keypoints file into landmarks by the image's file name."""
     content = parse_json(path, text)
     try:
         files = {image["id"]: str(image["file_name"]) for image in content["images"]}

@@ -20,13 +20,7 @@ _Rows = list[tuple[int, dict[str, str]]]
 
 
 def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
-    """Parse the text of a CSV file: landmarks of one image, or of many images if a column names the image.
-
-    Raises
-    ------
-    LandmarkError
-        If the columns x and y are missing, a cell is not a number, or a row has another number of cells.
-    """
+    """Parse the text of a CSV file: landmarks of one image, or of many images if a column names the image."""
     header, rows = _table(path, text)
     if "image" not in header:
         return _landmarks(path, rows, None, header)

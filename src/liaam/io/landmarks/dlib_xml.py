@@ -21,13 +21,7 @@ _MOST_MISSING = 20
 
 
 def parse(path: Path, text: str) -> dict[str, Landmarks]:
-    """Parse the text of an ``imglab`` file into landmarks by the image's file name.
-
-    Raises
-    ------
-    LandmarkError
-        If the file is not complete XML, declares a document type or entities, or has no landmarks.
-    """
+    """Parse the text of an ``imglab`` file into landmarks by the image's file name."""
     objects: dict[str, list[tuple[float, _Parts]]] = {}
     for image in _root(path, text).iter("image"):
         name = image.get("file", "")

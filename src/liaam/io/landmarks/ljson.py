@@ -19,13 +19,7 @@ _ALL, _INVISIBLE = "all", "invisible"
 
 
 def parse(path: Path, text: str) -> Landmarks:
-    """Parse the text of an ``.ljson`` file.
-
-    Raises
-    ------
-    LandmarkError
-        If the file is not JSON, has another version, holds several groups, or its points are not pairs of numbers.
-    """
+    """Parse the text of an ``.ljson`` file."""
     group = _group(path, parse_json(path, text))
     try:
         rows = group["landmarks"]["points"]

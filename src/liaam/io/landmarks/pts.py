@@ -10,20 +10,14 @@ import re
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_count, parse_pair
+from liaam.io.landmarks.base import Landmarks, check_count, make_landmarks, parse_count, parse_pair
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
 _COMMENT = re.compile(r"(#|//|%).*")
 
 
 def parse(path: Path, text: str) -> Landmarks:
-    """Parse the text of a ``.pts`` file: a header, then one ``x y`` per line between braces.
-
-    Raises
-    ------
-    LandmarkError
-        If the braces are missing, a line is not two numbers, or the header's count is wrong.
-    """
+    """Parse the text of a ``.pts`` file: a header, then one ``x y`` per line between braces."""
     text = "\n".join(_COMMENT.sub("", line) for line in text.splitlines())
     header, brace, rest = text.partition("{")
     if not brace:
@@ -31,11 +25,8 @@ def parse(path: Path, text: str) -> Landmarks:
     body, brace, _ = rest.partition("}")
     lines = [line for line in body.splitlines() if line.strip()]
     count = _COUNT.search(header)
-    if count is not None and parse_count(path, count[1], "points") != len(lines):
-        raise LandmarkError(
-            f"{path}: the header promises {count[1]} points but {len(lines)} are there; "
-            "the file may be cut short: export it again."
-        )
+    if count is not None:
+        check_count(path, "header", parse_count(path, count[1], "points"), lines)
     if not brace:
         raise LandmarkError(f"{path} has no '}}' after its points; it may be cut short: export it again.")
     pairs = [parse_pair(path, line, f"point {number}") for number, line in enumerate(lines, 1)]

@@ -12,25 +12,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Contour, Landmarks, contour_of, make_landmarks, parse_count, parse_pair
+from liaam.io.landmarks.base import Contour, Landmarks, check_count, contour_of, make_landmarks, parse_count, parse_pair
 
 
 def parse(path: Path, text: str) -> Landmarks:
-    """Parse the text of a ``.tem`` file; the line templates after the points are optional.
-
-    Raises
-    ------
-    LandmarkError
-        If there are fewer points or lines than announced, or a value is not a number.
-    """
+    """Parse the text of a ``.tem`` file; the line templates after the points are optional."""
     lines = [line for line in text.splitlines() if line.strip()]
     count = parse_count(path, lines[0].strip(), "points")
     pairs = lines[1 : count + 1]
-    if len(pairs) != count:
-        raise LandmarkError(
-            f"{path}: the first line promises {count} points but {len(pairs)} are there; "
-            "the file may be cut short: export it again."
-        )
+    check_count(path, "first line", count, pairs)
     points = [parse_pair(path, line, f"point {number}") for number, line in enumerate(pairs, 1)]
     contours = _contours(path, " ".join(lines[count + 1 :]).split())
     return make_landmarks(path, points, contours)

@@ -44,14 +44,7 @@ class _Record:
 
 
 def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
-    """Parse the text of a ``.tps`` file into landmarks by image, or of one image without a name. y counts upwards.
-
-    Raises
-    ------
-    LandmarkError
-        If a count, a point or a scale is wrong, points have three dimensions, an image has two records or, of several,
-        no name, or no record has points.
-    """
+    """Parse the text of a ``.tps`` file into landmarks by image, or of one image without a name. y counts upwards."""
     records = [record for record in _records(path, text) if record.points]
     if not records:
         raise LandmarkError(f"{path} has no points: place the landmarks of at least one image first.")
