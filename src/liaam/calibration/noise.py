@@ -6,8 +6,6 @@ its brightness and the variance about a smooth surface. A median regression fits
 blocks estimates its standard errors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -231,7 +229,7 @@ class _Blocks:
     def __len__(self) -> int:
         return len(self.level)
 
-    def __getitem__(self, chosen: np.ndarray) -> _Blocks:
+    def __getitem__(self, chosen: np.ndarray) -> "_Blocks":
         return _Blocks(*(getattr(self, column.name)[chosen] for column in fields(self)))
 
     def variance(self, low: int, high: int = 2 * SIDE - 2) -> np.ndarray:

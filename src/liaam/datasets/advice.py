@@ -1,7 +1,5 @@
 """Messages about folders whose images and landmarks do not match: what is wrong, and what to do."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

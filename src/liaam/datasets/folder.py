@@ -6,8 +6,6 @@ or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``,
 images, then the order of `liaam.io.LANDMARK_SUFFIXES` decides.
 """
 
-from __future__ import annotations
-
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
@@ -98,13 +96,13 @@ class Dataset:
     @overload
     def __getitem__(self, index: int) -> Sample: ...
     @overload
-    def __getitem__(self, index: slice) -> Dataset: ...
-    def __getitem__(self, index: int | slice) -> Sample | Dataset:
+    def __getitem__(self, index: slice) -> "Dataset": ...
+    def __getitem__(self, index: int | slice) -> "Sample | Dataset":
         if isinstance(index, slice):
             return replace(self, samples=self.samples[index])
         return self.samples[index]
 
-    def select(self, which: str | Iterable[str] | Callable[[Sample], bool]) -> Dataset:
+    def select(self, which: str | Iterable[str] | Callable[[Sample], bool]) -> "Dataset":
         """Keep some of the samples, in their order.
 
         Parameters

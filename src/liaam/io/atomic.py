@@ -4,8 +4,6 @@ A temporary file is locked while it is written. The system releases the lock whe
 an unlocked temporary file was left by a killed process; :func:`sweep` removes it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

@@ -1,7 +1,5 @@
 """Helpers shared by file readers: existence checks with suggestions, natural sort order, parsing of cells."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import math

@@ -5,8 +5,6 @@ Pillow would reduce to 8 bits. The size in the header is checked before decoding
 not by suffix, except for RAW files (:mod:`liaam.io.raw`).
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

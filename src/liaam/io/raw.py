@@ -3,8 +3,6 @@
 The optional package rawpy (LibRaw) decodes them. All processing that depends on the image content is off.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 from collections.abc import Iterator

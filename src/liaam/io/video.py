@@ -4,8 +4,6 @@ The optional package PyAV (FFmpeg) decodes in a background thread, a few frames 
 Files are written atomically.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import queue
@@ -135,7 +133,7 @@ class VideoReader:
             return None if self._stop is None else self._stop - self._start
         return max(0, min(known, known if self._stop is None else self._stop) - self._start)
 
-    def __enter__(self) -> VideoReader:
+    def __enter__(self) -> "VideoReader":
         self._thread.start()
         return self
 

@@ -1,7 +1,5 @@
 """Positions of the features of a neutral face, and their displacements by each expression."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 

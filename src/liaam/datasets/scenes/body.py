@@ -1,7 +1,5 @@
 """The whole figure as one posed triangle mesh: head, ears, long hair, neck and shoulders."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """The camera: spectral sensitivities, exposure, noise, response and quantisation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,7 +108,7 @@ class Camera:
         y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
         return 1 - self.vignetting * 0.5 * (x**2 + y**2)
 
-    def noiseless(self, response: Response = "linear") -> Camera:
+    def noiseless(self, response: Response = "linear") -> "Camera":
         """Return the same camera without noise and quantisation."""
         return replace(self, read_noise=0.0, shot_noise=0.0, bits=None, response=response)
 

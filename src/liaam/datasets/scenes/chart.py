@@ -6,8 +6,6 @@ sockets) is fixed and visible through the openings of the skin. The chart has th
 (`CHART_OPENING`), so that closing the mouth only compresses the opening.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

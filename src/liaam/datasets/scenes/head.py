@@ -4,8 +4,6 @@ Lengths are *head units* of about 10 cm (the pupils are 0.62 apart) and the axes
 right of the image, y up, z towards the camera; the origin lies inside the head at eye level.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Literal
 

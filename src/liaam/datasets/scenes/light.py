@@ -4,8 +4,6 @@ Spectra follow the paper's equation 6: a source of temperature T has the spectra
 E(lambda, T) = I k1 lambda^-5 exp(-k2 / (T lambda)) (Wien), or Planck's law.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -3,8 +3,6 @@
 Colours are linear RGB reflectances, 0 to 1; `liaam.datasets.scenes.light` turns them into spectra.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -86,7 +84,7 @@ class _Canvas:
     x: np.ndarray
 
     @classmethod
-    def of(cls, face: Face, rng: np.random.Generator) -> _Canvas:
+    def of(cls, face: Face, rng: np.random.Generator) -> "_Canvas":
         u0, u1, v0, v1 = CHART
         u, v = np.meshgrid(
             np.arange(u0, u1, 1 / TEXELS_PER_UNIT, dtype=np.float32),

@@ -4,8 +4,6 @@ Each pixel receives one Planckian spectrum with its own temperature and strength
 holds exactly, also in shadows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

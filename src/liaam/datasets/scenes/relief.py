@@ -1,7 +1,5 @@
 """The relief of a face: its height over the base shape of the head, in head units, as a function of the chart."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 

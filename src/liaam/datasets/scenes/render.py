@@ -1,7 +1,5 @@
 """Render a head with a pose, lights and a camera to an image with ground truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

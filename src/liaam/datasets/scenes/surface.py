@@ -4,8 +4,6 @@ The displacement of the skin is interpolated between control points by radial ba
 the fields of `Expression`. Landmarks and mesh use the same function, so landmarks lie on the surface.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

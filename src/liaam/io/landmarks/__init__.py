@@ -4,8 +4,6 @@ Every format is converted to liaam's convention, pixel centres counted from 0. T
 describes the conversion.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

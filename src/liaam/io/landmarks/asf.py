@@ -5,8 +5,6 @@ counted from 0, so (0, 0) is the centre of the top-left pixel. Connectivity (``c
 becomes contours, and the host image named on the last line is kept.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

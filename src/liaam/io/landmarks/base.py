@@ -4,8 +4,6 @@ In liaam a landmark is (x, y) = (column, row) in pixels, with (0, 0) at the cent
 A missing landmark is (NaN, NaN). Each format's module converts from and to its own convention.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +31,7 @@ class Contour:
     """Whether the last landmark is connected to the first."""
 
     @classmethod
-    def all_of(cls, pairs: Iterable[tuple[Iterable[int], bool]]) -> tuple[Contour, ...]:
+    def all_of(cls, pairs: Iterable[tuple[Iterable[int], bool]]) -> "tuple[Contour, ...]":
         """Return the contours of (indices, closed), as a model has them."""
         return tuple(cls(tuple(indices), closed) for indices, closed in pairs)
 
@@ -61,7 +59,7 @@ class Landmarks:
     """Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them."""
     scale: float | None = None
     """Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it."""
-    others: tuple[Landmarks, ...] = ()
+    others: "tuple[Landmarks, ...]" = ()
     """Smaller objects of the same image, the larger ones first. Only ``.xml`` and ``.json`` store several."""
 
     def __post_init__(self) -> None:
@@ -92,7 +90,7 @@ class Landmarks:
         """(n,) bool mask of missing landmarks."""
         return np.isnan(self.points[:, 0])
 
-    def objects(self, name: str) -> Iterator[tuple[str, Landmarks]]:
+    def objects(self, name: str) -> "Iterator[tuple[str, Landmarks]]":
         """Yield each object of the image and its name: ``name``, ``name#2``, ``name#3``, ..."""
         yield name, self
         for number, other in enumerate(self.others, 2):

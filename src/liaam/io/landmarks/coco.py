@@ -6,8 +6,6 @@ but hidden) is not. One file holds many images. Each annotation with keypoints i
 names become the names, and its skeleton (pairs counted from 1) the contours.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ file then holds many images). Other columns are ignored. Rows are in the order o
 a missing landmark. The separator may also be a tab or a semicolon; with semicolons, numbers may have decimal commas.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -4,8 +4,6 @@ One file holds many images. The landmarks are the ``part`` elements of a box. Ea
 are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is missing.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ joined into contours. Labels in menpo name sets of landmarks. If each landmark h
 landmarks' names. A further label ``invisible`` holds the occluded landmarks.
 """
 
-from __future__ import annotations
-
 import json
 from itertools import chain
 from pathlib import Path

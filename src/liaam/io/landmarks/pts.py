@@ -4,8 +4,6 @@ Reading subtracts one and writing adds one. A missing landmark is written ``nan 
 contours or names.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -6,8 +6,6 @@ contours: a count, then for each line 0 (open) or 1 (closed), the number of poin
 that ends at its first point is closed, and a line with only one distinct point is dropped.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

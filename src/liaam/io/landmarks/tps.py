@@ -7,8 +7,6 @@ curve becomes a contour. Outlines, radii, variables and comments are skipped. A 
 points are images that are not digitised yet, and are skipped.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import deque
