@@ -1,33 +1,25 @@
-"""Camera calibration: angle, response, vignetting and noise, from images or from sensor data.
+"""Camera calibration: angle, response, vignetting and noise, from images or from sensor data."""
 
-Names are loaded on first use, so that each calibration imports only what it needs.
-"""
-
-from typing import TYPE_CHECKING
-
-from liaam.lazy import attach
-
-if TYPE_CHECKING:
-    from liaam.calibration.alignment import STILL, Aligned, align_pictures, homographies_between
-    from liaam.calibration.chart import chart_patches, theta_from_chart
-    from liaam.calibration.comparison import Agreement, Averaged, agreement, averaged
-    from liaam.calibration.entropy import EntropyEstimate, entropy_curve, theta_from_image
-    from liaam.calibration.estimate import PHYSICAL, AngleEstimate
-    from liaam.calibration.fits import theta_from_fits
-    from liaam.calibration.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
-    from liaam.calibration.radiometry import (
-        RadiometricEstimate,
-        VignettingEstimate,
-        calibrate_response,
-        vignetting_from_flat_field,
-    )
-    from liaam.calibration.scatter import least_squares_angle, theta_from_scene
-    from liaam.calibration.spectral import (
-        SpectralEstimate,
-        read_sensitivities,
-        theta_from_peaks,
-        theta_from_sensitivities,
-    )
+from liaam.calibration.alignment import STILL, Aligned, align_pictures, homographies_between
+from liaam.calibration.chart import chart_patches, theta_from_chart
+from liaam.calibration.comparison import Agreement, Averaged, agreement, averaged
+from liaam.calibration.entropy import EntropyEstimate, entropy_curve, theta_from_image
+from liaam.calibration.estimate import PHYSICAL, AngleEstimate
+from liaam.calibration.fits import theta_from_fits
+from liaam.calibration.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
+from liaam.calibration.radiometry import (
+    RadiometricEstimate,
+    VignettingEstimate,
+    calibrate_response,
+    vignetting_from_flat_field,
+)
+from liaam.calibration.scatter import least_squares_angle, theta_from_scene
+from liaam.calibration.spectral import (
+    SpectralEstimate,
+    read_sensitivities,
+    theta_from_peaks,
+    theta_from_sensitivities,
+)
 
 __all__ = [
     "PHYSICAL",
@@ -61,57 +53,3 @@ __all__ = [
     "theta_from_sensitivities",
     "vignetting_from_flat_field",
 ]
-
-__getattr__, __dir__ = attach(
-    __name__,
-    {
-        "comparison": (
-            "Agreement",
-            "Averaged",
-            "agreement",
-            "averaged",
-        ),
-        "alignment": (
-            "Aligned",
-            "STILL",
-            "align_pictures",
-            "homographies_between",
-        ),
-        "chart": (
-            "chart_patches",
-            "theta_from_chart",
-        ),
-        "entropy": (
-            "EntropyEstimate",
-            "entropy_curve",
-            "theta_from_image",
-        ),
-        "estimate": (
-            "AngleEstimate",
-            "PHYSICAL",
-        ),
-        "fits": ("theta_from_fits",),
-        "noise": (
-            "NoiseEstimate",
-            "noise_from_flat",
-            "noise_from_image",
-            "noise_from_pair",
-        ),
-        "radiometry": (
-            "RadiometricEstimate",
-            "VignettingEstimate",
-            "calibrate_response",
-            "vignetting_from_flat_field",
-        ),
-        "scatter": (
-            "least_squares_angle",
-            "theta_from_scene",
-        ),
-        "spectral": (
-            "SpectralEstimate",
-            "read_sensitivities",
-            "theta_from_peaks",
-            "theta_from_sensitivities",
-        ),
-    },
-)

@@ -1,20 +1,15 @@
 """Overlays of fits on images, and figures of models, lamps, cameras and videos."""
 
-from typing import TYPE_CHECKING
-
-from liaam.lazy import attach
-
-if TYPE_CHECKING:
-    from liaam.plotting.figures import (
-        figure_of_fits,
-        figure_of_lamps,
-        figure_of_model,
-        figure_of_pictures,
-        save_figure,
-        show_picture,
-        subplots,
-    )
-    from liaam.plotting.overlays import enlarged, mesh_edges, overlay, overlay_of_faults
+from liaam.plotting.figures import (
+    figure_of_fits,
+    figure_of_lamps,
+    figure_of_model,
+    figure_of_pictures,
+    save_figure,
+    show_picture,
+    subplots,
+)
+from liaam.plotting.overlays import enlarged, mesh_edges, overlay, overlay_of_faults
 
 __all__ = [
     "enlarged",
@@ -29,19 +24,3 @@ __all__ = [
     "show_picture",
     "subplots",
 ]
-
-__getattr__, __dir__ = attach(
-    __name__,
-    {
-        "figures": (
-            "figure_of_fits",
-            "figure_of_lamps",
-            "figure_of_model",
-            "figure_of_pictures",
-            "save_figure",
-            "show_picture",
-            "subplots",
-        ),
-        "overlays": ("enlarged", "mesh_edges", "overlay", "overlay_of_faults"),
-    },
-)
