@@ -146,15 +146,30 @@ def theta_from_image(
     curves = {name: _curve(name, [h.sum(axis=0, keepdims=True) for h in histograms])[0] for name in names}
     theta = _lowest(THETAS, curves[kind])
     other = _lowest(THETAS, curves[next(name for name in names if name != kind)])
-    again = _bootstrap(kind, histograms, seed)
-    evidence = _Evidence(
-        theta=theta,
-        spread=root_mean_square([axis_difference(angle, theta) for angle in again]),
-        disagreement=abs(axis_difference(other, theta)),
-        margin=_margin(curves[kind], theta),
-        **_light(log_rgb, theta, projections.scott),
+    disagreement, margin = abs(axis_difference(other, theta)), _margin(curves[kind], theta)
+    spread = root_mean_square([axis_difference(angle, theta) for angle in _bootstrap(kind, histograms, seed)])
+    change, redness, aspect = _light(log_rgb, theta, projections.scott)
+    tests = (
+        (not PHYSICAL[0] <= theta <= PHYSICAL[1], "the angle is outside the range of cameras (90° to 135°)"),
+        (disagreement > WIDEST_SPREAD, f"the other entropy differs by {np.rad2deg(disagreement):.0f}°"),
+        (spread > WIDEST_SPREAD, f"parts of the image differ by {np.rad2deg(spread):.0f}°"),
+        (margin < LEAST_MARGIN, f"another minimum is only {margin:.2f} bits higher"),
+        (aspect < LINE, "the image's colours lie on a line, as those of skin, with or without shadows"),
+        (change < LEAST_CHANGE, "the colour of the light does not vary in the image"),
+        (redness < LEAST_BLUER, "the darker pixels of a surface are not bluer, as shadows are"),
     )
-    return _judged(evidence, kind, curves[kind], len(log_rgb))
+    error = float(np.hypot(spread, MODEL_ERROR))
+    message = (
+        f"the next minimum of the entropy is {margin:.2f} bits higher; the light on surfaces varies by "
+        f"{change:.2f} in log R/B, bluer where they are darker (correlation {redness:.2f})"
+    )
+    if faults := [fault for failed, fault in tests if failed]:
+        error = float("inf")
+        message = (
+            f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
+            "an image of many colours with cast shadows, or better two images under different lights"
+        )
+    return EntropyEstimate(theta, error, message, change, len(log_rgb), kind, THETAS.copy(), curves[kind], spread)
 
 
 def entropy_curve(
@@ -309,11 +324,11 @@ def _margin(entropies: np.ndarray, theta: float) -> float:
     return float(np.min(others) - entropies.min())
 
 
-def _light(log_rgb: np.ndarray, theta: float, width: float) -> dict[str, float]:
+def _light(log_rgb: np.ndarray, theta: float, width: float) -> tuple[float, float, float]:
     """Measure the variation of light among pixels with the same invariant, in bins of a width.
 
-    ``change``: root mean square difference along the temperature direction, as log(R / B). ``redness``: correlation of
-    redness and brightness. ``aspect``: ratio of the spread of all colours across and along their main direction.
+    Return the root mean square difference along the temperature direction, as log(R / B), the correlation of redness
+    and brightness, and the ratio of the spread of all colours across and along their main direction.
     """
     towards_blue = temperature_direction(theta)
     chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
@@ -329,54 +344,9 @@ def _light(log_rgb: np.ndarray, theta: float, width: float) -> dict[str, float]:
 
     blueness, brightness = about_mean(blueness[inside]), about_mean(log_rgb.mean(axis=1)[inside])
     sizes = float(np.square(blueness).mean()), float(np.square(brightness).mean())
-    return {
-        "change": float(np.sqrt(2.0 * sizes[0]) * abs(towards_blue[0] - towards_blue[2])),
-        "redness": float(-(blueness * brightness).mean() / max(np.sqrt(sizes[0] * sizes[1]), 1e-12)),
-        "aspect": float(across / along),
-    }
-
-
-@dataclass(frozen=True)
-class _Evidence:
-    """Test statistics of a minimum; angles in radians."""
-
-    theta: float
-    spread: float
-    disagreement: float
-    margin: float
-    change: float
-    redness: float
-    aspect: float
-
-    def faults(self) -> list[str]:
-        """List the reasons to reject the minimum."""
-        tests = (
-            (not PHYSICAL[0] <= self.theta <= PHYSICAL[1], "the angle is outside the range of cameras (90° to 135°)"),
-            (self.disagreement > WIDEST_SPREAD, f"the other entropy differs by {np.rad2deg(self.disagreement):.0f}°"),
-            (self.spread > WIDEST_SPREAD, f"parts of the image differ by {np.rad2deg(self.spread):.0f}°"),
-            (self.margin < LEAST_MARGIN, f"another minimum is only {self.margin:.2f} bits higher"),
-            (self.aspect < LINE, "the image's colours lie on a line, as those of skin, with or without shadows"),
-            (self.change < LEAST_CHANGE, "the colour of the light does not vary in the image"),
-            (self.redness < LEAST_BLUER, "the darker pixels of a surface are not bluer, as shadows are"),
-        )
-        return [fault for failed, fault in tests if failed]
-
-
-def _judged(evidence: _Evidence, kind: Entropy, entropies: np.ndarray, n: int) -> EntropyEstimate:
-    """Make the estimate, observable if the minimum passed all tests."""
-    theta, error = evidence.theta, float(np.hypot(evidence.spread, MODEL_ERROR))
-    if faults := evidence.faults():
-        error = float("inf")
-        message = (
-            f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
-            "an image of many colours with cast shadows, or better two images under different lights"
-        )
-    else:
-        message = (
-            f"the next minimum of the entropy is {evidence.margin:.2f} bits higher; the light on surfaces varies by "
-            f"{evidence.change:.2f} in log R/B, bluer where they are darker (correlation {evidence.redness:.2f})"
-        )
-    return EntropyEstimate(theta, error, message, evidence.change, n, kind, THETAS.copy(), entropies, evidence.spread)
+    change = float(np.sqrt(2.0 * sizes[0]) * abs(towards_blue[0] - towards_blue[2]))
+    redness = float(-(blueness * brightness).mean() / max(np.sqrt(sizes[0] * sizes[1]), 1e-12))
+    return change, redness, float(across / along)
 
 
 def _check_kind(kind: str) -> None:

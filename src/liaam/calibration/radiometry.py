@@ -349,23 +349,21 @@ def _observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2)
     height, width = pictures[0].shape[:2]
     edge = int(np.clip(np.sqrt(height * width / MOST_BLOCKS), min(BLOCK, height // 8, width // 8), 2 * BLOCK))
     parts = [_observe_one(p, m, (height, width), edge) for p, m in zip(pictures, maps, strict=True)]
-    stored, deviation, usable, radius2 = (np.stack(part) for part in zip(*parts, strict=True))
+    stored, deviation, usable, radius2 = np.stack(parts, axis=1)
     y, x, channel = np.mgrid[: stored.shape[1], : stored.shape[2], : stored.shape[3]]
     offset = np.stack([x - x.max() / 2, y - y.max() / 2], axis=-1) / np.hypot(x.max() / 2, y.max() / 2)
-    kept = np.flatnonzero((usable.sum(axis=0) >= least).ravel())
-    block = kept // stored.shape[3]
-    step = len(np.unique(block)) // MOST_BLOCKS + 1
-    kept, block = kept[block % step == 0], block[block % step == 0]
+    kept = (usable.sum(axis=0) >= least).ravel()
+    block = np.arange(kept.size) // stored.shape[3]
+    kept &= block % (len(np.unique(block[kept])) // MOST_BLOCKS + 1) == 0
     stored, deviation, usable, radius2 = (
-        part.reshape(len(pictures), -1)[:, kept] for part in (stored, deviation, usable, radius2)
+        part.reshape(len(pictures), -1)[:, kept] for part in (stored, deviation, usable > 0, radius2)
     )
-    return _Measurements(stored, deviation, usable, radius2, offset.reshape(-1, 2)[kept], channel.ravel()[kept], block)
+    offset, channel = offset.reshape(-1, 2)[kept], channel.ravel()[kept]
+    return _Measurements(stored, deviation, usable, radius2, offset, channel, block[kept])
 
 
-def _observe_one(
-    picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of blocks, its standard deviation, whether it is usable, and squared radius: (rows, columns, channels)."""
+def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> np.ndarray:
+    """Mean of blocks, its deviation, whether it is usable, and squared radius, (4, rows, columns, channels)."""
     import cv2  # heavy: imported when first needed
 
     height, width = size
@@ -391,7 +389,7 @@ def _observe_one(
     y, x = np.mgrid[:rows, :columns] * edge + (edge - 1) / 2
     there = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(to_first).T
     radius2 = squared_radius(there[..., 0] / there[..., 2], there[..., 1] / there[..., 2], *picture.shape[:2])
-    return mean, deviation, usable, np.broadcast_to(radius2[..., None], mean.shape)
+    return np.stack([mean, deviation, usable, np.broadcast_to(radius2[..., None], mean.shape)])
 
 
 # --- the response as a curve ------------------------------------------------------------------------------------------
