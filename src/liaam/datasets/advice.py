@@ -12,6 +12,9 @@ from liaam.io.images import IMAGE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.io.raw import RAW_SUFFIXES
 
+PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
+"""Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
+
 NO_IMAGE = "no image has its name"
 """Reason for leaving out a landmark file."""
 
@@ -31,19 +34,9 @@ _SAMPLE = 4096
 
 
 def unread_landmarks(files: Sequence[Path], bare: Sequence[Path]) -> list[Path]:
-    """Return files that seem to hold landmarks in an unknown format.
-
-    These are files named like an image without landmarks, and tables of numbers.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        All files of the folder.
-    bare : sequence of Path
-        Images without landmarks.
-    """
+    """Return files named like an image without landmarks (``bare``), and tables of numbers, of unknown formats."""
     stems = {image.with_suffix("") for image in bare}
-    known = {*IMAGE_SUFFIXES, *RAW_SUFFIXES, *LANDMARK_SUFFIXES}
+    known = {*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES}
     others = [file for file in files if file.suffix.lower() not in known]
     return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
 
@@ -67,11 +60,11 @@ def _has_numbers(file: Path) -> bool:
 
 def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive: bool) -> str:
     """Describe a folder without (matching) images."""
-    endings = ", ".join((*IMAGE_SUFFIXES, *RAW_SUFFIXES))
-    images = [file.name for file in files if _is_image(file)]
+    endings = ", ".join(PICTURE_SUFFIXES)
+    images = [file.name for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
     if images:
         return f"{root} contains no image like '{pattern}': its images are {some_names(images)}. Change the pattern."
-    below = [] if recursive else _below(root, (*IMAGE_SUFFIXES, *RAW_SUFFIXES))
+    below = [] if recursive else _below(root, PICTURE_SUFFIXES)
     if below:
         return (
             f"{root} contains images in its subfolders only ({some_names(below, 3)}): add --recursive (in Python, "
@@ -120,10 +113,6 @@ def no_pairs(
         f"{text} Add a file such as {own} for each image ({', '.join(LANDMARK_SUFFIXES)}), or one file that names the "
         "images."
     )
-
-
-def _is_image(file: Path) -> bool:
-    return file.suffix.lower() in IMAGE_SUFFIXES or file.suffix.lower() in RAW_SUFFIXES
 
 
 def _below(root: Path, suffixes: Sequence[str]) -> list[str]:

@@ -19,6 +19,7 @@ import numpy as np
 from liaam.datasets.advice import (
     ABSENT,
     NO_IMAGE,
+    PICTURE_SUFFIXES,
     UNKNOWN,
     UNKNOWN_IMAGE,
     no_images,
@@ -28,13 +29,8 @@ from liaam.datasets.advice import (
 )
 from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.io.files import count_of, natural_key, some_names
-from liaam.io.images import IMAGE_SUFFIXES, image_size, read_image
+from liaam.io.images import image_size, read_image
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
-from liaam.io.raw import RAW_SUFFIXES
-
-PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
-"""Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
-
 
 _BARE = "the image has no landmarks"
 _PARTIAL = "one of several objects in an image lacks landmarks"
@@ -116,7 +112,12 @@ class Dataset:
         LiaamError
             If no sample matches.
         """
-        kept = tuple(filter(which if callable(which) else _matcher(which), self.samples))
+        patterns = [which] if isinstance(which, str) or callable(which) else list(which)
+        kept = tuple(
+            sample
+            for sample in self.samples
+            if any(each(sample) if callable(each) else fnmatchcase(sample.name, each) for each in patterns)
+        )
         if not kept:
             some = some_names([sample.name for sample in self.samples])
             raise LiaamError(
@@ -220,23 +221,9 @@ def load_folder(
 def pair_files(
     root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path] | None = None
 ) -> tuple[list[Sample], list[LeftOut]]:
-    """Pair images with landmark files; numbers of landmarks may differ.
+    """Pair images of a folder with its landmark files (``marks``); numbers of landmarks may differ.
 
-    Parameters
-    ----------
-    root : Path
-        Folder that names are relative to.
-    images, marks : Path
-        Images and landmark files in the folder.
-    wanted : list of Path, optional
-        Images to make samples of; all by default.
-
-    Returns
-    -------
-    samples : list of Sample
-        In the order of the images.
-    left_out : list of LeftOut
-        Files that were not used, with reasons.
+    Samples are made of the ``wanted`` images, all by default. Also return the files that were not used.
     """
     pairing = _Pairing(root, images, images if wanted is None else wanted)
     for file in marks:
@@ -251,14 +238,11 @@ def _list_files(root: Path, recursive: bool) -> list[Path]:
         raise ImageError(f"{root} {what}: name the folder with the images and their landmarks.")
     try:
         paths = root.rglob("*") if recursive else root.iterdir()
-        files = [path for path in paths if not _is_hidden(path.relative_to(root)) and path.is_file()]
+        seen = (path for path in paths if not any(part.startswith(".") for part in path.relative_to(root).parts))
+        files = [path for path in seen if path.is_file()]
     except OSError as fault:
         raise ImageError(f"{root} cannot be read ({fault.strerror}): check the rights on the folder.") from fault
     return sorted(files, key=lambda path: natural_key(path.relative_to(root).as_posix()))
-
-
-def _is_hidden(path: Path) -> bool:
-    return any(part.startswith(".") for part in path.parts)
 
 
 def _name(root: Path, path: Path) -> str:
@@ -268,11 +252,6 @@ def _name(root: Path, path: Path) -> str:
 def _matches(root: Path, image: Path, pattern: str) -> bool:
     relative = image.relative_to(root).as_posix()
     return any(fnmatchcase(text, pattern) for text in (image.name, image.stem, relative, _name(root, image)))
-
-
-def _matcher(patterns: str | Iterable[str]) -> Callable[[Sample], bool]:
-    wanted = [patterns] if isinstance(patterns, str) else list(patterns)
-    return lambda sample: any(fnmatchcase(sample.name, pattern) for pattern in wanted)
 
 
 def _track(files: list[Path], progress: bool) -> Iterable[Path]:
@@ -332,12 +311,14 @@ class _Pairing:
         samples = []
         for image in self.wanted:
             best = winners[image.with_suffix("")]
-            options = sorted(self.options[image], key=_preference)
+            options = sorted(self.options[image], key=lambda each: (not each.own, _rank(each.file, LANDMARK_SUFFIXES)))
             if image != best:
                 self._leave_out(image, f"another image has the same name: {best.name} is used")
             elif options:
-                samples += self._samples(image, options[0])
-                self._leave_out_unused(options)
+                used, *others = options
+                samples += self._samples(image, used)
+                for other in others:
+                    self._leave_out(other.file, f"another landmark file takes precedence: {used.file.name} is used")
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
@@ -406,20 +387,11 @@ class _Pairing:
             return exact[0]
         return candidates[0] if len(candidates) == 1 else self.by_stem.get(folder / relative)
 
-    def _leave_out_unused(self, options: list[_Option]) -> None:
-        for unused in options[1:]:
-            used = options[0].file.name
-            self._leave_out(unused.file, f"another landmark file takes precedence: {used} is used")
-
     def _leave_out(self, path: Path, reason: str, image: Path | None = None) -> None:
         """Record a file that is not used, and the image that it leaves without landmarks, if any."""
         self.left_out.append(LeftOut(path, reason))
         if image is not None:
             self.reported.add(image)
-
-
-def _preference(option: _Option) -> tuple[bool, int]:
-    return not option.own, _rank(option.file, LANDMARK_SUFFIXES)
 
 
 def _rank(file: Path, suffixes: tuple[str, ...]) -> int:

@@ -144,17 +144,12 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
     ]
 
 
-def _others(shapes: np.ndarray, own: int) -> np.ndarray:
-    """All shapes except one, thinned to at most :data:`MOST_COMPARED`."""
+def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
+    """Expected landmarks (n, 2) float64 of a shape (n, 2): median of its nearest neighbours, without itself."""
     pool = np.delete(np.arange(len(shapes)), own)
     if len(pool) > MOST_COMPARED:
         pool = pool[np.linspace(0, len(pool) - 1, MOST_COMPARED).astype(int)]
-    return shapes[pool]
-
-
-def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
-    """Expected landmarks (n, 2) float64 of a shape (n, 2): median of its nearest neighbours, without itself."""
-    placed = _onto(_others(shapes, own), shape)
+    placed = _onto(shapes[pool], shape)
     # The median of distances: a few exchanged landmarks hardly change the choice of neighbours.
     nearest = np.median(np.linalg.norm(placed - shape, axis=2), axis=1).argsort(kind="stable")[:NEIGHBOURS]
     return _onto(np.median(placed[nearest], axis=0)[None], shape)[0]

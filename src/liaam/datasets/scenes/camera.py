@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator, spectrum
+from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator, check_kelvin, spectrum
 from liaam.errors import LiaamError
 from liaam.photometry.response import Response, from_linear, to_linear
 
@@ -51,8 +51,7 @@ class Camera:
                 raise LiaamError(f"Camera.{name} is {getattr(self, name)!r}: give a number from 0 to 1")
         if self.exposure is not None and not self.exposure > 0:
             raise LiaamError(f"Camera.exposure is {self.exposure!r}: give a positive gain, or None for automatic")
-        if not COLDEST_K <= self.white_K <= HOTTEST_K:
-            raise LiaamError(f"Camera.white_K is {self.white_K!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
+        check_kelvin("Camera.white_K", self.white_K)
 
     def matrix(self, mired: np.ndarray | float, radiator: Radiator) -> np.ndarray:
         """Matrices (..., 3, 3) from the coefficients of a reflectance to linear channel values.

@@ -27,9 +27,14 @@ DOME_MAP = 110
 DOME_SAMPLES = 28
 
 
-def _check_source(owner: str, temperature: float, strength: float) -> None:
+def check_kelvin(name: str, temperature: float) -> None:
+    """Raise if a colour temperature is out of range."""
     if not COLDEST_K <= temperature <= HOTTEST_K:
-        raise LiaamError(f"{owner}.temperature_K is {temperature!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
+        raise LiaamError(f"{name} is {temperature!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
+
+
+def _check_source(owner: str, temperature: float, strength: float) -> None:
+    check_kelvin(f"{owner}.temperature_K", temperature)
     if not np.isfinite(strength) or strength < 0:
         raise LiaamError(f"{owner}.strength is {strength!r}: give a number of at least 0")
 
@@ -117,16 +122,7 @@ def lateral(
 
 
 def spectrum(wavelength_nm: np.ndarray, mired: np.ndarray | float, radiator: Radiator) -> np.ndarray:
-    """Spectral power relative to that at 550 nm.
-
-    Parameters
-    ----------
-    wavelength_nm : array_like
-    mired : array_like
-        Reciprocal temperature, 1e6 / K; broadcast with the wavelengths.
-    radiator : {"wien", "planck"}
-        Law of radiation.
-    """
+    """Spectral power relative to that at 550 nm; ``mired`` is 1e6 over the temperature, broadcast with wavelengths."""
     c = K2_NM * np.asarray(mired) * 1e-6
     if radiator == "wien":
         ratio = np.exp(-c * (1 / wavelength_nm - 1 / REFERENCE_NM))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from liaam.datasets.scenes.camera import Camera, matrices_at
-from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator
+from liaam.datasets.scenes.light import Radiator, check_kelvin
 from liaam.errors import LiaamError
 
 CHART_ROWS, CHART_COLUMNS = 4, 6
@@ -126,9 +126,8 @@ def uneven_light(
     shadow : float
         Fraction of the light that comes from the lamp and is missing in shadows, 0 to 1.
     """
-    for name, kelvin in (("lamp_K", lamp_K), ("sky_K", sky_K)):
-        if not COLDEST_K <= kelvin <= HOTTEST_K:
-            raise LiaamError(f"{name} is {kelvin!r}: give {COLDEST_K:g} to {HOTTEST_K:g} kelvin")
+    check_kelvin("lamp_K", lamp_K)
+    check_kelvin("sky_K", sky_K)
     if not 0 <= shadow < 1:
         raise LiaamError(f"shadow is {shadow!r}: give a fraction from 0 to below 1")
     rng = np.random.default_rng([seed, 0x11947])
