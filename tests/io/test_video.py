@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError, VideoError
-from liaam.io import VideoFrame, VideoReader, video_writer, write_image
+from liaam.io import VideoReader, video_writer, write_image
 from liaam.io import video as io_video
 from liaam.io.video import SOUGHT, can_enter, check_video_name, is_video
 from setups import open_files
@@ -307,28 +307,6 @@ def test_without_pyav(monkeypatch, tmp_path, video):
         write(tmp_path / "film.mp4", [picture(0)])
 
 
-def frame_of(n_bytes: int) -> VideoFrame:
-    return VideoFrame(0, 0.0, np.broadcast_to(np.uint8(0), (1, n_bytes // 3, 3)))  # takes no memory
-
-
-def test_frames_decoded_ahead_are_limited_in_number_and_bytes():
-    ahead = io_video._Ahead(3)
-    assert not ahead.full() and ahead.empty()
-    ahead.put(frame_of(120_000_000))
-    assert (ahead.qsize(), ahead.full()) == (1, False)
-    ahead.put(frame_of(90_000_000))
-    assert ahead.full()
-    assert ahead.get().image.nbytes == 120_000_000
-    assert (ahead.qsize(), ahead.full()) == (1, False)
-    ahead.put(None)
-    ahead.put(VideoError("stop"))
-    assert ahead.full()
-    assert [type(ahead.get()) for _ in range(3)] == [VideoFrame, type(None), VideoError]
-    assert ahead.empty()
-    ahead.put(frame_of(900_000_000))  # one always fits
-    assert ahead.full()
-
-
 def test_no_file_is_left_open(tmp_path, monkeypatch):
     (tmp_path / "text.txt").write_bytes(b"no video at all " * 50)
     film = film_of_noise(tmp_path / "film.mp4", 150)
@@ -551,6 +529,18 @@ def test_fewer_large_frames_are_decoded_ahead(video, monkeypatch):
             time.sleep(0.05)
             assert len(reader._queue.queue) == n_ahead
             assert len(list(reader)) == N
+
+
+def test_a_larger_frame_waits_until_the_smaller_ones_are_taken(growing, monkeypatch):
+    monkeypatch.setattr(io_video, "AHEAD_BYTES", 4 * picture(0, 48, 64).nbytes - 1)
+    with VideoReader(growing) as reader:
+        frames = iter(reader)
+        for limit in (1, 1, 3, 3):
+            deadline = time.monotonic() + 10
+            while reader._queue.maxsize != limit and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert reader._queue.maxsize == limit
+            next(frames)
 
 
 # Cameras

@@ -122,7 +122,7 @@ class VideoReader:
         self.rate = self._source.rate
         self.n_frames = self._expected()
         self.announces, self.ended = bool(self._source.n_frames), False
-        self._queue = _Ahead(AHEAD_LIVE if self.live else AHEAD)
+        self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue()
         self._closed = threading.Event()
         self._n_given, self._all_given = 0, False
         self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
@@ -192,6 +192,9 @@ class VideoReader:
             self._put(error)
 
     def _put(self, item: VideoFrame | BaseException | None) -> None:
+        if isinstance(item, VideoFrame):
+            most = AHEAD_LIVE if self.live else AHEAD
+            self._queue.maxsize = max(1, min(most, AHEAD_BYTES // item.image.nbytes))
         while not self._closed.is_set():
             try:
                 self._queue.put(item, timeout=_WAIT)
@@ -200,31 +203,6 @@ class VideoReader:
                 if self.live:  # prefer the newest frame
                     with suppress(queue.Empty):
                         self._queue.get_nowait()
-
-
-class _Ahead(queue.Queue):
-    """Frames that wait to be taken, limited in number and in bytes."""
-
-    def _init(self, maxsize: int) -> None:
-        super()._init(maxsize)
-        self._n_bytes = 0
-
-    def _qsize(self) -> int:
-        n = len(self.queue)
-        return max(n, self.maxsize) if n and self._n_bytes >= AHEAD_BYTES else n
-
-    def _put(self, item: VideoFrame | BaseException | None) -> None:
-        super()._put(item)
-        self._n_bytes += _bytes_of(item)
-
-    def _get(self) -> VideoFrame | BaseException | None:
-        item = super()._get()
-        self._n_bytes -= _bytes_of(item)
-        return item
-
-
-def _bytes_of(item: object) -> int:
-    return item.image.nbytes if isinstance(item, VideoFrame) else 0
 
 
 class _File:
