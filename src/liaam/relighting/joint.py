@@ -108,36 +108,24 @@ def light_curve(
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The least-squares problem over the sampled pixels of the reference frame.
-
-    Attributes
-    ----------
-    seen : (n, 3) float
-        Log light minus the mean appearance.
-    modes : (m, n, 3) float
-        Modes of appearance, of the polynomial H, and of landmark displacements.
-    precision : (m,) float
-        Prior precision of their coordinates.
-    weights : (n, 3, 3) float
-        :data:`UNIT` squared times the inverse covariance of the errors; 0 at unusable pixels.
-    pairs : tuple of (k,) int
-        Neighbours.
-    coupling : float
-        Weight of jumps between neighbours.
-    held : (n,) float
-        Precision, times :data:`UNIT` squared, with which the shading s is held at 0; it has no colour of its own then.
-    together : float
-        Number of pixels whose errors count as one.
-    """
+    """The least-squares problem over n sampled pixels of the reference frame."""
 
     seen: np.ndarray
+    """(n, 3): log light minus the mean appearance."""
     modes: np.ndarray
+    """(m, n, 3): modes of appearance, of the polynomial H, and of landmark displacements."""
     precision: np.ndarray
+    """(m,): prior precision of their coordinates."""
     weights: np.ndarray
+    """(n, 3, 3): :data:`UNIT` squared times the inverse covariance of the errors; 0 at unusable pixels."""
     pairs: tuple[np.ndarray, np.ndarray]
+    """(k,) each: neighbours."""
     coupling: float
+    """Weight of jumps between neighbours."""
     held: np.ndarray
+    """(n,): precision, times :data:`UNIT` squared, with which s is held at 0; it has no colour of its own then."""
     together: float
+    """Number of pixels whose errors count as one."""
 
     def first_brightness(self, found: np.ndarray) -> np.ndarray:
         """Estimate the brightness of shading (n,) with uniform smoothness, from initial coordinates."""

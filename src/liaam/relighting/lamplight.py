@@ -35,15 +35,12 @@ def unexplained_on_frame(model: AAM) -> np.ndarray:
 
 
 def light_on_image(
-    model: AAM, coordinates: np.ndarray, shape: np.ndarray, corner: tuple[int, int], size: tuple[int, ...]
+    model: AAM, coordinates: np.ndarray, shape: np.ndarray, box: tuple[slice, slice], size: tuple[int, ...]
 ) -> np.ndarray:
-    """Return the change of log light in an image around landmarks (n, 2), (bh, bw, 3) float32, 0 without a basis.
-
-    It is that of a box, with its first column and row at ``corner``, and of a size (height, width).
-    """
+    """Return the change of log light around landmarks in a box of an image, (*size, 3) float32; 0 without a basis."""
     if model.light is None or not len(coordinates):
         return np.zeros((*size, 3), np.float32)
-    at = places(model.light.mean, shape - corner, (size[1], size[0]))
+    at = places(model.light.mean, shape - (box[1].start, box[0].start), (size[1], size[0]))
     change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
     return sample_field(change, at)
 

@@ -130,10 +130,8 @@ def soft_edge(model: AAM) -> np.ndarray:
 
 def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
     """Return the rows and columns of a mask's bounding box plus a margin; empty slices for an empty mask."""
-    slices = []
-    for axis in (1, 0):
-        (seen,) = np.nonzero(inside.any(axis=axis))
-        first, last = (seen[0], seen[-1] + 1) if len(seen) else (0, 0)
-        grown = round(margin) if len(seen) else 0
-        slices.append(slice(max(0, int(first) - grown), int(last) + grown))
-    return slices[0], slices[1]
+    if not inside.any():
+        return slice(0, 0), slice(0, 0)
+    seen, grown = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)], round(margin)
+    rows, columns = (slice(max(0, int(at[0]) - grown), int(at[-1]) + 1 + grown) for at in seen)
+    return rows, columns

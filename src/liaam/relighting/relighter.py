@@ -181,7 +181,7 @@ class Relighter:
             return self.picture.copy()
         nearby, _ = around(values[self.box], weights, self.log_flat, reach_of(self.shape))
         shading = self.share * np.where(weights > 0, values[self.box], nearby)
-        shading += light_on_image(self.model, light, self.shape, corner_of(self.box), self.inside.shape)
+        shading += light_on_image(self.model, light, self.shape, self.box, self.inside.shape)
         return self._with(self.log_flat + shading, np.abs(shading).max(axis=2) > 0)
 
     @property
@@ -230,7 +230,7 @@ def _separated(
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + variance, 1e-12)
     detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
-    lit = light_on_image(model, light, shape, corner_of(box), inside.shape)
+    lit = light_on_image(model, light, shape, box, inside.shape)
     beyond = continued(log_smooth - lit, inside, own, reach_of(shape))
     lightened = beyond.mean(axis=2, keepdims=True) < 0
     nearby, share = around(normals, weights, own, reach_of(shape), lightened=lightened)
@@ -262,11 +262,6 @@ def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
     excess = np.maximum(brightest - BRIGHT, 0.0)
     limited = brightest - excess - BRIGHT * (1.0 - np.exp(excess / BRIGHT))
     return log_rgb + np.minimum(np.maximum(limited, own.max(axis=2, keepdims=True)) - brightest, 0.0)
-
-
-def corner_of(box: tuple[slice, slice]) -> tuple[int, int]:
-    """Return the first column and row of a box."""
-    return box[1].start, box[0].start
 
 
 def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:

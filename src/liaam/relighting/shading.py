@@ -45,39 +45,26 @@ UNIT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Shading of a fitted picture, on the pixels of the reference frame.
-
-    Attributes
-    ----------
-    log : (n_pixels, 3) float32
-        Piecewise smooth part of log(image / appearance).
-    variance : (n_pixels,) float32
-        Variance of the shading; large at the edges of cast shadows.
-    model_variance : (n_pixels,) float32
-        Variance of the model's appearance.
-    """
+    """Shading of a fitted picture, on the pixels of the reference frame."""
 
     log: np.ndarray
+    """(n_pixels, 3) float32: piecewise smooth part of log(image / appearance)."""
     variance: np.ndarray
+    """(n_pixels,) float32: its variance, which is large at the edges of cast shadows."""
     model_variance: np.ndarray
+    """(n_pixels,) float32: variance of the model's appearance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A fitted image sampled on the reference frame, at the blur of the model's sharpest level.
-
-    Attributes
-    ----------
-    log : (n_pixels, 3) float32
-        Logarithm of linear light.
-    usable : (n_pixels,) float32 in {0, 1}
-    noise : (n_pixels, 3) float32
-        Variance of the noise of ``log``.
-    """
+    """A fitted image sampled on the reference frame, at the blur of the model's sharpest level."""
 
     log: np.ndarray
+    """(n_pixels, 3) float32: logarithm of linear light."""
     usable: np.ndarray
+    """(n_pixels,) float32 in {0, 1}."""
     noise: np.ndarray
+    """(n_pixels, 3) float32: variance of the noise of ``log``."""
 
     @classmethod
     def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> "Seen":
