@@ -5,9 +5,8 @@ IMAGES = ("tests/io/test_images.py",)
 
 TESTS: dict[str, tuple[str, ...]] = {
     "liaam.io.atomic": ("tests/io/test_atomic.py",),
-    "liaam.io.files": ("tests/io/test_io_files.py",),
+    "liaam.io.files": ("tests/io/test_io_files.py", *IMAGES, "tests/io/test_raw.py"),
     "liaam.io.images": (*IMAGES, "tests/io/test_raw.py"),
-    "liaam.io.pixels": (*IMAGES, "tests/io/test_raw.py"),
     "liaam.io.raw": ("tests/io/test_raw.py",),
     "liaam.io.results": ("tests/io/test_results.py",),
     "liaam.io.starts": ("tests/io/test_starts.py",),
@@ -32,9 +31,7 @@ TESTS: dict[str, tuple[str, ...]] = {
 }
 """Tests of each module."""
 
-PARTS: dict[str, tuple[str, ...]] = {
-    "liaam.lamps.bank": ("load_lamps", "_names", "Lamps.save")
-}
+PARTS: dict[str, tuple[str, ...]] = {"liaam.lamps.bank": ("load_lamps", "_names", "Lamps.save")}
 """Functions that are tried of a module, where that is not all of them."""
 
 EQUIVALENT: tuple[tuple[str, str, str, str], ...] = (

@@ -23,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.errors import CameraError
+from liaam.evaluation import root_mean_square
 from liaam.photometry.camera import falloff_at, least_share, squared_radius
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, is_grey, stored_values
 from liaam.photometry.invariant import CHROMATICITY
@@ -586,7 +587,7 @@ class _Fit:
     def contrast(self) -> float:
         """Root mean square difference of the surfaces' log exposures."""
         spread = _spread(self.problem.exposure(self.z)[0], self.problem.measured.usable)
-        return float(np.sqrt(np.mean(np.square(spread))))
+        return root_mean_square(spread)
 
     def curve_errors(self, stored: np.ndarray) -> np.ndarray:
         """Standard errors of log light relative to its mean over the usable range."""
@@ -714,7 +715,7 @@ def _fit_fault(fit: _Fit) -> str:
             "images at one, two and four times an exposure. sRGB is assumed."
         )
     low, high = _held(fit.problem.measured)
-    error = float(np.sqrt(np.mean(np.square(fit.curve_errors(np.linspace(low, high, 100))))))
+    error = root_mean_square(fit.curve_errors(np.linspace(low, high, 100)))
     if error <= WIDEST_RESPONSE:
         return ""
     return (

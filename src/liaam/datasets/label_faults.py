@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.evaluation import ranges_of
+from liaam.evaluation import ranges_of, root_mean_square
 from liaam.io.landmarks import Landmarks
 from liaam.model.shape import diagonal_of, mirror_order, procrustes_mean
 from liaam.progress import Progress
@@ -189,7 +189,9 @@ def _faults_of(
         kind, order, elsewhere = _best_whole(shapes, own, usual, mean, mirrored)
         after = np.linalg.norm(shape[order] - elsewhere, axis=1)
         if np.median(after / usual) * ALL_OFF < np.median(distances / usual):
-            yield LabelFault(picture, kind, everything, order, _rms(distances), _rms(after), elsewhere)
+            yield LabelFault(
+                picture, kind, everything, order, root_mean_square(distances), root_mean_square(after), elsewhere
+            )
             return
     order = _exchanged(shape, expected, usual)
     moved = np.flatnonzero(order != identity)
@@ -197,14 +199,14 @@ def _faults_of(
         run = np.arange(moved.min(), moved.max() + 1)
         after = np.linalg.norm(shape[order] - expected, axis=1)
         kind = _kind_of(order[run], run)
-        points = tuple(run.tolist()) if kind != "exchanged" else tuple(moved.tolist())
-        at = list(points)
-        yield LabelFault(picture, kind, points, order, _rms(distances[at]), _rms(after[at]), expected)
+        at = moved if kind == "exchanged" else run
+        before, later = root_mean_square(distances[at]), root_mean_square(after[at])
+        yield LabelFault(picture, kind, tuple(at.tolist()), order, before, later, expected)
     limit = np.maximum(STRAY * usual, LEAST_STRAY * diagonal_of(shape))
     stray = np.flatnonzero((distances > limit) & (order == identity))
     others_as_usual = len(shape) >= LEAST_LANDMARKS and np.median(distances / usual) < AS_USUAL
     if len(stray) and others_as_usual:
-        far = _rms(distances[stray])
+        far = root_mean_square(distances[stray])
         yield LabelFault(picture, "stray", tuple(stray.tolist()), identity, far, far, expected)
 
 
@@ -291,7 +293,3 @@ def _kind_of(order: np.ndarray, run: np.ndarray) -> str:
         if (run[orders] == order).all(axis=1).any():
             return kind
     return "exchanged"
-
-
-def _rms(distances: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(distances))))

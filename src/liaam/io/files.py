@@ -1,4 +1,4 @@
-"""Helpers shared by file readers: existence checks with suggestions, natural sort order, parsing of cells."""
+"""Helpers shared by file readers: existence checks with suggestions, natural sort order, parsing of cells, pixels."""
 
 import difflib
 import json
@@ -10,7 +10,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from liaam.errors import LiaamError
+import numpy as np
+
+from liaam.errors import ImageError, LiaamError
+
+MAX_PIXELS = 200_000_000
+"""Default limit on width x height. Larger images are rejected before decoding."""
 
 
 def natural_key(text: str) -> list[Any]:
@@ -107,3 +112,17 @@ def make_folder(folder: Path) -> None:
         raise LiaamError(
             f"{folder}: the folder cannot be created ({error.strerror or error}); give another folder with -o"
         ) from error
+
+
+def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
+    """Raise if an image has too many pixels."""
+    if width * height > max_pixels:
+        raise ImageError(
+            f"{path} has {width} x {height} pixels, more than the {max_pixels:,} allowed: "
+            "make the image smaller, or raise max_pixels."
+        )
+
+
+def as_three_channels(grey: np.ndarray) -> np.ndarray:
+    """Stack a grey image (h, w) to three equal channels (h, w, 3)."""
+    return np.repeat(grey[:, :, None], 3, axis=2)

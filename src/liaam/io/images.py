@@ -17,8 +17,7 @@ import numpy as np
 
 from liaam.errors import ImageError
 from liaam.io.atomic import write_bytes_atomically
-from liaam.io.files import existing_file, read_bytes
-from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
+from liaam.io.files import MAX_PIXELS, as_three_channels, check_size, existing_file, read_bytes
 from liaam.io.raw import is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")

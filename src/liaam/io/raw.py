@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.files import existing_file
-from liaam.io.pixels import MAX_PIXELS, as_three_channels, check_size
+from liaam.io.files import MAX_PIXELS, as_three_channels, check_size, existing_file
 
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 """Suffixes (lower case) of RAW files. They are recognised by name, because many are TIFF files whose first page is a

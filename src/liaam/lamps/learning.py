@@ -1,11 +1,11 @@
 """Learn lamps from objects that were photographed under several lamps without moving."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from collections.abc import Iterable
 
 import numpy as np
 
+from liaam.datasets import Sample
 from liaam.errors import TrainingError
 from liaam.evaluation import point_error
 from liaam.lamps.bank import DARK, Lamps, anchors, as_srgb, square
@@ -21,13 +21,6 @@ and removes fine texture and the effect of small movements."""
 MOVED = 0.03
 """Mean distance of landmarks between two images of an object, as a fraction of its diagonal, above which the object
 counts as moved."""
-
-
-class _Picture(NamedTuple):
-    name: str
-    lamp: str
-    read: Callable[[], np.ndarray]
-    points: np.ndarray
 
 
 def learn_lamps(
@@ -64,17 +57,17 @@ def learn_lamps(
     objects = _by_object(data)
     training_lamp = _training_lamp(objects, training_lamp)
     bases = {name: _base(name, pictures, training_lamp) for name, pictures in objects.items()}
-    mean = unit_shape(procrustes_mean(np.array([base.points for base in bases.values()])))
+    mean = unit_shape(procrustes_mean(np.array([base.landmarks.points for base in bases.values()])))
     fields, names, total = [], [], sum(map(len, objects.values())) - len(objects)
     for name, pictures in objects.items():
         base = bases[name]
-        before = as_srgb(as_colour(base.read(), base.name), response)
+        before = as_srgb(as_colour(base.read_image(), base.name), response)
         for picture in pictures:
             if picture is base:
                 continue
             if progress:
                 progress(len(fields), total, picture.name)
-            after = as_srgb(as_colour(picture.read(), picture.name), response)
+            after = as_srgb(as_colour(picture.read_image(), picture.name), response)
             fields.append(_field(before, after, base, picture, mean))
             names.append(picture.name)
     if progress:
@@ -88,23 +81,22 @@ def unit_shape(mean: np.ndarray) -> np.ndarray:
     return (mean - 0.5 * (low + high)) / diagonal_of(mean)
 
 
-def _by_object(data: Iterable) -> dict[str, list[_Picture]]:
-    objects: dict[str, list[_Picture]] = {}
+def _by_object(data: Iterable) -> dict[str, list[Sample]]:
+    objects: dict[str, list[Sample]] = {}
     for sample in data:
         if not hasattr(sample, "landmarks"):
             raise TrainingError("lamps are learnt from named samples; for a folder, pass liaam.load_folder(folder)")
-        name, _, lamp = sample.name.rpartition("-")
+        name = sample.name.rpartition("-")[0]
         if not name:
             raise TrainingError(
                 f"{sample.name}: the name lacks object and lamp; name the images such as 037-00 and 037-07"
             )
-        points = np.asarray(sample.landmarks.points, np.float64)
-        if not np.isfinite(points).all():
+        if not np.isfinite(sample.landmarks.points).all():
             raise TrainingError(f"{sample.name}: landmarks are missing (NaN); place them or remove this image")
-        objects.setdefault(name, []).append(_Picture(sample.name, lamp, sample.read_image, points))
+        objects.setdefault(name, []).append(sample)
     if not objects:
         raise TrainingError("there are no images to learn lamps from; pass at least two of one object")
-    counts = {len(picture.points) for pictures in objects.values() for picture in pictures}
+    counts = {len(picture.landmarks) for pictures in objects.values() for picture in pictures}
     if len(counts) > 1:
         raise TrainingError(
             f"the images to learn lamps from have {min(counts)} to {max(counts)} landmarks; use the same number in all"
@@ -112,9 +104,13 @@ def _by_object(data: Iterable) -> dict[str, list[_Picture]]:
     return objects
 
 
-def _training_lamp(objects: dict[str, list[_Picture]], requested: str | None) -> str:
+def _lamp_of(picture: Sample) -> str:
+    return picture.name.rpartition("-")[2]
+
+
+def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> str:
     """Name of the training lamp: the given one, or the only one that all objects have in common."""
-    counts = Counter(lamp for pictures in objects.values() for lamp in {picture.lamp for picture in pictures})
+    counts = Counter(lamp for pictures in objects.values() for lamp in set(map(_lamp_of, pictures)))
     if requested is not None:
         if requested not in counts:
             raise TrainingError(
@@ -130,17 +126,18 @@ def _training_lamp(objects: dict[str, list[_Picture]], requested: str | None) ->
     return common[0]
 
 
-def _base(name: str, pictures: list[_Picture], training_lamp: str) -> _Picture:
+def _base(name: str, pictures: list[Sample], training_lamp: str) -> Sample:
     """Find the image of an object under the training light, and check that the object has not moved."""
-    base = next((picture for picture in pictures if picture.lamp == training_lamp), None)
+    base = next((picture for picture in pictures if _lamp_of(picture) == training_lamp), None)
     if base is None:
         raise TrainingError(
             f"object {name} has no image under lamp {training_lamp}, the training light; add one, or remove the object"
         )
     if len(pictures) == 1:
         raise TrainingError(f"object {name} has an image under lamp {training_lamp} only; add images under other lamps")
+    place = base.landmarks.points
     for picture in pictures:
-        moved = point_error(picture.points, base.points) / diagonal_of(base.points)
+        moved = point_error(picture.landmarks.points, place) / diagonal_of(place)
         if moved > MOVED:
             raise TrainingError(
                 f"{picture.name}: its landmarks lie {moved:.0%} of the object's size from those of {base.name}; use "
@@ -149,7 +146,7 @@ def _base(name: str, pictures: list[_Picture], training_lamp: str) -> _Picture:
     return base
 
 
-def _field(before: np.ndarray, after: np.ndarray, base: _Picture, picture: _Picture, mean: np.ndarray) -> np.ndarray:
+def _field(before: np.ndarray, after: np.ndarray, base: Sample, picture: Sample, mean: np.ndarray) -> np.ndarray:
     """Log ratio of two images, warped to the mean shape, (SIDE, SIDE, 3) float16."""
     import cv2  # heavy: imported when first needed
     from scipy.interpolate import LinearNDInterpolator
@@ -157,10 +154,10 @@ def _field(before: np.ndarray, after: np.ndarray, base: _Picture, picture: _Pict
     if before.shape != after.shape:
         raise TrainingError(f"{picture.name} and {base.name} differ in size; use images of equal size")
     ratio = np.log((after + np.float32(DARK)) / (before + np.float32(DARK)))
-    blur = BLUR * diagonal_of(base.points)
+    blur = BLUR * diagonal_of(base.landmarks.points)
     if blur > 0.2:
         ratio = cv2.GaussianBlur(ratio, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
-    to_image = LinearNDInterpolator(*anchors(mean, base.points))
+    to_image = LinearNDInterpolator(*anchors(mean, base.landmarks.points))
     x, y = np.moveaxis(to_image(square()).astype(np.float32), -1, 0)
     field = cv2.remap(ratio, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.nan_to_num(field).astype(np.float16)
