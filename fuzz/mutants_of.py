@@ -53,7 +53,12 @@ EQUIVALENT: tuple[tuple[str, str, str, str], ...] = (
     ("liaam.io.images", "kind = _kind_of(file.read(16))", "16 -> 17", "signatures are shorter"),
     ("liaam.io.images", "if header.bits <= 8:", "8 -> 9", "no header has 9 to 15 bits"),
     ("liaam.io.images", "bits=16 if deep else 8,", "16 -> 17", "bits are compared with 8 only"),
-    ("liaam.io.images", 'bilevel = match["kind"] in b"14"', "b'14' -> b'XX14'", "the kind is a digit"),
+    (
+        "liaam.io.images",
+        'bilevel = match is not None and match["kind"] in b"14"',
+        "b'14' -> b'XX14'",
+        "the kind is a digit",
+    ),
     (
         "liaam.io.images",
         'strip = strip.convert("RGBA")',

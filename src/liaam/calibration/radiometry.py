@@ -798,16 +798,14 @@ def _nothing(
 def _vignetting_estimate(
     falloff: np.ndarray, covariance: np.ndarray, message: str, rms: float, n: int
 ) -> VignettingEstimate:
-    errors = np.sqrt(np.diag(covariance))
-    corner_error = float(np.sqrt(covariance.sum()))
     if least_share(falloff) <= LEAST_SHARE:
         fault = "less than a tenth of the light would remain in the corners"
         return VignettingEstimate(message=f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n=n)
     return VignettingEstimate(
         coefficients=tuple(falloff.tolist()),
-        standard_errors=tuple(errors.tolist()),
+        standard_errors=tuple(np.sqrt(np.diag(covariance)).tolist()),
         corner=1.0 + float(falloff.sum()),
-        corner_error=corner_error,
+        corner_error=float(np.sqrt(covariance.sum())),
         observable=True,
         message=message,
         rms=rms,

@@ -320,10 +320,8 @@ def _png_chunks(file: Any, n_bytes: int) -> dict[bytes, tuple[int, int]]:
 
 def _pnm_header(file: Any) -> _Header:
     match = _PNM_HEADER.match(file.read(10_000))
-    if match is None:
-        raise ValueError("its header is incomplete")
-    bilevel = match["kind"] in b"14"
-    if match["maximum"] is None and not bilevel:
+    bilevel = match is not None and match["kind"] in b"14"
+    if match is None or (match["maximum"] is None and not bilevel):
         raise ValueError("its header is incomplete")
     maximum = 1 if bilevel else int(match["maximum"])
     if not 1 <= maximum <= 65535:

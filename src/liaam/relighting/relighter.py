@@ -104,10 +104,7 @@ class Relighter:
         response = (fitter.camera or model.camera).response
         if not len(seen_triangles(image, result.landmarks, model)):
             return _unchanged(model, image, result.landmarks, response)
-        seen = Seen.of(model, image, result.landmarks, response)
-        appearance, log_rgb = appearance_in_light(model, seen, shadow_free(fitter, image, result, prior), prior)
-        shading = find_shading(model, seen, log_rgb, appearance.light)
-        return _separated(model, image, result.landmarks, response, appearance, log_rgb, shading)
+        return _separated(model, image, result.landmarks, response, shadow_free(fitter, image, result, prior), prior)
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -204,15 +201,12 @@ def reach_of(shape: np.ndarray) -> float:
 
 
 def _separated(
-    model: AAM,
-    image: np.ndarray,
-    shape: np.ndarray,
-    response: Response,
-    appearance: ShadowFree,
-    log_rgb: np.ndarray,
-    shading: Shading,
+    model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, start: ShadowFree, prior: float
 ) -> Relighter:
-    """Warp the results on the reference frame to the image, and extrapolate them beyond the mesh."""
+    """Separate an image on the reference frame, warp the results to the image, and extrapolate them beyond the mesh."""
+    seen = Seen.of(model, image, shape, response)
+    appearance, log_rgb = appearance_in_light(model, seen, start, prior)
+    shading = find_shading(model, seen, log_rgb, appearance.light)
     layers = (log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
     painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
     if not inside.any():

@@ -183,10 +183,9 @@ def track_stretches(
 def _each(job: TrackJob, stretches: list[Stretch], jobs: int, shared: "_Shared") -> Found:
     """Track each stretch separately. Yield them in order of completion."""
     if jobs == 1:
-        yield from ((stretch, _track(job, shared, stretch)) for stretch in stretches)
-        return
+        return ((stretch, _track(job, shared, stretch)) for stretch in stretches)
     workers = min(jobs, len(stretches))
-    yield from in_workers(partial(_track, job), stretches, workers, inherited=(shared,), stop_at_death=True)
+    return in_workers(partial(_track, job), stretches, workers, inherited=(shared,), stop_at_death=True)
 
 
 def _in_order(each: Found) -> Found:

@@ -67,8 +67,12 @@ class Landmarks:
         object.__setattr__(self, "points", points)
         if self.names and len(self.names) != len(points):
             raise LandmarkError(f"there are {len(self.names)} names for {len(points)} landmarks: give one name each.")
-        for contour in self.contours:
-            _check_contour(contour, len(points))
+        wrong = [i for contour in self.contours for i in contour.indices if not 0 <= i < len(points)]
+        if wrong:
+            raise LandmarkError(
+                f"a contour names landmark {wrong[0]} (counting from 0), but there are {len(points)} landmarks: "
+                "correct the contour."
+            )
         object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
         wrong = [index for index in self.invisible if not 0 <= index < len(points)]
         if wrong:
@@ -115,15 +119,6 @@ def _checked_points(points: Any) -> np.ndarray:
         raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
     points.setflags(write=False)
     return points
-
-
-def _check_contour(contour: Contour, n_points: int) -> None:
-    wrong = [index for index in contour.indices if not 0 <= index < n_points]
-    if wrong:
-        raise LandmarkError(
-            f"a contour names landmark {wrong[0]} (counting from 0), but there are {n_points} landmarks: "
-            "correct the contour."
-        )
 
 
 # Reading ------------------------------------------------------------------------------------------

@@ -33,13 +33,6 @@ class _Record:
     facts: dict[str, str] = field(default_factory=dict)
     scale: float | None = None
 
-    def add(self, points: list[tuple[float, float]], is_curve: bool) -> None:
-        """Add the points of a curve. Those of an outline are not used."""
-        if is_curve and points:
-            first = len(self.points)
-            self.points += points
-            self.curves.append(Contour(tuple(range(first, first + len(points)))))
-
 
 def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
     """Parse the text of a ``.tps`` file into landmarks by image, or of one image without a name. y counts upwards."""
@@ -114,7 +107,10 @@ def _records(path: Path, text: str) -> Iterator[_Record]:
         elif record is None:
             raise LandmarkError(f"{where} comes before any LM=: export the file again.")
         elif last == "POINTS":
-            record.add(_points(path, where, value, lines), is_curve=section == "CURVES")
+            points, first = _points(path, where, value, lines), len(record.points)
+            if section == "CURVES" and points:  # those of outlines are not used
+                record.points += points
+                record.curves.append(Contour(tuple(range(first, len(record.points)))))
         elif last == "SCALE":
             record.scale = _scale(where, value)
         elif value:
