@@ -180,7 +180,7 @@ def observe(
     n: int,
     camera: CameraModel,
     deviations: Sequence[float | None],
-    full: int | None = None,
+    full: int = 0,
     dark: float = DARK,
 ) -> Surfaces:
     """Measure the mean light of n labelled regions (h, w) in each image; each is a separate cluster.
@@ -190,7 +190,7 @@ def observe(
     ``dark`` in any channel, are unusable.
     """
     seen = [
-        _observe_one(picture, labels.ravel(), n, camera, deviation, full or 0, dark)
+        _observe_one(picture, labels.ravel(), n, camera, deviation, full, dark)
         for picture, labels, deviation in zip(pictures, regions, deviations, strict=True)
     ]
     logs, variances, exposed = (np.stack(part, axis=1) for part in zip(*seen, strict=True))
@@ -207,14 +207,13 @@ def _observe_one(
     dark: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log of the regions' mean light (n, 3), its variance (n, 3), and whether they are well exposed (n,)."""
-    inside = np.flatnonzero(labels >= 0)
-    labels = labels[inside]
-    raw = picture.reshape(-1, 3)[inside]
-    finite = np.isfinite(raw).all(axis=1) if raw.dtype.kind == "f" else np.ones(len(raw), dtype=bool)
-    labels, stored = labels[finite], stored_values(raw[finite], np.float64)
+    used = labels >= 0
+    if picture.dtype.kind == "f":
+        used &= np.isfinite(picture).all(axis=2).ravel()
+    labels, stored = labels[used], stored_values(picture.reshape(-1, 3)[used], np.float64)
     light, noise = _light_and_variance(stored, camera, deviation)
     if camera.vignetting:
-        share = camera.falloff(*picture.shape[:2]).reshape(-1)[inside][finite][:, None]
+        share = camera.falloff(*picture.shape[:2]).reshape(-1)[used][:, None]
         light, noise = light / share, noise / np.square(share)
     count = np.bincount(labels, minlength=n).astype(np.float64)
 
@@ -226,7 +225,7 @@ def _observe_one(
     # Threshold the mean: a threshold on noisy pixels would bias the rest.
     slack = 2.0 * (0.0 if deviation is None else deviation)
     clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
-    usable = (count > max(0.5 * full, 0)) & ~clipped & (light > 0).all(axis=1)
+    usable = (count > 0.5 * full) & ~clipped & (light > 0).all(axis=1)
     usable &= (level >= dark + slack).all(axis=1) & (level <= SATURATED - slack).all(axis=1)
     light = np.where(usable[:, None], light, 1.0)
     relative = np.where(usable[:, None], noise / np.square(light), 1.0)

@@ -30,24 +30,20 @@ def face_mesh(image: np.ndarray) -> np.ndarray | None:
     top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
     pixels = np.clip(np.nan_to_num(image.astype(np.float32)) * (255.0 / top), 0, 255).astype(np.uint8)
     if not hasattr(_OWN, "mesh"):
-        _OWN.mesh = _make_face_mesh()
+        try:
+            from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
+        except ImportError as error:
+            raise StartError(
+                f"MediaPipe's face mesh is not available ({error}); install it with {installing('mediapipe')} "
+                "(Python 3.11 or 3.12)"
+            ) from error
+        _OWN.mesh = FaceMesh(static_image_mode=True, max_num_faces=1, refine_landmarks=True)
     faces = _OWN.mesh.process(np.ascontiguousarray(pixels)).multi_face_landmarks
     if not faces:
         return None
     size = np.array(image.shape[1::-1])
     # MediaPipe's coordinates are fractions of the size, from the border of the first pixel.
     return np.array([(point.x, point.y) for point in faces[0].landmark]) * size - 0.5
-
-
-def _make_face_mesh():
-    try:
-        from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
-    except ImportError as error:
-        raise StartError(
-            f"MediaPipe's face mesh is not available ({error}); install it with {installing('mediapipe')} "
-            "(Python 3.11 or 3.12)"
-        ) from error
-    return FaceMesh(static_image_mode=True, max_num_faces=1, refine_landmarks=True)
 
 
 LANDMARKERS: dict[str, Callable[[np.ndarray], np.ndarray | None]] = {"mediapipe": face_mesh}

@@ -252,12 +252,8 @@ def _away_from(mean: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(step)
 
 
-def _border() -> np.ndarray:
-    steps, ends = np.linspace(-HALF, HALF, 5), (-HALF, HALF)
-    return np.array([(s, e) for s in steps for e in ends] + [(e, s) for s in steps[1:-1] for e in ends])
-
-
-BORDER = _border()
+_STEPS, _ENDS = np.linspace(-HALF, HALF, 5), (-HALF, HALF)
+BORDER = np.array([(s, e) for s in _STEPS for e in _ENDS] + [(e, s) for s in _STEPS[1:-1] for e in _ENDS])
 """Points on the square's border, (16, 2) float64, which follow the shape's pose."""
 
 
