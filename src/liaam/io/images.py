@@ -477,29 +477,21 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
     """Return the suffix in lower case after checking that it can hold this array."""
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
-        raise ImageError(
-            f"{path} cannot be written: '{path.suffix}' is not a known extension. Use {', '.join(IMAGE_SUFFIXES)}."
-        )
-    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or array.size == 0:
-        raise ImageError(
-            f"{path} cannot be written: the array has shape {array.shape}. "
-            "Give (height, width, 3) for colour or (height, width) for grey."
-        )
-    if array.dtype not in (np.uint8, np.uint16, np.float32):
-        raise ImageError(
-            f"{path} cannot be written: the values are {array.dtype}. Convert them to uint8, uint16 or float32."
-        )
-    if array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
-        raise ImageError(
-            f"{path} cannot be written: {suffix} cannot hold float32. Use .tiff, or convert the array to uint8."
-        )
-    if array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
-        raise ImageError(
-            f"{path} cannot be written: {suffix} cannot hold 16 bits. Use .png, or convert the array to uint8."
-        )
-    if suffix == ".pgm" and array.ndim == 3:
-        raise ImageError(f"{path} cannot be written: .pgm is for grey images. Use .ppm or .png for colour.")
-    return suffix
+        fault = f"'{path.suffix}' is not a known extension. Use {', '.join(IMAGE_SUFFIXES)}."
+    elif array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or array.size == 0:
+        remedy = "Give (height, width, 3) for colour or (height, width) for grey."
+        fault = f"the array has shape {array.shape}. {remedy}"
+    elif array.dtype not in (np.uint8, np.uint16, np.float32):
+        fault = f"the values are {array.dtype}. Convert them to uint8, uint16 or float32."
+    elif array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
+        fault = f"{suffix} cannot hold float32. Use .tiff, or convert the array to uint8."
+    elif array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
+        fault = f"{suffix} cannot hold 16 bits. Use .png, or convert the array to uint8."
+    elif suffix == ".pgm" and array.ndim == 3:
+        fault = ".pgm is for grey images. Use .ppm or .png for colour."
+    else:
+        return suffix
+    raise ImageError(f"{path} cannot be written: {fault}")
 
 
 def _encode_shallow(array: np.ndarray, suffix: str) -> bytes:

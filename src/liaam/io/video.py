@@ -218,19 +218,17 @@ class _File:
                 f"{path} is not a video that FFmpeg can open ({fault.strerror}): it has another format or is cut short "
                 "before its index; export it again, for example as .mp4"
             ) from fault
-        if not self.container.streams.video or self.container.format.name == "tty":  # FFmpeg takes text for a terminal
-            self.container.close()
-            raise VideoError(f"{path} has no video stream: give a video file")
-        stream = self.container.streams.video[0]
-        if stream.codec_context is None:
-            self.container.close()
-            raise VideoError(
-                f"{path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264"
-            )
-        self._begin(av, stream)
-        self.has_size = bool(stream.width and stream.height)
+        streams = self.container.streams.video
         try:
-            self._check_size(stream, "its frames have")
+            if not streams or self.container.format.name == "tty":  # FFmpeg takes text for a terminal
+                raise VideoError(f"{path} has no video stream: give a video file")
+            if streams[0].codec_context is None:
+                raise VideoError(
+                    f"{path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264"
+                )
+            self._begin(av, streams[0])
+            self.has_size = bool(self.stream.width and self.stream.height)
+            self._check_size(self.stream, "its frames have")
         except VideoError:
             self.container.close()
             raise

@@ -32,7 +32,11 @@ def parse(path: Path, text: str) -> dict[str, Landmarks]:
         raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): export it again.")
     found = [parts for each in objects.values() for _, parts in each]
     names = sorted({name for parts in found for name in parts}, key=natural_key)
-    _check_shared(path, names, found)
+    if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
+        raise LandmarkError(
+            f"{path}: its {len(found)} boxes share hardly any of the {len(names)} part names: give a part the same "
+            "name in all images."
+        )
     absent = (math.nan, math.nan)
 
     def landmarks(image: str, parts: _Parts) -> Landmarks:
@@ -57,16 +61,6 @@ def _root(path: Path, text: str) -> Any:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as fault:
         raise LandmarkError(f"{path} is not complete XML ({fault}); it may be cut short: export it again.") from fault
-
-
-def _check_shared(path: Path, names: list[str], objects: list[_Parts]) -> None:
-    """Raise if objects share hardly any part names, because nearly all landmarks would be missing."""
-    n_there = sum(map(len, objects))
-    if len(names) * len(objects) > _MOST_MISSING * n_there:
-        raise LandmarkError(
-            f"{path}: its {len(objects)} boxes share hardly any of the {len(names)} part names: give a part the same "
-            "name in all images."
-        )
 
 
 def _parts(path: Path, image: str, box: Any) -> _Parts:
