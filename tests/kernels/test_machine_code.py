@@ -1,3 +1,4 @@
+import json
 import os
 import subprocess
 import sys
@@ -71,12 +72,19 @@ def test_without_a_folder_to_write_to_code_is_compiled_each_time(tmp_path):
     assert run(tmp_path) == run(tmp_path) == "5.0 True"
 
 
-def test_code_that_needs_numba_is_not_kept(tmp_path, monkeypatch):
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    machine_code.keep("a", machine_code.Code("f", ["numba_gil_ensure"], b"code"))
-    assert machine_code.find("a") is None
-    machine_code.keep("a", machine_code.Code("f", ["sqrt"], b"code"))
-    assert machine_code.find("a") == machine_code.Code("f", ["sqrt"], b"code")
+def test_code_that_calls_what_the_process_lacks_is_compiled_anew(kept, tmp_path):
+    head, _, binary = the_file(kept).read_bytes().partition(b"\n")
+    about = json.loads(head) | {"calls": ["a_function_of_another_library"]}
+    (tmp_path / "liaam").mkdir()
+    (tmp_path / "liaam" / the_file(kept).name).write_bytes(json.dumps(about).encode() + b"\n" + binary)
+    assert run(tmp_path) == "5.0 True"
+
+
+def test_functions_of_the_process_and_of_linked_code_are_known():
+    length(np.ones(2), 2)
+    assert machine_code.is_known("sqrt")
+    assert machine_code.is_known(length.symbol)
+    assert not machine_code.is_known("a_function_of_another_library")
 
 
 def test_a_function_calls_another_by_its_symbol():

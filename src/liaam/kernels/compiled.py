@@ -93,7 +93,7 @@ class Compiled(Declared):
         for function in called:
             if function is not None:
                 function.address  # noqa: B018 (makes the code known by its symbol)
-        if code is None:
+        if code is None or not all(map(machine_code.is_known, code.calls)):
             from liaam.kernels.compiler import compile_function  # numba: imported when needed
 
             code = compile_function(self)

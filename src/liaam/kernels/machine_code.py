@@ -23,9 +23,6 @@ from llvmlite import binding
 
 _NOT_IN_NAMES = re.compile(r"[^\w.]+")
 
-OWN = ("numba", "NRT_", "_numba")
-"""How names of numba's own functions begin. Code that calls them cannot be loaded without numba, and is not kept."""
-
 
 class Code(NamedTuple):
     """Machine code of a function."""
@@ -51,8 +48,6 @@ def find(symbol: str) -> Code | None:
 
 def keep(symbol: str, code: Code) -> None:
     """Keep the machine code of a function, in the first folder that can be written."""
-    if any(name.startswith(OWN) for name in code.calls):
-        return
     about = {"state": _state(), "digest": hashlib.sha256(code.binary).hexdigest()}
     head = json.dumps(about | {"entry": code.entry, "calls": code.calls}).encode()
     for folder in _folders():
@@ -67,6 +62,12 @@ def keep(symbol: str, code: Code) -> None:
                 Path(path).unlink(missing_ok=True)
                 raise
             return
+
+
+def is_known(symbol: str) -> bool:
+    """Return whether code can call a symbol: one of this process, such as ``sqrt``, or of code that is linked."""
+    _engine()  # makes those of the process known
+    return binding.address_of_symbol(symbol) is not None
 
 
 def link(symbol: str, code: Code) -> int:
@@ -85,7 +86,7 @@ def link(symbol: str, code: Code) -> int:
 def _engine() -> Any:
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    machine = binding.Target.from_default_triple().create_target_machine(jit=True)
+    machine = binding.Target.from_triple(binding.get_process_triple()).create_target_machine(jit=True)
     return binding.create_mcjit_compiler(binding.parse_assembly(""), machine)
 
 
