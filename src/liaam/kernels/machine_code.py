@@ -9,8 +9,8 @@ import hashlib
 import json
 import os
 import re
+import secrets
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
@@ -53,14 +53,13 @@ def keep(symbol: str, code: Code) -> None:
     for folder in _folders():
         with suppress(OSError):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            handle, path = tempfile.mkstemp(dir=folder)
+            # Unlike a file of tempfile, it can be read by all who can read the folder.
+            path = folder / f"{secrets.token_hex(8)}.tmp"
             try:
-                with os.fdopen(handle, "wb") as file:
-                    file.write(head + b"\n" + code.binary)
-                Path(path).replace(folder / _file_of(symbol))
-            except BaseException:
-                Path(path).unlink(missing_ok=True)
-                raise
+                path.write_bytes(head + b"\n" + code.binary)
+                path.replace(folder / _file_of(symbol))
+            finally:
+                path.unlink(missing_ok=True)
             return
 
 
