@@ -40,12 +40,12 @@ def _cut(sums: Single1, first: Long1, shares: Single2, n: int, means: Single1, t
         store(means, to + 4 * j, total)
 
 
-def _block_means(
+def _stored_means(
     lines: Byte2, tables: Single2, grid: Double1, first: Long1, shares: Single2, rows: Single2, means: Single1, n: int
 ) -> None:
     # Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
-    plain, even, at, sums, light = tables.shape[1] == 0, n + n % 2, -1, rows[0], rows[1]
-    width, reds, greens, blues = lines.shape[1] // (4 if plain else 3), tables[0], tables[1], tables[2]
+    even, at, sums, light = n + n % 2, -1, rows[0], rows[1]
+    width, reds, greens, blues = lines.shape[1] // 3, tables[0], tables[1], tables[2]
     _taps(width, grid[0], grid[2], first, shares, 0, even)
     _taps(lines.shape[0], grid[1], grid[2], first, shares, even, len(first))
     for i in range(even, len(first)):
@@ -56,26 +56,43 @@ def _block_means(
             if share <= F(0.0):
                 continue
             known, at, row = y == at, y, lines[y]  # blocks that cut through pixels share a row
-            if not known:
-                for x in range(0, 0 if plain else width, 2):
-                    a = 3 * x
-                    b = a + 3 if x + 1 < width else a
-                    two = halves(load(reds, 4 * int(row[a])), load(reds, 4 * int(row[b])))
-                    two = two * halves(load(greens, 4 * int(row[a + 1])), load(greens, 4 * int(row[b + 1])))
-                    two = two * halves(load(blues, 4 * int(row[a + 2])), load(blues, 4 * int(row[b + 2])))
-                    store(light, 4 * x, two)
-                    store(sums, 4 * x, load(sums, 4 * x) + share * two)
-                for x in range(4 * width if plain else 0):
-                    light[x] = F(row[x])
-            for x in range(len(sums) if known or plain else 0):
-                sums[x] += share * light[x]
+            if known:
+                for x in range(len(sums)):
+                    sums[x] += share * light[x]
+                continue
+            for x in range(0, width, 2):
+                a = 3 * x
+                b = a + 3 if x + 1 < width else a
+                two = halves(load(reds, 4 * int(row[a])), load(reds, 4 * int(row[b])))
+                two = two * halves(load(greens, 4 * int(row[a + 1])), load(greens, 4 * int(row[b + 1])))
+                two = two * halves(load(blues, 4 * int(row[a + 2])), load(blues, 4 * int(row[b + 2])))
+                store(light, 4 * x, two)
+                store(sums, 4 * x, load(sums, 4 * x) + share * two)
+        _cut(sums, first, shares, n, means, 4 * n * (i - even))
+
+
+@compiled
+def _value_means(
+    lines: Single2, grid: Double1, first: Long1, shares: Single2, sums: Single1, means: Single1, n: int
+) -> None:
+    even = n + n % 2
+    _taps(lines.shape[1] // 4, grid[0], grid[2], first, shares, 0, even)
+    _taps(lines.shape[0], grid[1], grid[2], first, shares, even, len(first))
+    for i in range(even, len(first)):
+        for x in range(len(sums)):
+            sums[x] = F(0.0)
+        for k in range(shares.shape[1]):
+            share = shares[i, k]
+            if share > F(0.0):
+                row = lines[first[i] + k]
+                for x in range(lines.shape[1]):
+                    sums[x] += share * row[x]
         _cut(sums, first, shares, n, means, 4 * n * (i - even))
 
 
 _MEANS_OF = {
-    np.dtype(np.uint8): Compiled(_block_means),
-    np.dtype(np.uint16): Compiled(_block_means, lines=Word2),
-    np.dtype(np.float32): Compiled(_block_means, lines=Single2),
+    np.dtype(np.uint8): Compiled(_stored_means),
+    np.dtype(np.uint16): Compiled(_stored_means, lines=Word2),
 }
 
 
@@ -102,19 +119,29 @@ def stored_means(
     least 1, may cut through pixels, and ``shape`` is their number. Returns the mean R, G, B, and the fraction of usable
     pixels, (rows, columns, 4) float32.
     """
-    (rows, columns), n_taps, width = shape, int(np.ceil(size)) + 1, image.shape[1]
-    n, means = columns + columns % 2 + rows, np.empty(4 * (rows * columns + 1), np.float32)
-    # Blocks at the border read pixels outside, with weight 0.
-    sums = np.zeros((2, 4 * (width + n_taps + 2)), np.float32)
-    buffers = np.empty(n, np.int64), np.empty((n, n_taps), np.float32), sums, means
-    lines, grid = np.ascontiguousarray(image).reshape(len(image), -1), np.array([*start, size], np.float64)
-    _MEANS_OF[image.dtype](lines, tables, grid, *buffers, columns)
-    return means[:-4].reshape(rows, columns, 4)
+    lines, grid, first, shares, sums, means = _means_buffers(image, start, size, shape)
+    _MEANS_OF[image.dtype](lines, tables, grid, first, shares, sums, means, shape[1])
+    return means[:-4].reshape(*shape, 4)
 
 
 def value_means(values: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]) -> np.ndarray:
     """Average blocks of pixels of four numbers (h, w, 4) float32 to (rows, columns, 4); see :func:`stored_means`."""
-    return stored_means(values, np.empty((3, 0), np.float32), start, size, shape)
+    lines, grid, first, shares, sums, means = _means_buffers(values, start, size, shape)
+    _value_means(lines, grid, first, shares, sums[0], means, shape[1])
+    return means[:-4].reshape(*shape, 4)
+
+
+def _means_buffers(
+    image: np.ndarray, start: tuple[float, float], size: float, shape: tuple[int, int]
+) -> tuple[np.ndarray, ...]:
+    """Return an image's rows, the grid of blocks, and room for taps, two sums of rows, and means."""
+    (rows, columns), n_taps = shape, int(np.ceil(size)) + 1
+    n = columns + columns % 2 + rows
+    lines, grid = np.ascontiguousarray(image).reshape(len(image), -1), np.array([*start, size], np.float64)
+    # Blocks at the border read pixels outside, with weight 0.
+    sums = np.zeros((2, 4 * (image.shape[1] + n_taps + 2)), np.float32)
+    first, shares = np.empty(n, np.int64), np.empty((n, n_taps), np.float32)
+    return lines, grid, first, shares, sums, np.empty(4 * (rows * columns + 1), np.float32)
 
 
 @compiled
