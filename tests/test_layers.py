@@ -123,7 +123,6 @@ def test_training_and_fitting_wait_for_what_is_slow_to_import():
     loaded = loaded_by("from liaam import train, Fitter")
     assert "liaam.fitting" in loaded
     assert not loaded & {"numba", "scipy", "matplotlib", "typer"}
-    assert "liaam.photometry.masks" not in loaded
     assert not any(module.startswith("liaam.calibration") for module in loaded)
 
 

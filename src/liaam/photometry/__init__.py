@@ -3,9 +3,6 @@
 For camera calibration see :mod:`liaam.calibration`.
 """
 
-from typing import TYPE_CHECKING
-
-from liaam.lazy import attach
 from liaam.photometry.camera import CameraModel, NoiseModel, camera_from, load_camera
 from liaam.photometry.encoding import ENCODINGS, encode, exposure_faults, is_grey
 from liaam.photometry.invariant import (
@@ -18,6 +15,9 @@ from liaam.photometry.invariant import (
     temperature_direction,
     wien_theta,
 )
+from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
+from liaam.photometry.noise import noise_deviation
+from liaam.photometry.projection import invariant_image
 from liaam.photometry.response import (
     Response,
     ResponseCurve,
@@ -29,11 +29,6 @@ from liaam.photometry.response import (
     srgb_to_linear,
     to_linear,
 )
-
-if TYPE_CHECKING:
-    from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
-    from liaam.photometry.noise import noise_deviation
-    from liaam.photometry.projection import invariant_image
 
 __all__ = [
     "CHROMATICITY",
@@ -68,12 +63,3 @@ __all__ = [
     "usable_pixels",
     "wien_theta",
 ]
-
-__getattr__, __dir__ = attach(
-    __name__,
-    {
-        "projection": ("invariant_image",),
-        "masks": ("dark_pixels", "saturated_pixels", "specular_pixels", "usable_pixels"),
-        "noise": ("noise_deviation",),
-    },
-)

@@ -59,23 +59,10 @@ SATURATED = 250.5 / 255
 
 
 def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
-    """Validate an image array and convert it to three channels.
+    """Validate an image (h, w), or (h, w, c) of 1, 3 or 4 channels, and convert it to (h, w, 3), floats to float32.
 
-    Parameters
-    ----------
-    image : (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) uint8, uint16 or float
-        Integers range from 0 to their type's maximum, floats from 0 to 1. A fourth channel (alpha) is dropped.
-    name : str
-        Name of the image in error messages.
-
-    Returns
-    -------
-    (h, w, 3) array of the same type (floats as float32)
-
-    Raises
-    ------
-    ImageError
-        If the array is not an image of at least 8 by 8 pixels.
+    Integers range from 0 to their type's maximum, floats from 0 to 1. A fourth channel (alpha) is dropped. Raises an
+    ImageError that begins with the name if the array is not an image of at least 8 by 8 pixels.
     """
     image = np.asarray(image)
     if image.ndim == 2:
@@ -311,8 +298,6 @@ def encode_means(
 def _log_planes(means: Means, response: Response) -> tuple[np.ndarray, tuple[bool, bool]]:
     """Logarithms of brightness (for gradients) and colours, weights, and which of them the blur needs."""
     import cv2  # heavy: imported when first needed
-
-    from liaam.photometry import averaging
 
     # A lower bound of linear light keeps logarithms finite, below every usable pixel.
     floor = 0.5 * float(to_linear(np.array(DARK), response))

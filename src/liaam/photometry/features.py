@@ -97,23 +97,3 @@ def channels_of(function: FeatureFunction, image: np.ndarray) -> np.ndarray:
             f"the function {name_of(function)} returns values that are not finite, or beyond {LARGEST:g}; scale them"
         )
     return channels
-
-
-def learn_features(name: str, count: int, total: np.ndarray, products: np.ndarray) -> Features:
-    """Learn the projection: the principal components of the channels, or all of them if there are few.
-
-    Parameters
-    ----------
-    name : str
-    count : int
-        Number of pixels.
-    total : (c,) float64
-        Sum of the channels over these pixels.
-    products : (c, c) float64
-        Sum of the products of the channels.
-    """
-    mean = total / count
-    if len(mean) <= WIDEST:
-        return Features(name, np.zeros(len(mean)), np.eye(len(mean)))
-    vectors = np.linalg.eigh(products / count - np.outer(mean, mean))[1]
-    return Features(name, mean, np.ascontiguousarray(vectors[:, ::-1][:, :WIDEST]))

@@ -4,10 +4,6 @@ Highlights are found by the dichromatic model (Shafer, "Using color to separate 
 surface adds light of the lamp's colour to its matt colour.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from liaam.errors import CameraError
@@ -103,47 +99,24 @@ def specular_pixels(
     lamp = np.asarray(light, dtype=np.float32)
     if lamp.shape != (3,) or not np.isfinite(lamp).all() or lamp.min() <= 0:
         raise CameraError(f"light {light!r}: give the lamp's colour as three positive numbers, such as (1, 0.8, 0.6)")
-    colour = as_colour(image)
-    pixels = _Pixels.of(colour, response, lamp / lamp.max())
-    shining = (pixels.shine > np.maximum(SHINE, SPREAD * pixels.spread)) & (pixels.strongest > pixels.usual)
-    mask = _enclosed(_fading(shining, pixels.shine), pixels)
-    if mask.shape == colour.shape[:2]:
-        return mask
     import cv2  # heavy: imported when first needed
 
+    colour, lamp = as_colour(image), lamp / lamp.max()
+    linear = np.asarray(to_linear(np.clip(stored_values(colour), 0, 1), response), dtype=np.float32) / lamp
+    bright = _reduced(saturated_pixels(colour).astype(np.float32)) > 0
+    dark = _reduced(dark_pixels(colour).astype(np.float32)) > 0
+    linear = cv2.medianBlur(_reduced(linear), 3)  # noise must not split surfaces
+    strongest, weakest = linear.max(axis=2), linear.min(axis=2)
+    ratio = weakest / np.maximum(strongest, 1e-6)
+    coloured = ~bright & ~dark & (ratio < 1 - COLOURED)
+    matt, spread, usual = _matt(_surfaces(linear, coloured), ratio, strongest)
+    # Specular fraction of the largest channel; noise around 0 on matt surfaces.
+    shine = np.where(coloured & np.isfinite(usual), (ratio - matt) / np.maximum(1 - matt, 1e-6), 0)
+    shining = (shine > np.maximum(SHINE, SPREAD * spread)) & (strongest > usual)
+    mask = _enclosed(_fading(shining, shine), ~coloured & (bright | ~dark))
+    if mask.shape == colour.shape[:2]:
+        return mask
     return cv2.resize(mask.astype(np.uint8), colour.shape[1::-1], interpolation=cv2.INTER_NEAREST).astype(bool)
-
-
-@dataclass(frozen=True)
-class _Pixels:
-    """Measurements of each pixel of an image, perhaps reduced, (h, w) each."""
-
-    strongest: np.ndarray
-    """float32: largest channel of linear light, relative to the lamp's."""
-    shine: np.ndarray
-    """float32: specular fraction of the largest channel; noise around 0 on matt surfaces."""
-    spread: np.ndarray
-    """float32: standard deviation of the specular fraction on the matt part of the surface."""
-    usual: np.ndarray
-    """float32: median of the largest channel on the surface; infinite without a surface."""
-    colourless: np.ndarray
-    """bool: grey or saturated, but not dark."""
-
-    @classmethod
-    def of(cls, colour: np.ndarray, response: Response, lamp: np.ndarray) -> _Pixels:
-        """Measure the pixels of an image (h, w, 3)."""
-        import cv2  # heavy: imported when first needed
-
-        linear = np.asarray(to_linear(np.clip(stored_values(colour), 0, 1), response), dtype=np.float32) / lamp
-        bright = _reduced(saturated_pixels(colour).astype(np.float32)) > 0
-        dark = _reduced(dark_pixels(colour).astype(np.float32)) > 0
-        linear = cv2.medianBlur(_reduced(linear), 3)  # noise must not split surfaces
-        strongest, weakest = linear.max(axis=2), linear.min(axis=2)
-        ratio = weakest / np.maximum(strongest, 1e-6)
-        coloured = ~bright & ~dark & (ratio < 1 - COLOURED)
-        matt, spread, usual = _matt(_surfaces(linear, coloured), ratio, strongest)
-        shine = np.where(coloured & np.isfinite(usual), (ratio - matt) / np.maximum(1 - matt, 1e-6), 0)
-        return cls(strongest, shine, spread, usual, ~coloured & ~(dark & ~bright))
 
 
 def _reduced(image: np.ndarray) -> np.ndarray:
@@ -219,12 +192,12 @@ def _fading(mask: np.ndarray, shine: np.ndarray) -> np.ndarray:
     return fades[regions]
 
 
-def _enclosed(mask: np.ndarray, pixels: _Pixels) -> np.ndarray:
-    """Add to a mask the colourless regions of whose neighbours at least half are in it."""
+def _enclosed(mask: np.ndarray, colourless: np.ndarray) -> np.ndarray:
+    """Add to a mask the regions of grey or saturated pixels of whose neighbours at least half are in it."""
     from scipy import ndimage  # heavy: imported when first needed
 
-    count, regions = _regions(pixels.colourless, 4)
-    around = np.where(pixels.colourless, 0, ndimage.grey_dilation(regions, size=(3, 3)))
+    count, regions = _regions(colourless, 4)
+    around = np.where(colourless, 0, ndimage.grey_dilation(regions, size=(3, 3)))
     neighbours = np.bincount(around.ravel(), minlength=count)
     marked = np.bincount(around[mask], minlength=count)
     enclosed = (neighbours > 0) & (2 * marked >= neighbours)

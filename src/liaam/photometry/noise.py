@@ -1,7 +1,5 @@
 """Standard deviation of an image's noise, in stored values."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from liaam.photometry import averaging
@@ -36,7 +34,9 @@ def noise_deviation(image: np.ndarray) -> float:
     whole = image.dtype.kind == "u"  # differences of integers are exact
     top = np.iinfo(image.dtype).max if whole else 1.0
     if image.dtype == np.uint8:
-        middle = _median_of_counts(averaging.bent_counts(image, rows))
+        up_to = averaging.bent_counts(image, rows).cumsum()
+        # The mean of the two middle values, which are the same for an odd number.
+        middle = np.searchsorted(up_to, ((up_to[-1] - 1) // 2, up_to[-1] // 2), side="right").mean()
     else:
         above, own, below = (
             image[rows + shift].astype(np.int32) if whole else stored_values(image[rows + shift])
@@ -45,10 +45,3 @@ def noise_deviation(image: np.ndarray) -> float:
         bent = above - 2 * own + below
         middle = np.median(np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]))
     return max(float(1.4826 * middle / (6.0 * top)), least)
-
-
-def _median_of_counts(counts: np.ndarray) -> float:
-    """Median of integers from their histogram."""
-    up_to = counts.cumsum()
-    # The mean of the two middle values, which are the same for an odd number.
-    return float(np.searchsorted(up_to, ((up_to[-1] - 1) // 2, up_to[-1] // 2), side="right").mean())

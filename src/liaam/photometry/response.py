@@ -98,7 +98,8 @@ def to_linear(values: np.ndarray, response: Response = "srgb") -> np.ndarray:
     if response == "linear":
         return np.asarray(values)
     if isinstance(response, ResponseCurve):
-        return _decode_curve(np.asarray(values), response)
+        light = np.exp(_power_law_ends(_spline(response), np.log(np.maximum(values, SMALLEST))))
+        return np.where(np.asarray(values) > SMALLEST, light, 0.0)
     return np.maximum(values, 0.0) ** float(response)
 
 
@@ -190,11 +191,6 @@ def _power_law_ends(spline, log_values: np.ndarray, slope: bool = False) -> np.n
     if slope:
         return np.where(log_values == inside, within, beyond)
     return spline(inside) + beyond * (log_values - inside)
-
-
-def _decode_curve(values: np.ndarray, curve: ResponseCurve) -> np.ndarray:
-    light = np.exp(_power_law_ends(_spline(curve), np.log(np.maximum(values, SMALLEST))))
-    return np.where(values > SMALLEST, light, 0.0)
 
 
 def _encode_curve(linear: np.ndarray, curve: ResponseCurve) -> np.ndarray:

@@ -9,7 +9,7 @@ from liaam.model.sampling import make_patch
 from liaam.model.shape import align
 from liaam.photometry import CameraModel
 from liaam.photometry.encoding import as_colour
-from liaam.photometry.features import Encoder, FeatureFunction, channels_of, learn_features, name_of
+from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, Features, channels_of, name_of
 from liaam.training.entries import Entry
 
 MOST_IMAGES = 50
@@ -17,7 +17,10 @@ MOST_IMAGES = 50
 
 
 def encoder_of(function: FeatureFunction, entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> Encoder:
-    """Learn the projection from the objects in images, at the resolution of the mean shape (n, 2)."""
+    """Learn the projection from the objects in images, at the resolution of the mean shape (n, 2).
+
+    It is that on the principal components of the channels, or keeps all of them if there are few.
+    """
     name, count, total, products = name_of(function), 0, np.zeros(1), np.zeros((1, 1))
     for entry in entries[:: -(-len(entries) // MOST_IMAGES)]:
         image, pose = camera.flatten(as_colour(entry.read_image(), entry.name)), align(mean, entry.points)
@@ -30,4 +33,8 @@ def encoder_of(function: FeatureFunction, entries: Sequence[Entry], mean: np.nda
                 "image; it must return the same channels for all images"
             )
         count, total, products = count + len(rows), total + rows.sum(axis=0), products + rows.T @ rows
-    return Encoder(function, learn_features(name, count, total, products))
+    mean = total / count
+    if len(mean) <= WIDEST:
+        return Encoder(function, Features(name, np.zeros(len(mean)), np.eye(len(mean))))
+    vectors = np.linalg.eigh(products / count - np.outer(mean, mean))[1]
+    return Encoder(function, Features(name, mean, np.ascontiguousarray(vectors[:, ::-1][:, :WIDEST])))
