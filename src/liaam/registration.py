@@ -20,7 +20,7 @@ from liaam.fitting.solver import scored
 from liaam.model.appearance import AppearanceModel
 from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity
-from liaam.model.warp import GENERATORS, HomographyWarp, apply_homography, picture_corners
+from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_corners
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 
@@ -211,8 +211,8 @@ def register(
         # Constants for the white balance. Without them, gains of (1.3, 1, 0.8) multiply the errors of ``li`` by six.
         method = replace(method, bias="rows")
     method = scored(method, options)
-    if group not in GENERATORS:
-        raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GENERATORS)}")
+    if group not in GROUPS:
+        raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GROUPS)}")
     for picture, name in ((a, name_a), (b, name_b)):
         if method.needs_colour:
             refuse_grey(picture, name, f"method {method.name} compares colours; use igo or grey")

@@ -150,18 +150,18 @@ def test_the_gradient_is_that_of_smooth_values(model):
 
 def test_surroundings_follow_every_affine_map_of_the_landmarks(rng):
     points = rng.normal(size=(12, 2)) * 30
-    around = surroundings(points, delaunay(points), 0.1)
+    extension, _ = surroundings(points, delaunay(points), 0.1)
     matrix, offset = rng.normal(size=(2, 2)), rng.normal(size=2)
-    moved = around.extension @ (points @ matrix.T + offset)
-    np.testing.assert_allclose(moved, (around.extension @ points) @ matrix.T + offset)
-    np.testing.assert_array_equal(around.extension[:12], np.eye(12))
+    moved = extension @ (points @ matrix.T + offset)
+    np.testing.assert_allclose(moved, (extension @ points) @ matrix.T + offset)
+    np.testing.assert_array_equal(extension[:12], np.eye(12))
 
 
 def test_surroundings_widen_the_mesh_all_around(rng):
     points = rng.normal(size=(12, 2)) * 30
     triangles = delaunay(points)
-    around = surroundings(points, triangles, 0.1)
-    wide = ReferenceFrame(around.extension @ points, around.triangles)
+    extension, wider = surroundings(points, triangles, 0.1)
+    wide = ReferenceFrame(extension @ points, wider)
     plain = ReferenceFrame(points, triangles)
     hull = points[ConvexHull(points).vertices] - points.mean(axis=0)
     own = 0.5 * np.abs(np.cross(np.c_[hull, 0 * hull[:, :1]], np.c_[np.roll(hull, -1, 0), 0 * hull[:, :1]])[:, 2]).sum()

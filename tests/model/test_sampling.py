@@ -102,7 +102,7 @@ def test_patches_of_light_averaged_once_are_those_of_the_picture(encoding, kind,
         np.testing.assert_allclose(shared.from_image.offset, alone.from_image.offset)
         np.testing.assert_allclose(shared.channels, alone.channels, atol=1e-4)
         size = block_size(encoding, 2.3, blur)
-        assert light.blocks_of(np.array([50, 40]), np.array([110, 100]), size, **options) is not None
+        assert light.blocks.coarser(np.array([50, 40]), np.array([110, 100]), size) is not None
 
 
 def test_patches_elsewhere_are_made_of_the_picture_itself(rng):

@@ -6,7 +6,7 @@ import pytest
 from finite_differences import assert_jacobian
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import align
-from liaam.model.warp import GENERATORS, HomographyWarp, apply_homography
+from liaam.model.warp import GROUPS, HomographyWarp, apply_homography
 
 
 def test_jacobian_of_the_warp(model, rng):
@@ -90,7 +90,7 @@ def test_a_mesh_has_vertices_that_are_no_landmarks(model, rng):
     np.testing.assert_allclose(carried, warp.points(p), atol=1e-4)
 
 
-@pytest.fixture(params=sorted(GENERATORS))
+@pytest.fixture(params=sorted(GROUPS))
 def plane_warp(request) -> HomographyWarp:
     """Give each group of plane maps on a grid of which some points are left out."""
     kept = np.random.default_rng(3).random((20, 30)) > 0.2

@@ -22,7 +22,7 @@ CHANNELS = {
 """Appearances that a model can contain, and their numbers of channels.
 
 - ``value``, ``log``, ``orientation``: in the encoding of that name.
-- ``soft``: the two components of the softly normalised gradient, and L(theta) . log RGB.
+- ``soft``: the two components of the softly normalised gradient, and L(theta) . log RGB, which are correlated.
 - ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's LIT).
 - ``varied``: values of the images and of their relit copies in one PCA (the paper's [11]).
 - ``illumination``: additional modes for the part of the relit copies that ``value`` does not explain (the illumination

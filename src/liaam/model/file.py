@@ -94,22 +94,20 @@ def _header(model: "AAM") -> dict:
         "theta": model.theta,
         "response": describe_response(model.response),
         "camera": model.camera.describe(),
-        "views": {name: _view_header(view) for name, view in model.views.items()},
+        "views": {
+            name: {
+                "blurs": [level.blur for level in view.levels],
+                "n_pixels": view.warp.frame.n_pixels,
+                **({"freedom": view.shape_model.freedom} if np.isfinite(view.shape_model.freedom) else {}),
+            }
+            for name, view in model.views.items()
+        },
         "n_images": model.n_images,
         "n_textures": model.n_textures,
         "n_lamps": model.n_lamps,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "name": model.name,
         **({} if model.features is None else {"features": model.features.name}),
-    }
-
-
-def _view_header(view: View) -> dict:
-    freedom = view.shape_model.freedom
-    return {
-        "blurs": [level.blur for level in view.levels],
-        "n_pixels": view.warp.frame.n_pixels,
-        **({"freedom": freedom} if np.isfinite(freedom) else {}),
     }
 
 
@@ -245,7 +243,9 @@ def _view(
     if not isinstance(about, dict):
         raise ValueError(f"view {name} is described by {about!r}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
-    blurs, n, n_pixels = _blurs(about["blurs"]), len(mean), _count(about["n_pixels"])
+    blurs, n, n_pixels = _blurs(about["blurs"]), len(mean), about["n_pixels"]
+    if not isinstance(n_pixels, int) or n_pixels < 1:
+        raise ValueError(f"{n_pixels!r} is not a positive integer")
     # Appearances first: their tensors limit the number of pixels to what the size of the file allows.
     levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, counts)) for i, blur in enumerate(blurs))
     needed = {"value", "log"} if name == MESH else set()
@@ -361,12 +361,6 @@ def _are_unit(modes: np.ndarray) -> bool:
     if np.abs(modes).max(initial=0.0) > 2.0:  # the squares might overflow
         return False
     return bool((np.abs(np.einsum("md,md->m", modes, modes) - 1.0) < UNIT).all())
-
-
-def _count(number: int) -> int:
-    if not isinstance(number, int) or number < 1:
-        raise ValueError(f"{number!r} is not a positive integer")
-    return number
 
 
 def _finite(value: float) -> float:

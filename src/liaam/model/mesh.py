@@ -93,21 +93,13 @@ SURROUND = 0.06
 pixels on both of its sides; at twice the width the background begins to matter (measured on the spot protocol)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """A ring of additional vertices around a shape's hull, which follow the landmarks.
+def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> tuple[np.ndarray, np.ndarray]:
+    """Add a ring of vertices around the hull of the mesh of a mean shape (n, 2), which follow the landmarks.
 
     Each lies outside a landmark s_h of the mean shape's hull: (1 + width) s_h - width mean(s). This is linear in the
-    shape and commutes with affine maps. ``extension`` (n + r, n) maps landmarks to all vertices: the landmarks, then
-    the ring. ``triangles`` are the mesh, then the strip between its hull and the ring.
+    shape and commutes with affine maps. Return the matrix (n + r, n) that maps landmarks to all vertices, the landmarks
+    and then the ring; and the triangles of the mesh, and then of the strip between its hull and the ring.
     """
-
-    extension: np.ndarray
-    triangles: np.ndarray
-
-
-def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> Surroundings:
-    """Add a ring of vertices around the mesh of a mean shape (n, 2); its width is a fraction of their distance."""
     import cv2
 
     # Counter-clockwise: the ring's triangles have positive areas.
@@ -122,7 +114,7 @@ def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURRO
     extension = np.concatenate([np.eye(n), beyond])
     areas = signed_areas(extension @ points, strip)
     strip = strip[areas > 1e-6 * np.abs(areas).sum()]
-    return Surroundings(extension, np.concatenate([triangles, strip]).astype(np.int32))
+    return extension, np.concatenate([triangles, strip]).astype(np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,14 +190,23 @@ class ReferenceFrame:
         Those of the cubic spline through the pixels. Pixels with one neighbour along an axis use the difference to it;
         those with none get 0.
         """
-        return np.stack([slopes(values) for slopes in self._slopes], 1)
+        return np.stack([_spline_slopes(values, *runs) for runs in self._runs], 1)
 
     @cached_property
-    def _slopes(self) -> "list[_SplineSlopes]":
+    def _runs(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Runs of neighbouring pixels along x and y, for :func:`_spline_slopes`."""
         width, height = self.size
         number = np.full((height, width), -1, dtype=np.int64)
         number[self.pixels[:, 0], self.pixels[:, 1]] = np.arange(self.n_pixels)
-        return [_SplineSlopes.along(lines) for lines in (number, number.T)]
+        runs = []
+        for lines in (number, number.T):
+            inside = lines >= 0
+            after = np.pad(inside, ((0, 0), (0, 1)))[:, 1:][inside]
+            before = np.pad(inside, ((0, 0), (1, 0)))[:, :-1][inside]
+            between = before & after
+            bands = np.stack([np.roll(between / 6, 1), np.where(between, 4 / 6, 1.0), np.roll(between / 6, -1)])
+            runs.append((lines[inside], before, after, bands))
+        return runs
 
     def picture(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
         """Arrange per-pixel values (n_pixels, ...) as an image (height, width, ...) float32; ``fill`` is around it."""
@@ -215,43 +216,23 @@ class ReferenceFrame:
         return out
 
 
-@dataclass(frozen=True, eq=False)
-class _SplineSlopes:
-    """Slopes of the cubic splines through runs of neighbouring pixels.
+def _spline_slopes(
+    values: np.ndarray, order: np.ndarray, before: np.ndarray, after: np.ndarray, bands: np.ndarray
+) -> np.ndarray:
+    """Slopes (n, k) of the cubic splines through values (n, k) of runs of neighbouring pixels.
 
     The slopes m of a spline through f obey (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2. Central differences lose a
-    third of the slope of a wave of four pixels, and with it the information of fine texture about the shape.
-
-    ``order`` (n,) lists the pixels along the lines, and ``before`` and ``after`` (n,) whether they have neighbours.
-    ``bands`` (3, n) is the tridiagonal system, as of :func:`scipy.linalg.solve_banded`.
+    third of the slope of a wave of four pixels, and with it the information of fine texture about the shape. ``order``
+    (n,) lists the pixels along the lines, ``before`` and ``after`` (n,) whether they have neighbours, and ``bands``
+    (3, n) is the tridiagonal system.
     """
+    from scipy.linalg import solve_banded
 
-    order: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    bands: np.ndarray
-
-    @classmethod
-    def along(cls, lines: np.ndarray) -> "_SplineSlopes":
-        """Prepare for lines of pixel numbers (m, length), -1 where there is no pixel."""
-        inside = lines >= 0
-        after = np.pad(inside, ((0, 0), (0, 1)))[:, 1:][inside]
-        before = np.pad(inside, ((0, 0), (1, 0)))[:, :-1][inside]
-        between = before & after
-        bands = np.stack([np.roll(between / 6, 1), np.where(between, 4 / 6, 1.0), np.roll(between / 6, -1)])
-        return cls(lines[inside], before, after, bands)
-
-    def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Compute the slopes (n, k) of values (n, k)."""
-        from scipy.linalg import solve_banded
-
-        place, values = np.arange(len(self.order)), np.asarray(values, np.float64)[self.order]
-        step = np.where(self.before & self.after, 0.5, 1.0)[:, None]
-        slopes = np.empty_like(values)
-        slopes[self.order] = solve_banded(
-            (1, 1), self.bands, step * (values[place + self.after] - values[place - self.before]), check_finite=False
-        )
-        return slopes
+    place, values = np.arange(len(order)), np.asarray(values, np.float64)[order]
+    rises = np.where(before & after, 0.5, 1.0)[:, None] * (values[place + after] - values[place - before])
+    slopes = np.empty_like(values)
+    slopes[order] = solve_banded((1, 1), bands, rises, check_finite=False)
+    return slopes
 
 
 MAX_RASTER_PIXELS = 2e7

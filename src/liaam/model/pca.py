@@ -44,15 +44,8 @@ def chunks(length: int) -> Iterator[slice]:
     return (slice(first, min(first + CHUNK, length)) for first in range(0, length, CHUNK))
 
 
-def principal_components(vectors: np.ndarray, variance: Variance) -> Components:
-    """Compute principal components of vectors (n, d) from the Gram matrix (for few vectors of many dimensions).
-
-    A fraction of 1.0 keeps every direction; ``auto`` uses :func:`count_by_evidence` with :func:`some_folds`.
-    """
-    check_variance(variance)
-    vectors = np.asarray(vectors)
-    if variance == "auto":
-        variance = count_by_evidence(vectors, some_folds(len(vectors)))
+def principal_components(vectors: np.ndarray, variance: float | int) -> Components:
+    """Compute principal components of vectors (n, d) from the Gram matrix (for few vectors of many dimensions)."""
     return components_by(vectors, vectors.mean(axis=0, dtype=np.float64), gram_about(vectors), variance)
 
 
@@ -205,22 +198,12 @@ def leave_out(vectors: np.ndarray, folds: Sequence[np.ndarray]) -> Iterator[Left
         yield LeftOutCoordinates(squares / (len(others) - 1), np.square(from_mean @ axes), distances)
 
 
-def noise_variances(eigenvalues: np.ndarray, dimension: int, total: float | None = None) -> np.ndarray:
-    """Noise variance of probabilistic PCA with 0 ... r - 1 modes, (r,): the mean of the eigenvalues not kept.
-
-    Tipping and Bishop, J. R. Stat. Soc. B 61 (1999), eq 8. ``total`` is the sum of all eigenvalues, by default that of
-    the given leading ones (r,).
-    """
-    total = float(eigenvalues.sum()) if total is None else total
-    kept = np.concatenate([[0.0], np.cumsum(eigenvalues)[:-1]])
-    return np.maximum(total - kept, 0.0) / np.maximum(dimension - np.arange(len(eigenvalues)), 1)
-
-
 def log_evidence(left_out: LeftOutCoordinates, dimension: int) -> np.ndarray:
     """Log-likelihood of the left-out vectors under probabilistic PCA with 0 ... r - 1 modes, (r,)."""
-    values = left_out.eigenvalues
-    noise = noise_variances(values, dimension)
-    counts = np.arange(len(values))
+    values, counts = left_out.eigenvalues, np.arange(len(left_out.eigenvalues))
+    # The noise is the mean of the eigenvalues not kept (Tipping and Bishop, J. R. Stat. Soc. B 61, 1999, eq 8).
+    kept = np.concatenate([[0.0], np.cumsum(values)[:-1]])
+    noise = np.maximum(values.sum() - kept, 0.0) / np.maximum(dimension - counts, 1)
     along = np.cumsum(np.pad(left_out.squares / values, ((0, 0), (1, 0))), axis=1)[:, :-1]
     across = left_out.distances[:, None] - np.cumsum(np.pad(left_out.squares, ((0, 0), (1, 0))), axis=1)[:, :-1]
     volume = np.concatenate([[0.0], np.cumsum(np.log(values))[:-1]]) + (dimension - counts) * np.log(noise)

@@ -71,16 +71,9 @@ class PointMap:
 
 
 def learn_point_map(theirs: np.ndarray, shapes: np.ndarray, mean: np.ndarray, folds: Sequence[np.ndarray]) -> PointMap:
-    """Learn the map from pairs of their points and landmarks.
+    """Learn the map from their points (n_images, m, 2) and landmarks (n_images, n, 2).
 
-    Parameters
-    ----------
-    theirs : (n_images, m, 2) float
-    shapes : (n_images, n, 2) float
-    mean : (n, 2) float
-        Mean shape of the model, pixels of the reference frame.
-    folds : sequence of int arrays
-        Images to leave out together.
+    ``mean`` (n, 2) is the model's mean shape, pixels of the reference frame; images of a fold are left out together.
     """
     left_out = [_left_out(theirs, shapes, mean, folds, ridge) for ridge in RIDGES]
     best = int(np.argmin([np.square(errors).sum() for errors in left_out]))

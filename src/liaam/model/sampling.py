@@ -97,14 +97,6 @@ class Light:
         size = _limited(min(sizes), low, high)
         return cls(image, encoding, response, _Blocks.of(image, low, high, size, encoding, response))
 
-    def blocks_of(
-        self, low: np.ndarray, high: np.ndarray, size: float, encoding: Encoding, response: Response
-    ) -> "_Blocks | None":
-        """Join the blocks to blocks of about the given size; None if they do not fit the request."""
-        if (encoding, response) != (self.encoding, self.response):
-            return None
-        return self.blocks.coarser(low, high, size)
-
 
 SIZE_TOLERANCE = 0.1
 """Relative tolerance of the size of blocks that levels share. The blur that follows compensates for the difference."""
@@ -120,30 +112,21 @@ def make_patch(
     blur: float,
     margin: float,
 ) -> Patch:
-    """Cut the surroundings of a shape out of an image and encode them at about the model's resolution.
+    """Cut the surroundings of a shape (n, 2) out of an image and encode them at about the model's resolution.
 
-    Averaging and blurring prevent aliasing, and make the object equally sharp at any size in the image.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float32, or Light
-        Several patches around one start can share the averages of :meth:`Light.around`.
-    shape : (n, 2) float
-        Points to surround, image pixels.
-    pose : Similarity
-        Model pixels to image pixels: its scale sets the resolution, its rotation the axes of directions.
-    encoding, response
-        See :func:`liaam.photometry.encode`.
-    blur : float
-        Standard deviation of the blur, model pixels. For ``soft`` it includes the blur by averaging and interpolation.
-    margin : float
-        Surroundings to include, as a fraction of the shape's diagonal.
+    Averaging and blurring prevent aliasing, and make the object equally sharp at any size in the image. Several patches
+    around one start can share the averages of :meth:`Light.around`. The pose maps model pixels to image pixels: its
+    scale sets the resolution, its rotation the axes of directions. ``blur`` is the standard deviation of the blur in
+    model pixels; for ``soft`` it includes the blur by averaging and interpolation. ``margin`` are the surroundings to
+    include, as a fraction of the shape's diagonal.
     """
-    shared, pixels = (image, image.image) if isinstance(image, Light) else (None, image)
+    pixels = image.image if isinstance(image, Light) else image
     size = block_size(encoding, pose.scale, blur)
     low, high = corners_around(pixels, shape, margin, size)
     size = _limited(size, low, high)
-    blocks = shared.blocks_of(low, high, size, encoding, response) if shared is not None else None
+    blocks = None
+    if isinstance(image, Light) and (encoding, response) == (image.encoding, image.response):
+        blocks = image.blocks.coarser(low, high, size)
     means, first, size = blocks or _Blocks.of(pixels, low, high, size, encoding, response)
     turn, pixel = pose.matrix.T / pose.scale, size / pose.scale
     if encoding == "soft":

@@ -260,7 +260,7 @@ def shape_model_on(
 ) -> ShapeModel:
     """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
     recipe = Recipe() if recipe is None else recipe
-    given, folds = folds is not None, some_folds(len(shapes)) if folds is None else folds
+    folds = some_folds(len(shapes)) if folds is None else folds
     deviations = _deviations(mean, shapes, recipe.mirrored)
     if recipe.smooth is not None:
         return _smooth_model(deviations, variance, recipe.smooth, folds)
@@ -272,7 +272,7 @@ def shape_model_on(
     eigenvalues = components.eigenvalues
     if recipe.prior == "shrunk":
         eigenvalues = left_out_variances(own, folds, len(modes))
-    left = unexplained_by_others(own, variance, folds if given else None).astype(np.float64)
+    left = unexplained_by_others(own, variance, folds).astype(np.float64)
     return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
 
 

@@ -42,7 +42,7 @@ class PiecewiseAffineWarp:
     """Piecewise-affine warp of a mesh whose vertices follow a shape model (paper eq 3).
 
     W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant. ``extension``
-    (n_vertices, n_points) maps landmarks to the frame's vertices (:class:`liaam.model.mesh.Surroundings`), by default
+    (n_vertices, n_points) maps landmarks to the frame's vertices (:func:`liaam.model.mesh.surroundings`), by default
     the identity. ``kept`` (n_pixels,) holds the indices of the frame's pixels to use, in order, by default all.
     """
 
@@ -186,19 +186,27 @@ def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffine
 
 
 def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
-    """Make the warp of a mesh and its surroundings (see :class:`liaam.model.mesh.Surroundings`)."""
-    around = surroundings(shape_model.mean, triangles)
-    frame = model_frame(around.extension @ shape_model.mean, around.triangles)
-    return PiecewiseAffineWarp(frame, shape_model, around.extension)
+    """Make the warp of a mesh and its surroundings (see :func:`liaam.model.mesh.surroundings`)."""
+    extension, wider = surroundings(shape_model.mean, triangles)
+    return PiecewiseAffineWarp(model_frame(extension @ shape_model.mean, wider), shape_model, extension)
 
 
-GENERATORS: dict[str, tuple[tuple[tuple[int, int, float], ...], ...]] = {
-    "translation": (((0, 2, 1.0),), ((1, 2, 1.0),)),
-    "similarity": (((0, 0, 1.0), (1, 1, 1.0)), ((0, 1, -1.0), (1, 0, 1.0))),
-    "affine": (((0, 0, 1.0), (1, 1, -1.0)), ((0, 1, 1.0), (1, 0, 1.0))),
-    "homography": (((2, 0, 1.0),), ((2, 1, 1.0),)),
-}
-"""Entries (row, column, value) of the generators that each group of plane maps adds to the previous group."""
+GROUPS = {"translation": 2, "similarity": 4, "affine": 6, "homography": 8}
+"""Groups of plane maps, and how many of the :data:`GENERATORS` they have."""
+
+GENERATORS = np.array(
+    [
+        [[0, 0, 1], [0, 0, 0], [0, 0, 0]],
+        [[0, 0, 0], [0, 0, 1], [0, 0, 0]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, 0]],
+        [[0, -1, 0], [1, 0, 0], [0, 0, 0]],
+        [[1, 0, 0], [0, -1, 0], [0, 0, 0]],
+        [[0, 1, 0], [1, 0, 0], [0, 0, 0]],
+        [[0, 0, 0], [0, 0, 0], [1, 0, 0]],
+        [[0, 0, 0], [0, 0, 0], [0, 1, 0]],
+    ],
+    dtype=np.float64,
+)
 
 NEAREST = 0.1
 """Depth, relative to that of the grid's centre, below which a point counts as behind the image plane."""
@@ -213,7 +221,7 @@ class HomographyWarp:
 
     ``kept`` (rows, columns) selects points of the grid, ``stride`` model pixels apart; the first lies at the origin.
     ``rest`` (n, 2) are the handles in model pixels: four corners or more, no three of the four on a line. ``group`` is
-    a key of :data:`GENERATORS`.
+    a key of :data:`GROUPS`.
     """
 
     kept: np.ndarray
@@ -247,7 +255,7 @@ class HomographyWarp:
         centre = self.pixels.mean(axis=0)
         size = max(float(np.sqrt(np.square(self.pixels - centre).sum() / n)), self.stride)
         into = np.array([[1.0, 0.0, -centre[0]], [0.0, 1.0, -centre[1]], [0.0, 0.0, size]]) / size
-        plain = np.array([np.linalg.inv(into) @ generator @ into for generator in _generators(self.group)])
+        plain = np.array([np.linalg.inv(into) @ generator @ into for generator in GENERATORS[: GROUPS[self.group]]])
         x = _homogeneous(self.pixels)
         moved = np.einsum("iab,nb->ina", plain, x, optimize=True)
         flow = (moved[..., :2] - self.pixels * moved[..., 2:]).reshape(len(plain), -1)
@@ -320,17 +328,6 @@ class HomographyWarp:
 
 Warp = PiecewiseAffineWarp | HomographyWarp
 """A warp of either kind. Its handles are the landmarks, or the corners of the grid."""
-
-
-def _generators(group: str) -> np.ndarray:
-    """Generators of a group of plane maps, (n, 3, 3) float64."""
-    names = tuple(GENERATORS)
-    entries = [generator for name in names[: names.index(group) + 1] for generator in GENERATORS[name]]
-    generators = np.zeros((len(entries), 3, 3))
-    for i, generator in enumerate(entries):
-        for row, column, value in generator:
-            generators[i, row, column] = value
-    return generators
 
 
 def _homogeneous(points: np.ndarray) -> np.ndarray:

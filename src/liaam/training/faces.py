@@ -34,17 +34,7 @@ over the images. Faces of five sets have 0.007 to 0.025, and 0.35 to 0.6; fly wi
 
 
 def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> Lamps | None:
-    """Return lamps for training images of faces; None if the objects are no faces.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-        The training images.
-    mean : (n, 2) float64
-        Their mean shape.
-    camera : CameraModel
-        Their camera.
-    """
+    """Return lamps for training images of faces with a mean shape (n, 2); None if the objects are no faces."""
     from safetensors.numpy import load_file
 
     fitter = Fitter(load_model(MODEL), options=OPTIONS, camera=camera, restarts=False)

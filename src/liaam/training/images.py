@@ -56,28 +56,11 @@ class _Look:
 
 
 def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[list[Entry], np.ndarray]:
-    """Read and check all images. If too few are in colour, they are converted to grey.
+    """Read and check all images, and return them with whether each is grey, (n,) bool.
 
-    Warns, in one line, if only some images are grey.
-
-    Parameters
-    ----------
-    entries : sequence of Entry
-    warp : PiecewiseAffineWarp
-        Its mesh covers the object.
-
-    Returns
-    -------
-    entries : list of Entry
-    grey : (n,) bool
-        Whether each image is grey.
-
-    Raises
-    ------
-    ImageError
-        If images cannot be read.
-    TrainingError
-        If objects are outside their images, black or saturated. The messages name all these images.
+    If too few are in colour, all are converted to grey; there is a warning if only some are grey. Raises an ImageError
+    if images cannot be read, and a TrainingError if objects, which the warp's mesh covers, are outside their images,
+    black or saturated. The messages name all these images.
     """
     looks = in_threads(partial(_look, warp), entries)
     damaged = [look.damage for look in looks if look.damage]
@@ -112,16 +95,9 @@ def _look(warp: PiecewiseAffineWarp, entry: Entry) -> _Look:
 
 
 def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.ndarray | None = None) -> str:
-    """Describe how far landmarks, or the mesh's pixels, lie outside an image. Empty if that is no fault.
+    """Describe how far landmarks (n, 2) lie outside an image of a shape (h, w, ...). Empty if that is no fault.
 
-    Parameters
-    ----------
-    landmarks : (n, 2) float
-        In image pixels.
-    shape : tuple of int
-        Height and width of the image come first.
-    points : (k, 2) float, optional
-        Pixels of the mesh, of which most must lie inside; by default the landmarks, which is less strict.
+    Most of the points (k, 2), pixels of the mesh, must lie inside; by default the landmarks, which is less strict.
     """
     points, inside = landmarks if points is None else points, np.array(shape[1::-1]) - 0.5
     beyond = np.maximum(-0.5 - landmarks, landmarks - inside).max(axis=1)

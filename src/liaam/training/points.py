@@ -22,16 +22,7 @@ points; or the points of each image."""
 
 
 def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) -> PointMap:
-    """Learn the map from the points of another landmarker to the landmarks of samples.
-
-    Parameters
-    ----------
-    points : Points
-        See :func:`liaam.training.train`.
-    entries : sequence of Entry
-    mean : (n, 2) float64
-        Mean shape of the model.
-    """
+    """Learn the map from the points of another landmarker to the landmarks of samples with a mean shape (n, 2)."""
     known = [
         (entry, found) for entry, found in zip(entries, _points_of(points, entries), strict=True) if found is not None
     ]

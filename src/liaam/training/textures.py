@@ -6,16 +6,8 @@ import numpy as np
 
 from liaam.fitting.methods import ENCODING_OF
 from liaam.lamps import Copies
-from liaam.model import (
-    AAM,
-    MESH,
-    SURROUNDINGS,
-)
-from liaam.model.appearance import (
-    CHANNELS,
-    COPIED_APPEARANCES,
-    Textures,
-)
+from liaam.model import AAM, MESH, SURROUNDINGS
+from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, Textures
 from liaam.model.sampling import make_patch, sample_texture
 from liaam.model.shape import align
 from liaam.model.warp import PiecewiseAffineWarp

@@ -10,13 +10,13 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.lamps import Copies, Lamps, learn_lamps
-from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
+from liaam.model import AAM, SURROUNDINGS, VIEWS, Level, make_view
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress
 from liaam.training import faces
-from liaam.training.appearances import mesh_appearances, soft_appearance
+from liaam.training.appearances import level_appearances
 from liaam.training.entries import Entry, check_flat, check_fold, mesh_of, read_entries
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
@@ -135,15 +135,11 @@ def train(
     n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
     steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
     sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
-    learn = {
-        MESH: lambda i: mesh_appearances(sampled, i, camera.theta, kept[MESH], folds),
-        SURROUNDINGS: lambda i: {"soft": soft_appearance(sampled, i, kept[SURROUNDINGS], folds)},
-    }
     for view in VIEWS:
         levels = []
         for i, blur in enumerate(blurs[view]):
             steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
-            levels.append(Level(float(blur), learn[view](i)))
+            levels.append(Level(float(blur), level_appearances(sampled, view, i, camera.theta, kept[view], folds)))
         model = model.with_view(view, levels=tuple(levels))
 
     if options.leave_out:
