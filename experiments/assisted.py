@@ -21,7 +21,7 @@ from experiments.solvers import check_trials
 from experiments.spot import EYES, facts_of, find_persons, percent
 from liaam.datasets import Sample
 from liaam.errors import LiaamError, MethodError
-from liaam.evaluation import finite_or_none, inter_ocular_distance, median_error, nme
+from liaam.evaluation import finite_or_none, inter_ocular_distance, nme
 from liaam.fitting import FitResult, Fitter
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
@@ -122,7 +122,7 @@ def place(fitter: Fitter, sample: Sample) -> Row:
     return {
         "person": sample.name,
         "nme": nme(result.landmarks, truth, unit),
-        "point": median_error(result.landmarks, truth) / unit,
+        "point": float(np.nanmedian(np.linalg.norm(result.landmarks - truth, axis=1))) / unit,
         "bound": nme(fitter.shapes.project(truth), truth, unit),
         "start_nme": nme(start, truth, unit),
         "deviation": uncertainty(result),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import figure_of_bars
+from experiments.measures import or_dash
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.simulated import displaced
 from experiments.solvers import check_trials, get_solver, make_fitters
@@ -27,7 +28,7 @@ from experiments.subjects import (
     subject_facts,
 )
 from liaam.datasets import Sample
-from liaam.evaluation import error_statistics, or_dash, point_error
+from liaam.evaluation import error_statistics, point_error
 from liaam.fitting import Fitter
 from liaam.io import Landmarks
 from liaam.photometry import CameraModel

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import figure_of_bars
+from experiments.measures import or_dash
 from experiments.runner import Experiment, NumberedTrial, Row
 from liaam.calibration import AngleEstimate, least_squares_angle, theta_from_chart, theta_from_image, theta_from_scene
 from liaam.calibration.estimate import axis_difference
@@ -24,7 +25,7 @@ from liaam.datasets.scenes import (
     uneven_light,
 )
 from liaam.errors import LiaamError
-from liaam.evaluation import or_dash, root_mean_square
+from liaam.evaluation import root_mean_square
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

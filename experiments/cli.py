@@ -84,7 +84,7 @@ def print_lines(lines: Mapping[str, Sequence[tuple[float, float | None]]], title
     """Print values by method and swept value."""
     if not lines:
         return
-    from liaam.evaluation import or_dash
+    from experiments.measures import or_dash
 
     table = table_of("method", *(f"{x:g}" for x, _ in next(iter(lines.values()))))
     for method, line in lines.items():
@@ -216,7 +216,7 @@ def spot(
 
 def spot_rows(summary: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     """Rows of the spot protocol's table."""
-    from liaam.evaluation import or_dash
+    from experiments.measures import or_dash
 
     for method, row in summary["methods"].items():
         theta, nme, p90 = row["theta_deg_median"], row["nme_median"], row["nme_p90"]
@@ -252,7 +252,7 @@ def bound(
 def calibration(out: Out, trials: Trials = 24, seed: Seed = 0, jobs: Jobs = None) -> None:
     """How accurately do calibrations estimate the camera's angle, and are their error bars correct?"""
     from experiments.calibration import calibration_experiment
-    from liaam.evaluation import or_dash
+    from experiments.measures import or_dash
 
     summary = execute(calibration_experiment(trials, seed), out, jobs)
     table = table_of("camera", "kind", "noise", "observable", "median", "p95", "stated", "coverage", "plain squares")
@@ -277,7 +277,7 @@ def baselines(
 ) -> None:
     """Do AIA, robust losses and normalisation help in the situations that their papers claim?"""
     from experiments.baselines import SITUATIONS, baselines_experiment
-    from liaam.evaluation import or_dash
+    from experiments.measures import or_dash
 
     summary = execute(baselines_experiment(data, trials, seed, solver), out, jobs)
     for situation in SITUATIONS:
@@ -308,7 +308,7 @@ def reconstruct(
 ) -> None:
     """What would the object look like without the shadow? (Paper section 6 and Fig 4.)"""
     from experiments import reconstruct as module
-    from liaam.evaluation import or_dash
+    from experiments.measures import or_dash
 
     summary = execute(module.reconstruct_experiment(data, names_in(methods), trials, seed, solver), out, jobs)
     table = table_of("pictures", "method", "landmarks, px", "input", "rebuilt", "model")

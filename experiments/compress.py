@@ -20,10 +20,11 @@ import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
 from experiments.generic import GenericRequest, HeldOut, get_folds, get_trained, request_of_folders
+from experiments.measures import or_dash
 from experiments.protocol import Header, Table, eight_bit, tell
 from experiments.runner import Experiment, Row
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_or_none, or_dash
+from liaam.evaluation import finite_or_none
 from liaam.model import AAM
 from liaam.model.shape import Similarity, align
 from liaam.photometry.response import from_linear, log_slope

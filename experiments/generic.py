@@ -16,6 +16,7 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.lights import hard_light
+from experiments.measures import or_dash
 from experiments.protocol import (
     METHODS,
     STARTS,
@@ -39,7 +40,7 @@ from experiments.spot import disturbed_start, find_persons, percent
 from experiments.subjects import data_facts
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import inter_ocular_distance, or_dash
+from liaam.evaluation import inter_ocular_distance
 from liaam.fitting import FitStatus
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_pictures

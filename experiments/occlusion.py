@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import figure_of_bars
+from experiments.measures import or_dash
 from experiments.protocol import (
     METHODS,
     STARTS,
@@ -31,7 +32,7 @@ from experiments.protocol import (
 )
 from experiments.runner import Experiment, Row
 from experiments.spot import EYES, Person, disturbed_start, facts_of, find_persons, percent
-from liaam.evaluation import inter_ocular_distance, or_dash
+from liaam.evaluation import inter_ocular_distance
 from liaam.plotting import figure_of_pictures
 
 if TYPE_CHECKING:

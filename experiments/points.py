@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import figure_of_errors
+from experiments.measures import or_dash
 from experiments.protocol import Header, Table, columns_of, held, median_bound, ratio, select, statistics, tell
 from experiments.runner import Experiment, Row
 from experiments.solvers import get_solver
 from experiments.spot import CONVERGED, EYES, Person, facts_of, find_persons, percent
 from liaam.errors import LiaamError
-from liaam.evaluation import inter_ocular_distance, nme, or_dash
+from liaam.evaluation import inter_ocular_distance, nme
 from liaam.fitting import FitResult, Fitter
 from liaam.io import LANDMARK_SUFFIXES, read_landmarks
 from liaam.model.mesh import delaunay

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from experiments import spot
+from experiments.measures import roc_area
 from experiments.runner import Row, markdown_table
 from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.spot import CONVERGED, EYES
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme, roc_area
+from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of

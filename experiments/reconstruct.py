@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments import simulated, spot
+from experiments.measures import or_dash
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.subjects import SCENE_HEAD, get_subject, subject_facts
 from liaam.errors import MethodError
-from liaam.evaluation import error_statistics, or_dash, point_error, root_mean_square
+from liaam.evaluation import error_statistics, point_error, root_mean_square
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.model import AAM
 from liaam.photometry import CameraModel

@@ -21,11 +21,12 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.generic import GenericRequest, HeldOut, get_folds, get_trained, request_of_folders
+from experiments.measures import or_dash
 from experiments.protocol import Header, Table, eight_bit, face_size, tell
 from experiments.relit import GRAIN, mesh_mask
 from experiments.runner import Experiment, Row
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_or_none, or_dash
+from liaam.evaluation import finite_or_none
 from liaam.photometry.response import srgb_to_linear
 from liaam.relighting import Relighter
 

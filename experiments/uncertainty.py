@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
+from experiments.measures import or_dash
 from experiments.protocol import (
     STARTS,
     VARIANCE,
@@ -33,7 +34,7 @@ from experiments.runner import Experiment, Row
 from experiments.solvers import get_solver
 from experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
 from liaam.datasets import Sample
-from liaam.evaluation import finite_or_none, nme, or_dash
+from liaam.evaluation import finite_or_none, nme
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.model import AAM

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.charts import figure_of_errors
+from experiments.measures import or_dash
 from experiments.protocol import (
     METHODS,
     STARTS,
@@ -26,7 +27,7 @@ from experiments.protocol import (
 )
 from experiments.runner import Experiment, Row
 from experiments.spot import CONVERGED, EYES, Person, disturbed_start, facts_of, find_persons, percent
-from liaam.evaluation import inter_ocular_distance, or_dash
+from liaam.evaluation import inter_ocular_distance
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,11 +21,6 @@ def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.linalg.norm(found - np.asarray(truth)[known], axis=1)
 
 
-def median_error(shape: np.ndarray, truth: np.ndarray) -> float:
-    """Median distance between corresponding (n, 2) landmarks, in pixels. See :func:`point_error`."""
-    return float(np.median(_distances(shape, truth)))
-
-
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square distance between corresponding (n, 2) landmarks, in pixels. Compare it with covariances."""
     return root_mean_square(_distances(shape, truth))
@@ -60,13 +55,6 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
     return {name: finite_or_none(value) for name, value in found.items()}
 
 
-def roc_area(right: np.ndarray, wrong: np.ndarray) -> float:
-    """Area under the ROC curve of the quality for right and wrong fits. NaN if either is empty."""
-    if not len(right) or not len(wrong):
-        return np.nan
-    return float(np.mean(right[:, None] > wrong) + 0.5 * np.mean(right[:, None] == wrong))
-
-
 def root_mean_square(values) -> float:
     """Root mean square of values."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
@@ -75,11 +63,6 @@ def root_mean_square(values) -> float:
 def finite_or_none(value: float) -> float | None:
     """Return a number for JSON, None if it is not finite."""
     return float(value) if np.isfinite(value) else None
-
-
-def or_dash(value: float | None, style: str = ".3f") -> str:
-    """Format a number, or return a dash for None."""
-    return "–" if value is None else format(value, style)
 
 
 def angle_difference(angle: float, truth: float) -> float:

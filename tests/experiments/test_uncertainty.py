@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments import cli, protocol, uncertainty
+from experiments.measures import roc_area
 from experiments.runner import run_experiment
-from liaam.evaluation import roc_area
 
 pytestmark = pytest.mark.slow
 
