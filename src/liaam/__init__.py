@@ -4,9 +4,8 @@ Train a deformable model on landmarked colour images taken under one light and f
 other. The public names below load on first use, so that ``import liaam`` is quick.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
-
-from liaam.lazy import attach
 
 if TYPE_CHECKING:
     from liaam import (
@@ -124,4 +123,17 @@ _SUBMODULES = (
     *("batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model", "morphometry"),
     *("photometry", "plotting", "registration", "relighting", "tracking", "training"),
 )
-__getattr__, __dir__ = attach(__name__, _HOMES, _SUBMODULES)
+
+
+def __getattr__(name: str) -> object:
+    if name in _SUBMODULES:
+        return import_module(f"liaam.{name}")
+    for module, names in _HOMES.items():
+        if name in names:
+            value = globals()[name] = getattr(import_module(f"liaam.{module}"), name)
+            return value
+    raise AttributeError(f"module 'liaam' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, *_SUBMODULES})
