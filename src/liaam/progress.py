@@ -17,15 +17,9 @@ PATIENCE = 2.0
 def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iterator[Callable[[int], None]]:
     """Show a progress bar with the remaining time on standard error. Yield a function to call with the number done.
 
-    Parameters
-    ----------
-    what : str
-        Name of the items, such as ``images``.
-    total : int or None
-        Number of items; None if unknown.
-    show : bool or None
-        True: show it from the start; without a terminal, print one line at the end. False: never. None: show it
-        temporarily, on a terminal only, after :data:`PATIENCE` seconds.
+    ``what`` names the items, such as ``images``; their total may be unknown. If ``show``, it is shown from the start,
+    or without a terminal as one line at the end; if False, never; by default temporarily, on a terminal only, after
+    :data:`PATIENCE` seconds.
     """
     if show is False or (show is None and not sys.stderr.isatty()):
         yield lambda done: None

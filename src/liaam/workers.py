@@ -9,7 +9,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 from itertools import islice
 from multiprocessing import connection, resource_tracker
@@ -55,14 +55,9 @@ def in_workers(
 
     Each worker has one item at a time. ``perform`` is a function at the top level of a module, or a ``partial`` of one.
     It is sent to each worker once. Its arguments before the item may be ``inherited``: they are passed when the process
-    starts, as shared memory must be.
-
-    Raises
-    ------
-    WorkerDied
-        If a worker died, after the others have finished their items, or at once with ``stop_at_death``.
-    Exception
-        What ``perform`` raised, or why its result cannot be pickled, with the worker's traceback as a note.
+    starts, as shared memory must be. Raises WorkerDied if a worker died, after the others have finished their items, or
+    at once with ``stop_at_death``. Raises what ``perform`` raised, or why its result cannot be pickled, with the
+    worker's traceback as a note.
     """
     rest = iter(items)
     first = list(islice(rest, jobs))
@@ -136,8 +131,11 @@ class _Worker(Generic[Item]):
 
 
 def _work(pipe: Connection, inherited: tuple) -> None:
-    """Do items in a worker process until there is none in a message."""
-    _start()
+    """Do items in a worker process until there is none in a message, or its parent is gone. It ignores Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:  # otherwise the worker would wait for work for ever when its parent has died
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
     try:
         perform = partial(pipe.recv(), *inherited)
         while message := pipe.recv():
@@ -150,18 +148,14 @@ def _answer(perform: Callable[[Item], object], item: Item) -> "bytes | memoryvie
     """Pickle whether an item could be done, and its result or error."""
     try:
         return ForkingPickler.dumps((True, perform(item)))
-    except Exception as fault:
-        return ForkingPickler.dumps((False, _portable(fault, f"In a worker process:\n{traceback.format_exc()}")))
-
-
-def _portable(fault: Exception, note: str) -> Exception:
-    """Return an error with a note; of class RuntimeError, if it cannot be pickled and unpickled."""
-    try:
-        pickle.loads(pickle.dumps(fault))
-    except Exception:
-        fault = RuntimeError(f"{type(fault).__name__}: {fault}")
-    fault.add_note(note)
-    return fault
+    except Exception as error:
+        fault, note = error, f"In a worker process:\n{traceback.format_exc()}"
+        try:
+            pickle.loads(pickle.dumps(fault))
+        except Exception:
+            fault = RuntimeError(f"{type(error).__name__}: {error}")
+        fault.add_note(note)
+        return ForkingPickler.dumps((False, fault))
 
 
 def flow(
@@ -195,14 +189,6 @@ def deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _start() -> None:
-    """Make this worker ignore Ctrl-C and exit when its parent dies; otherwise it would wait for work for ever."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
@@ -294,14 +280,12 @@ def _take_opencv() -> Callable[[], object]:
 _blas, _opencv = _Hold(_take_blas), _Hold(_take_opencv)
 
 
-@contextmanager
-def one_blas_thread() -> Iterator[None]:
+def one_blas_thread() -> AbstractContextManager[None]:
     """Limit BLAS and OpenMP to one thread, for the whole process.
 
     The matrices of a fit are too small for more threads, which would busy-wait. Sums then have a fixed order.
     """
-    with _blas:
-        yield
+    return _blas
 
 
 @contextmanager
