@@ -88,7 +88,7 @@ def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tm
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("liaam.training.appearances.train_appearance_model", stop)
+    monkeypatch.setattr("liaam.training.textures.train_appearance_model", stop)
     code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--images", "face[0-4]*", "--diagonal", 40)
     assert (code, err) == (130, "stopped\n")
     assert not list(tmp_path.iterdir())
@@ -119,7 +119,7 @@ def test_ctrl_c_while_a_line_is_printed_is_reported(run, portraits, tmp_path, mo
         error_console._enter_buffer()  # as rich does before it prints
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("liaam.training.appearances.train_appearance_model", stop)
+    monkeypatch.setattr("liaam.training.textures.train_appearance_model", stop)
     code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--images", "face[0-4]*", "--diagonal", 40)
     error_console._exit_buffer()
     assert (code, err) == (130, "stopped\n")

@@ -2,7 +2,6 @@
 
 import json
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,12 +47,16 @@ MAX_BLUR, MAX_LEVELS = 10.0, 10
 MAX_LIGHTS = 100
 """Largest number of modes of a light basis."""
 
-OWN_PARTS = {
+STORED = {
     "light": ("mean", "modes", "remainder", "levels"),
     "points": ("weights", "errors", "noise"),
     "features": ("mean", "projection"),
+    "shape": ("modes", "eigenvalues", "unexplained"),
+    "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical"),
+    "appearance": ("mean", "modes", "eigenvalues", "usable", "unexplained"),
 }
-"""Tensors of a light basis, of a map from another landmarker's points, and of a function's channels."""
+"""Tensors of each part of a model: a light basis, a map from another landmarker's points, a function's channels, and
+those of a view."""
 
 MOST_WEIGHT = 1e6
 """Largest weight of such a point."""
@@ -113,23 +116,18 @@ def _header(model: "AAM") -> dict:
 
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    parts = [(part, getattr(model, part), part) for part in ("light", "points", "features")]
     for name, view in model.views.items():
-        for part, owner, keys in _parts(view):
-            tensors |= {f"{name}/{part}.{key}": getattr(owner, key) for key in keys}
-    for part in OWN_PARTS:
-        if (owner := getattr(model, part)) is not None:
-            tensors |= {f"{part}.{key}": getattr(owner, key) for key in OWN_PARTS[part]}
+        parts += [
+            (f"{name}/shape", view.shape_model, "shape"),
+            (f"{name}/reliability", view.reliability, "reliability"),
+        ]
+        for i, level in enumerate(view.levels):
+            parts += [(f"{name}/{i}/{kind}", each, "appearance") for kind, each in level.appearances.items()]
+    for prefix, owner, kind in parts:
+        if owner is not None:
+            tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in STORED[kind]}
     return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
-
-
-def _parts(view: View) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
-    """Yield name, object and fields of all parts of a view that are stored as tensors."""
-    yield "shape", view.shape_model, ("modes", "eigenvalues", "unexplained")
-    if view.reliability is not None:
-        yield "reliability", view.reliability, ("landmarks", "bias", "unit", "weights", "variance_factor", "typical")
-    for i, level in enumerate(view.levels):
-        for name, appearance in level.appearances.items():
-            yield f"{i}/{name}", appearance, ("mean", "modes", "eigenvalues", "usable", "unexplained")
 
 
 def _checked_header(path: Path, text: str) -> dict:
@@ -237,7 +235,7 @@ def _view(
     triangles: np.ndarray,
     counts: dict[str, tuple[int, int]],
 ) -> View:
-    """Make one view; all views share the mean shape."""
+    """Make one view; all views share the mean shape. ``counts`` are the channels and most modes of each appearance."""
     if name not in VIEWS:
         raise ValueError(f"view {name!r} is unknown; the views are {', '.join(VIEWS)}")
     if not isinstance(about, dict):
@@ -247,13 +245,17 @@ def _view(
     if not isinstance(n_pixels, int) or n_pixels < 1:
         raise ValueError(f"{n_pixels!r} is not a positive integer")
     # Appearances first: their tensors limit the number of pixels to what the size of the file allows.
-    levels = tuple(Level(blur, _appearances(tensors, i, n_pixels, counts)) for i, blur in enumerate(blurs))
+    levels = []
+    for i, blur in enumerate(blurs):
+        names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
+        found = {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
+        levels.append(Level(blur, found))
     needed = {"value", "log"} if name == MESH else set()
     if not all(level.appearances and needed <= set(level.appearances) for level in levels):
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    view = make_view(name, _shape_model(about, tensors, mean), triangles, levels, _reliability(tensors, n))
+    view = make_view(name, _shape_model(about, tensors, mean), triangles, tuple(levels), _reliability(tensors, n))
     if n_pixels != view.warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     return view
@@ -305,14 +307,6 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
         raise ValueError("reliability.typical is not a probability")
     weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
     return Reliability(landmarks, bias, unit, weights, variance_factor, typical)
-
-
-def _appearances(
-    tensors: dict[str, np.ndarray], i: int, n_pixels: int, counts: dict[str, tuple[int, int]]
-) -> dict[str, AppearanceModel]:
-    """All appearances of a level; ``counts`` are the channels and the largest number of modes of each."""
-    names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
-    return {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
 
 
 def _appearance(

@@ -94,7 +94,17 @@ class CameraModel:
         if self.theta_deviation is not None and not 0 <= self.theta_deviation < np.inf:
             raise CameraError(f"theta_deviation {self.theta_deviation}: give a standard error of at least 0, or None")
         parse_response(self.response)
-        _check_vignetting(self.vignetting)
+        if len(self.vignetting) > MOST_COEFFICIENTS:
+            raise CameraError(f"vignetting of {len(self.vignetting)} coefficients: give at most {MOST_COEFFICIENTS}")
+        with np.errstate(over="ignore", invalid="ignore"):
+            shares = _shares(self.vignetting)
+        if not shares.min() >= DIMMEST:  # NaN is not
+            fault = f"less than {DIMMEST:g} times the light would remain"
+        elif shares.max() > BRIGHTEST:
+            fault = f"more than {BRIGHTEST:g} times the light would result"
+        else:
+            return
+        raise CameraError(f"vignetting {self.vignetting}: {fault}; calibrate it again")
 
     def falloff(self, height: int, width: int) -> np.ndarray:
         """Relative light at each pixel, (h, w) float32: 1 at the centre."""
@@ -153,20 +163,6 @@ class CameraModel:
         facts = {"format": FORMAT, "version": VERSION, **self.describe()}
         text = json.dumps(facts, indent=1, ensure_ascii=False, allow_nan=False)
         write_text_atomically(path, text + "\n", CameraError)
-
-
-def _check_vignetting(vignetting: tuple[float, ...]) -> None:
-    if len(vignetting) > MOST_COEFFICIENTS:
-        raise CameraError(f"vignetting of {len(vignetting)} coefficients: give at most {MOST_COEFFICIENTS}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        shares = _shares(vignetting)
-    fault = ""
-    if not shares.min() >= DIMMEST:  # NaN is not
-        fault = f"less than {DIMMEST:g} times the light would remain"
-    elif shares.max() > BRIGHTEST:
-        fault = f"more than {BRIGHTEST:g} times the light would result"
-    if fault:
-        raise CameraError(f"vignetting {vignetting}: {fault}; calibrate it again")
 
 
 def squared_radius(x: np.ndarray, y: np.ndarray, height: int, width: int) -> np.ndarray:

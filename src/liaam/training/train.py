@@ -16,7 +16,6 @@ from liaam.photometry import CameraModel
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress
 from liaam.training import faces
-from liaam.training.appearances import level_appearances
 from liaam.training.entries import Entry, check_flat, check_fold, mesh_of, read_entries
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
@@ -25,7 +24,7 @@ from liaam.training.options import TrainingOptions
 from liaam.training.points import Points, map_of_points
 from liaam.training.steps import Steps, learning_cost, total_cost
 from liaam.training.symmetry import describe_offset, sideways_offset
-from liaam.training.textures import sample_all
+from liaam.training.textures import level_appearances, sample_all
 
 AUTO = "auto"
 """Value of ``lamps``: those of generated heads if the objects are faces."""
