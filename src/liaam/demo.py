@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +12,6 @@ from liaam.model.shape import align, rotation
 from liaam.plotting import figure_of_fits, save_figure
 from liaam.progress import Progress
 from liaam.training import train
-
-if TYPE_CHECKING:
-    from liaam.datasets.scenes import Scene
 
 METHODS = ("grey", "rgb", "li", "soft-li")
 
@@ -45,9 +41,8 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
         training += make_set(1, head=head, seed=i)
     test = render(head, Pose(yaw=0.06, x=3.0), Expression(smile=0.3, mouth_open=0.15), lights=lateral("left"), seed=99)
     tell(N_TRAINING, total, "training")
-    model = train(
-        [(scene.image, scene_landmarks(scene)) for scene in training], name="demo head", lamps=None, leave_out=False
-    )
+    pairs = [(scene.image, Landmarks(scene.landmarks, Contour.all_of(scene.contours))) for scene in training]
+    model = train(pairs, name="demo head", lamps=None, leave_out=False)
     start = disturbed(test.landmarks, model.shape_model.mean)
     rows = []
     for i, method in enumerate(METHODS):
@@ -59,11 +54,6 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
     save_figure(figure, folder / "figure.png")
     tell(total, total, "done")
     return rows, point_error(start, test.landmarks)
-
-
-def scene_landmarks(scene: "Scene") -> Landmarks:
-    """Return the landmarks of a simulated scene with their contours."""
-    return Landmarks(scene.landmarks, Contour.all_of(scene.contours))
 
 
 def disturbed(truth: np.ndarray, mean: np.ndarray) -> np.ndarray:

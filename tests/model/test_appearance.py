@@ -52,21 +52,23 @@ def test_what_others_leave_is_that_of_leaving_out(n, variance, rng):
     vectors = rng.normal(size=(n, 40)) @ np.diag(0.8 ** np.arange(40)) + 3
     expected = left_out_residuals(vectors, variance)
     assert np.abs(expected).max() > 0.03
-    np.testing.assert_allclose(unexplained_by_others(vectors, variance), expected, atol=1e-5)
-    single = unexplained_by_others(vectors.astype(np.float32), variance)
+    np.testing.assert_allclose(unexplained_by_others(vectors, variance, some_folds(len(vectors))), expected, atol=1e-5)
+    single = unexplained_by_others(vectors.astype(np.float32), variance, some_folds(len(vectors)))
     np.testing.assert_allclose(single, expected, atol=2e-3)
     assert single.dtype == np.float32
 
 
 def test_others_that_span_a_vector_leave_nothing(rng):
     vectors = rng.normal(size=(9, 3)) @ rng.normal(size=(3, 50)) + rng.normal(size=50)
-    np.testing.assert_allclose(unexplained_by_others(vectors, 1.0), 0, atol=1e-5)
-    assert np.abs(unexplained_by_others(vectors, 2)).max() > 0.1
+    np.testing.assert_allclose(unexplained_by_others(vectors, 1.0, some_folds(len(vectors))), 0, atol=1e-5)
+    assert np.abs(unexplained_by_others(vectors, 2, some_folds(len(vectors)))).max() > 0.1
 
 
 def test_one_vector_has_no_others_and_equal_ones_explain_each_other(rng):
-    assert not unexplained_by_others(rng.normal(size=(1, 20)), 0.9).any()
-    np.testing.assert_allclose(unexplained_by_others(np.repeat(rng.normal(size=(1, 20)), 5, axis=0), 1.0), 0, atol=1e-6)
+    assert not unexplained_by_others(rng.normal(size=(1, 20)), 0.9, some_folds(1)).any()
+    np.testing.assert_allclose(
+        unexplained_by_others(np.repeat(rng.normal(size=(1, 20)), 5, axis=0), 1.0, some_folds(5)), 0, atol=1e-6
+    )
 
 
 def test_the_covariance_counts_images_that_show_the_pixel(rng):

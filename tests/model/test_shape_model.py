@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from liaam.errors import TrainingError
-from liaam.model.pca import LeftOutCoordinates
+from liaam.model.pca import LeftOutCoordinates, some_folds
 from liaam.model.shape import (
     Similarity,
     align,
+    check_prior,
     choose_recipe,
     diagonal_of,
     mirror_order,
@@ -29,7 +30,7 @@ def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
 
 def train_shape_model(shapes: np.ndarray, diagonal: float, variance, prior: str = "sample"):
     mean = scaled_mean(shapes, diagonal)
-    return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior))
+    return shape_model_on(mean, shapes, variance, choose_recipe(mean, shapes, prior, some_folds(len(shapes))))
 
 
 poses = st.builds(similarity, st.floats(0.1, 10), st.floats(-3, 3), st.floats(-500, 500), st.floats(-500, 500))
@@ -157,7 +158,7 @@ def test_equal_shapes_have_no_modes_under_any_prior(prior):
 
 def test_a_prior_that_does_not_exist_is_refused():
     with pytest.raises(TrainingError, match="prior 'rough' does not exist; there are sample, shrunk, smooth"):
-        train_shape_model(random_shapes(5), 100.0, 0.98, "rough")
+        check_prior("rough")
 
 
 def smooth_shapes(rng, n: int, side: int = 5) -> np.ndarray:
@@ -212,7 +213,7 @@ def test_some_of_many_landmarks_tell_how_smooth_deformations_are(rng, monkeypatc
     recipes = []
     for count in (60, 25):
         monkeypatch.setattr("liaam.model.shape_prior.MOST_POINTS", count)
-        recipes.append(choose_recipe(scaled_mean(shapes, 100.0), shapes, "smooth").smooth)
+        recipes.append(choose_recipe(scaled_mean(shapes, 100.0), shapes, "smooth", some_folds(len(shapes))).smooth)
     every, some = recipes
     assert every.share > 0.0 and some.share > 0.0
     assert every.width == some.width == 0.2
@@ -232,7 +233,9 @@ def test_many_shapes_need_no_help(rng):
     """Where the sample says it all, the evidence leaves it as it is."""
     modes = np.linalg.qr(rng.normal(size=(50, 3)))[0].T
     shapes = smooth_shapes(rng, 1)[0] + (rng.normal(size=(60, 3)) * [40, 30, 20] @ modes).reshape(60, 25, 2)
-    recipe = choose_recipe(procrustes_mean(shapes) * 250, shapes + 0.1 * rng.normal(size=shapes.shape), "smooth")
+    recipe = choose_recipe(
+        procrustes_mean(shapes) * 250, shapes + 0.1 * rng.normal(size=shapes.shape), "smooth", some_folds(len(shapes))
+    )
     assert recipe.smooth is not None
     assert recipe.smooth.share == 0
 
@@ -264,5 +267,5 @@ def test_a_head_that_was_seen_turned_one_way_may_turn_the_other(rng):
     ways = np.array([-1.0, 0.2, -0.6, 1.0, 0.8, -0.3])
     noise = rng.normal(size=(8, 19, 2)) * 0.5
     shapes = shape + ways[:6, None, None] * turned + noise[:6]
-    recipe = choose_recipe(procrustes_mean(shapes) * 300, shapes, "smooth")
+    recipe = choose_recipe(procrustes_mean(shapes) * 300, shapes, "smooth", some_folds(len(shapes)))
     assert recipe.mirrored is None or np.array_equal(recipe.mirrored, order)

@@ -241,7 +241,9 @@ def _view(
     if not isinstance(about, dict):
         raise ValueError(f"view {name} is described by {about!r}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
-    blurs, n, n_pixels = _blurs(about["blurs"]), len(mean), about["n_pixels"]
+    blurs, n, n_pixels = [_finite(blur) for blur in about["blurs"]], len(mean), about["n_pixels"]
+    if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
+        raise ValueError(f"blurs {blurs}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     if not isinstance(n_pixels, int) or n_pixels < 1:
         raise ValueError(f"{n_pixels!r} is not a positive integer")
     # Appearances first: their tensors limit the number of pixels to what the size of the file allows.
@@ -283,13 +285,6 @@ def _camera(header: dict) -> CameraModel:
     known = camera_from(header["camera"])
     # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
     return replace(known, theta=_finite(header["theta"]), response=parse_response(header["response"]))
-
-
-def _blurs(blurs: list) -> list[float]:
-    blurs = [_finite(blur) for blur in blurs]
-    if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
-        raise ValueError(f"blurs {blurs}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
-    return blurs
 
 
 def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:

@@ -127,9 +127,7 @@ def some_folds(n: int) -> list[np.ndarray]:
     return np.array_split(np.arange(n), max(min(n, FOLDS), 1))
 
 
-def unexplained_by_others(
-    vectors: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
-) -> np.ndarray:
+def unexplained_by_others(vectors: np.ndarray, variance: float | int, folds: Sequence[np.ndarray]) -> np.ndarray:
     """Residual of each vector from the principal components of the vectors outside its fold, (n, d) float32."""
     if len(vectors) < 2:
         return np.zeros_like(vectors, dtype=np.float32)
@@ -137,16 +135,14 @@ def unexplained_by_others(
     return (away - explained_by_others(gram_about(vectors), variance, folds) @ away).astype(np.float32)
 
 
-def explained_by_others(
-    products: np.ndarray, variance: float | int, folds: Sequence[np.ndarray] | None = None
-) -> np.ndarray:
+def explained_by_others(products: np.ndarray, variance: float | int, folds: Sequence[np.ndarray]) -> np.ndarray:
     """Reconstruct each vector from the vectors outside its fold: rows of weights, (n, n) float64, that sum to 1.
 
     ``products`` is the Gram matrix (n, n) about any point. It suffices, since components are combinations of vectors.
     """
     n = len(products)
     explained = np.zeros((n, n))
-    for fold in some_folds(n) if folds is None else folds:
+    for fold in folds:
         others = np.setdiff1d(np.arange(n), fold)
         squares, axes, from_mean = _components_of(products, others, fold)
         axes = axes[:, : count_modes(squares, variance)]

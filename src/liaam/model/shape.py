@@ -232,14 +232,10 @@ def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:
     return mean * (diagonal / diagonal_of(mean))
 
 
-def choose_recipe(
-    mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray] | None = None
-) -> Recipe:
+def choose_recipe(mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Sequence[np.ndarray]) -> Recipe:
     """Choose the settings under which left-out shapes are most likely. The shapes of a fold are left out together."""
-    check_prior(prior)
     if prior != "smooth":
         return Recipe(prior)
-    folds = some_folds(len(shapes)) if folds is None else folds
     plain = fit_prior(_deviations(mean, shapes), folds)
     # The mean may be asymmetric, such as of turned heads; a single shape may still be symmetric.
     tries = min(MIRRORED_TRIES, MIRRORED_POINTS // len(mean))
@@ -255,11 +251,10 @@ def shape_model_on(
     mean: np.ndarray,
     shapes: np.ndarray,
     variance: Variance,
-    recipe: Recipe | None = None,
+    recipe: Recipe,
     folds: Sequence[np.ndarray] | None = None,
 ) -> ShapeModel:
     """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
-    recipe = Recipe() if recipe is None else recipe
     folds = some_folds(len(shapes)) if folds is None else folds
     deviations = _deviations(mean, shapes, recipe.mirrored)
     if recipe.smooth is not None:

@@ -11,9 +11,6 @@ ENOUGH = 600
 SPARSE = 5_000
 """Approximate number of pixels that it uses, in evenly spaced rows; their median is accurate to 2 per cent."""
 
-STEP = 1 / 255
-"""The step between stored values of 8 bits."""
-
 
 def noise_deviation(image: np.ndarray) -> float:
     """Standard deviation of white noise of an image (h, w, 3), in stored values of [0, 1].
@@ -23,7 +20,7 @@ def noise_deviation(image: np.ndarray) -> float:
     with the median of Donoho (1995) instead of the mean. The result is at least the error of rounding to 8 bits. JPEG
     smooths noise, which makes it too small.
     """
-    least = STEP / np.sqrt(12.0)
+    least = 1 / 255 / np.sqrt(12.0)
     if min(image.shape[:2]) < 3:
         return least
     # The central crop of a large image suffices.

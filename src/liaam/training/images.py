@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -45,16 +45,6 @@ def _is(names: Sequence[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-@dataclass(frozen=True)
-class _Look:
-    """What is known of an image: whether it is grey, and its faults (empty if there are none)."""
-
-    grey: bool = False
-    outside: str = ""
-    exposure: str = ""
-    damage: str = ""
-
-
 def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[list[Entry], np.ndarray]:
     """Read and check all images, and return them with whether each is grey, (n,) bool.
 
@@ -62,20 +52,18 @@ def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[l
     if images cannot be read, and a TrainingError if objects, which the warp's mesh covers, are outside their images,
     black or saturated. The messages name all these images.
     """
-    looks = in_threads(partial(_look, warp), entries)
-    damaged = [look.damage for look in looks if look.damage]
+    seen, *faults = zip(*in_threads(partial(_look, warp), entries), strict=True)
+    damaged, outside, exposure = ([fault for fault in each if fault] for each in faults)
     if damaged:
         raise ImageError(some_names(damaged, joint="; "))
-    outside = [f"{entry.name}: {look.outside}" for entry, look in zip(entries, looks, strict=True) if look.outside]
     if outside:
         raise TrainingError(
             f"{some_names(outside, joint='; ')}. Check that these landmarks belong to their images, and to images of "
             "this size; correct or remove them"
         )
-    exposure = [f"{entry.name}: {look.exposure}" for entry, look in zip(entries, looks, strict=True) if look.exposure]
     if exposure:
         raise TrainingError(f"{some_names(exposure, joint='; ')}. Remove these images or correct their exposure")
-    grey = np.array([look.grey for look in looks])
+    grey = np.array(seen)
     if not grey.any() or grey.all():
         return list(entries), grey
     names, others = ([entry.name for entry, own in zip(entries, grey, strict=True) if own == g] for g in (True, False))
@@ -85,13 +73,16 @@ def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[l
     return list(entries), grey
 
 
-def _look(warp: PiecewiseAffineWarp, entry: Entry) -> _Look:
+def _look(warp: PiecewiseAffineWarp, entry: Entry) -> tuple[bool, str, str, str]:
+    """Whether an image is grey, and its faults (empty if there are none): damage, landmarks outside, and exposure."""
     try:
         image = as_colour(entry.read_image(), entry.name)
     except ImageError as fault:
-        return _Look(damage=str(fault))
+        return False, str(fault), "", ""
     points = warp.interpolate(entry.points)
-    return _Look(is_grey(image), describe_outside(entry.points, image.shape, points), _exposure(image, points))
+    faults = describe_outside(entry.points, image.shape, points), _exposure(image, points)
+    outside, exposure = (f"{entry.name}: {fault}" if fault else "" for fault in faults)
+    return is_grey(image), "", outside, exposure
 
 
 def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.ndarray | None = None) -> str:

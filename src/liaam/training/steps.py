@@ -13,11 +13,6 @@ def learning_cost(n: int) -> int:
     return max(1, n // 10)
 
 
-def total_cost(n: int, n_levels: int, n_folds: int, n_fitted: int) -> int:
-    """Time of training on n images and copies, in units of the time of sampling an image."""
-    return n + learning_cost(n) * (n_levels + n_folds) + FITTED * n_fitted
-
-
 @dataclass
 class Steps:
     """Reports all steps of training on one scale."""

@@ -22,7 +22,7 @@ from liaam.training.images import check_images
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
 from liaam.training.options import TrainingOptions
 from liaam.training.points import Points, map_of_points
-from liaam.training.steps import Steps, learning_cost, total_cost
+from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import level_appearances, sample_all
 
@@ -131,8 +131,8 @@ def train(
         features=None if encoder is None else encoder.features,
     )
     left_out = folds if options.leave_out else []
-    n_levels, n_fitted = sum(map(len, blurs.values())), sum(len(fitted_of(fold, folds)) for fold in left_out)
-    steps = Steps(progress, total_cost(len(copied.owners), n_levels, len(left_out), n_fitted))
+    n_models, n_fitted = sum(map(len, blurs.values())) + len(left_out), sum(len(fitted_of(f, folds)) for f in left_out)
+    steps = Steps(progress, model.n_textures + learning_cost(model.n_textures) * n_models + FITTED * n_fitted)
     sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
     for view in VIEWS:
         levels = []
