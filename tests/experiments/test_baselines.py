@@ -19,6 +19,8 @@ from experiments.runner import run_experiment
 from experiments.subjects import get_subject
 from liaam.errors import MethodError
 
+pytestmark = pytest.mark.slow
+
 FILES = {"results.csv", "summary.json", "report.md", "figure.png", "figure.svg"}
 
 

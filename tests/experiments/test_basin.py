@@ -9,6 +9,8 @@ from experiments import basin
 from experiments.runner import run_experiment
 from liaam.model.shape import align
 
+pytestmark = pytest.mark.slow
+
 METHODS = ("rgb", "li")
 
 

@@ -12,6 +12,8 @@ from experiments.subjects import get_subject
 from liaam.errors import MethodError
 from liaam.fitting.bound import cramer_rao_bound
 
+pytestmark = pytest.mark.slow
+
 FILES = {"results.csv", "summary.json", "report.md", "figure.png", "figure.svg"}
 
 

@@ -13,6 +13,8 @@ from liaam.datasets.scenes import Head, make_set
 from liaam.io import write_image, write_landmarks
 from setups import write_person
 
+pytestmark = pytest.mark.slow
+
 
 def run(tmp_path, *options):
     summary = run_experiment(convergence_experiment(*options), tmp_path / "out")

@@ -10,6 +10,8 @@ from experiments.runner import run_experiment
 from liaam.errors import LiaamError
 from setups import copy_files
 
+pytestmark = pytest.mark.slow
+
 METHODS = ("rgb", "li")
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from experiments import occlusion
 
+pytestmark = pytest.mark.slow
+
 METHODS = ("rgb", "li")
 
 

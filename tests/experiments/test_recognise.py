@@ -52,6 +52,7 @@ def test_rates_are_those_of_rank_1_by_group():
     assert len(body) == 2 * len(METHODS)
 
 
+@pytest.mark.slow
 def test_a_small_run(lit):
     request, _, _ = request_of_folders(lit / "data", lit / "test", None, "1m", 60.0, starts=("box",))
     rows = recognise(request, UnderLight("box", "1m"))

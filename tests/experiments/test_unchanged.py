@@ -4,6 +4,8 @@ import pytest
 
 from experiments import unchanged
 
+pytestmark = pytest.mark.slow
+
 
 def test_unchanged_compares_with_the_best_plain_method(done):
     summary, rows, _ = done("unchanged")
