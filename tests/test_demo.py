@@ -1,8 +1,11 @@
 """The demo shows what it says: classical methods drift under lateral light, LI does not."""
 
+import pytest
+
 from liaam.demo import run_demo
 
 
+@pytest.mark.slow
 def test_li_holds_where_grey_and_rgb_drift(tmp_path):
     told = []
     rows, start_error = run_demo(tmp_path / "new", lambda done, total, what: told.append((done, total)))

@@ -33,8 +33,8 @@ def test_a_box_leads_to_the_landmarks(shared_data, folder, training, test, limit
     ("folder", "training", "tests"),
     [
         ("imm", ["0[1568]-[12346]*", "1[0-5]-[12346]*"], ["16-1m", "17-5m", "18-3m", "20-4m", "22-2f", "24-6m"]),
-        ("imm-frontal", ["0[1-3]_*"], ["04_01", "05_05", "06_09"]),
-        ("london", ["0[0-3]*"], ["042_03", "066_03", "091_03"]),
+        pytest.param("imm-frontal", ["0[1-3]_*"], ["04_01", "05_05", "06_09"], marks=pytest.mark.slow),
+        pytest.param("london", ["0[0-3]*"], ["042_03", "066_03", "091_03"], marks=pytest.mark.slow),
     ],
 )
 def test_faces_of_others_are_found(shared_data, folder, training, tests):
