@@ -497,9 +497,10 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
 def _encode_shallow(array: np.ndarray, suffix: str) -> bytes:
     from PIL import Image
 
-    kind, buffer = Image.registered_extensions()[suffix], io.BytesIO()
-    options = {"quality": 95, "subsampling": 0} if kind == "JPEG" else {}
-    Image.fromarray(np.ascontiguousarray(array)).save(buffer, kind, **options)
+    buffer = io.BytesIO()
+    buffer.name = f"image{suffix}"  # Pillow takes the format from it, and loads further plugins only if it has to
+    options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
+    Image.fromarray(np.ascontiguousarray(array)).save(buffer, **options)
     return buffer.getvalue()
 
 
