@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -26,6 +27,34 @@ def at_once(number):
     future = Future()
     future.set_result(-number)
     return future
+
+
+WHILE_OPENCV_IS_IMPORTED = """
+import sys, threading, time
+from liaam.workers import fresh_interpreters
+
+def linger(event, args):
+    if event == "import" and args[0] == "cv2" and any(entry.endswith("cv2") for entry in sys.path):
+        reached.set()  # OpenCV imports its extension
+        time.sleep(0.5)
+
+if __name__ == "__main__":
+    reached = threading.Event()
+    sys.addaudithook(linger)
+    threading.Thread(target=lambda: __import__("cv2")).start()
+    assert reached.wait(20)
+    process = fresh_interpreters().Process(target=print, args=("alive",))
+    process.start()
+    process.join()
+    sys.exit(process.exitcode)
+"""
+
+
+def test_a_process_can_start_while_a_thread_imports_opencv(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(WHILE_OPENCV_IS_IMPORTED)
+    ran = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert ran.returncode == 0 and ran.stdout == "alive\n", ran.stderr
 
 
 def test_no_more_is_taken_than_there_is_room_for():

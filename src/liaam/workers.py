@@ -14,6 +14,7 @@ from functools import partial
 from itertools import islice
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext
 from multiprocessing.reduction import ForkingPickler
 from typing import Generic, TypeVar, cast
 
@@ -41,6 +42,17 @@ class WorkerDied(Exception, Generic[Item]):  # noqa: N818 (an event for callers 
 def all_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def fresh_interpreters() -> SpawnContext:
+    """Return the context that starts processes as fresh interpreters; a fork would copy threads' locks in any state.
+
+    OpenCV is imported first. A process gets the module path of its parent, and while a thread of the parent imports
+    OpenCV, that path has a folder whose ``typing`` hides Python's: the process would end at once.
+    """
+    import cv2  # noqa: F401
+
+    return multiprocessing.get_context("spawn")
 
 
 def in_workers(
@@ -115,8 +127,7 @@ class _Worker(Generic[Item]):
     item: Item
 
     def __init__(self, inherited: tuple) -> None:
-        # A fresh interpreter per worker, on every system: a fork copies threads' locks in whatever state they are.
-        context = multiprocessing.get_context("spawn")
+        context = fresh_interpreters()
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_work, args=(theirs, inherited), daemon=True)
         self.process.start()

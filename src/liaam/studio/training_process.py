@@ -21,6 +21,7 @@ from liaam.io.landmarks import Contour, Landmarks
 from liaam.progress import Progress
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Annotated
+from liaam.workers import fresh_interpreters
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -69,8 +70,7 @@ def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, .
 
 def launch(job: Job) -> tuple[Any, Any]:
     """Start the process; return it and the receiving end of its pipe."""
-    # Spawn a new interpreter: a fork would copy the locks of the server's threads in an arbitrary state.
-    context = multiprocessing.get_context("spawn")
+    context = fresh_interpreters()
     here, there = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(job, there), name="liaam-studio-training", daemon=True)
     process.start()
