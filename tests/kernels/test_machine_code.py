@@ -19,15 +19,20 @@ print(length(np.array([3.0, 4.0, 5.0]), 2), "numba" in sys.modules)
 """
 
 
+def begin(folder, code=COUNT, **environment) -> subprocess.Popen[str]:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder)} | environment
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def end(process: subprocess.Popen[str]) -> str:
+    out, errors = process.communicate()
+    assert process.returncode == 0, errors
+    return out.strip()
+
+
 def run(folder, code=COUNT, **environment) -> str:
-    out = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"NUMBA_CACHE_DIR": str(folder)} | environment,
-        capture_output=True,
-        text=True,
-    )
-    assert out.returncode == 0, out.stderr
-    return out.stdout.strip()
+    return end(begin(folder, code, **environment))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +43,7 @@ def kept(tmp_path_factory):
 
 
 def the_file(folder):
-    (path,) = (folder / "liaam").iterdir()
+    (path,) = (folder / "liaam").glob("*.o")
     return path
 
 
@@ -80,11 +85,23 @@ def test_code_that_calls_what_the_process_lacks_is_compiled_anew(kept, tmp_path)
     assert run(tmp_path) == "5.0 True"
 
 
-def test_functions_of_the_process_and_of_linked_code_are_known():
+def test_processes_that_start_together_compile_once(tmp_path):
+    assert sorted(map(end, [begin(tmp_path), begin(tmp_path)])) == ["5.0 False", "5.0 True"]
+
+
+def test_a_suspended_process_does_not_stop_others(tmp_path):
+    (tmp_path / "liaam").mkdir()
+    code = COUNT.replace("print", "from liaam.kernels import machine_code; machine_code.PATIENCE = 0.1; print")
+    with (tmp_path / "liaam" / "compiling.lock").open("ab") as file:
+        pytest.importorskip("fcntl").flock(file, 2)  # exclusively
+        assert run(tmp_path, code) == "5.0 True"
+
+
+def test_code_is_complete_with_functions_of_the_process_and_of_linked_code():
     length(np.ones(2), 2)
-    assert machine_code.is_known("sqrt")
-    assert machine_code.is_known(length.symbol)
-    assert not machine_code.is_known("a_function_of_another_library")
+    assert machine_code.is_complete(machine_code.Code("entry", ["sqrt", length.symbol], b""))
+    assert not machine_code.is_complete(machine_code.Code("entry", ["a_function_of_another_library"], b""))
+    assert not machine_code.is_complete(None)
 
 
 def test_a_function_calls_another_by_its_symbol():

@@ -93,11 +93,14 @@ class Compiled(Declared):
         for function in called:
             if function is not None:
                 function.address  # noqa: B018 (makes the code known by its symbol)
-        if code is None or not all(map(machine_code.is_known, code.calls)):
-            from liaam.kernels.compiler import compile_function  # numba: imported when needed
+        if not machine_code.is_complete(code):
+            with machine_code.alone():
+                code = machine_code.find(self.symbol)  # another process may have compiled it meanwhile
+                if not machine_code.is_complete(code):
+                    from liaam.kernels.compiler import compile_function  # numba: imported when needed
 
-            code = compile_function(self)
-            machine_code.keep(self.symbol, code)
+                    code = compile_function(self)
+                    machine_code.keep(self.symbol, code)
         return machine_code.link(self.symbol, code)
 
     @cached_property

@@ -12,14 +12,23 @@ import re
 import secrets
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from time import monotonic, sleep
+from typing import Any, BinaryIO, NamedTuple, TypeGuard
+
+try:
+    import fcntl
+except ImportError:  # Windows: processes that start together compile the same functions
+    fcntl: Any = None
 
 import llvmlite
 from llvmlite import binding
+
+PATIENCE = 30.0
+"""Seconds, from a process's first compilation on, in which it waits for others, since one of them may be suspended."""
 
 _NOT_IN_NAMES = re.compile(r"[^\w.]+")
 
@@ -63,10 +72,41 @@ def keep(symbol: str, code: Code) -> None:
             return
 
 
-def is_known(symbol: str) -> bool:
-    """Return whether code can call a symbol: one of this process, such as ``sqrt``, or of code that is linked."""
+@contextmanager
+def alone() -> Iterator[None]:
+    """Wait until no other process compiles, so that processes that start together compile each function once."""
+    with ExitStack() as stack:
+        for folder in _folders() if fcntl is not None else ():
+            with suppress(OSError):
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                _lock(stack.enter_context((folder / "compiling.lock").open("ab")), stack)
+                break
+        yield
+
+
+def _lock(file: BinaryIO, stack: ExitStack) -> None:
+    """Lock a file until the stack's end, or give up after :data:`PATIENCE`."""
+    deadline = _deadline()
+    while True:
+        with suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Closing the file is not enough: a process forked meanwhile has it open, too.
+            stack.callback(fcntl.flock, file, fcntl.LOCK_UN)
+            return
+        if monotonic() > deadline:
+            return
+        sleep(0.01)
+
+
+@lru_cache(1)
+def _deadline() -> float:
+    return monotonic() + PATIENCE
+
+
+def is_complete(code: Code | None) -> TypeGuard[Code]:
+    """Return whether there is code, and all that it calls: functions of the process, such as ``sqrt``, and of links."""
     _engine()  # makes those of the process known
-    return binding.address_of_symbol(symbol) is not None
+    return code is not None and all(binding.address_of_symbol(name) is not None for name in code.calls)
 
 
 def link(symbol: str, code: Code) -> int:
