@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -140,6 +141,7 @@ def prepare_level(
     return problem, state._replace(angles=np.array(angles, np.float64)), pose
 
 
+@lru_cache(maxsize=16)
 def spare(options: SolverOptions) -> SolverOptions:
     """Return looser options for a coarse level, whose solution only starts the next."""
     scoring = None if options.scoring is None else 0
