@@ -11,12 +11,12 @@ import numpy as np
 from liaam.errors import ImageError, MethodError
 from liaam.evaluation import finite_list
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.fitter import covariance
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels
 from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import correlated_pixels, slope_left
 from liaam.fitting.solver import scored
+from liaam.fitting.uncertainty import covariance
 from liaam.model.appearance import AppearanceModel
 from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity

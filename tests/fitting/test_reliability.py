@@ -9,9 +9,9 @@ from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, FitStatus, Fitter
-from liaam.fitting.reliability import LARGEST_FACTOR, _beyond, _logistic, _surprise, _variance_factor, _weights
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
+from liaam.training.reliability import LARGEST_FACTOR, _beyond, _logistic, _surprise, _variance_factor, _weights
 from setups import disturb
 
 

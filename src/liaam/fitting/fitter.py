@@ -10,8 +10,6 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError, ModelFileError, StartError, check_options
 from liaam.fitting.angles import best_image_angle
-from liaam.fitting.kernel import get_kernel
-from liaam.fitting.level import GAIN
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, State, make_objectives
@@ -22,10 +20,11 @@ from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
 from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
 from liaam.fitting.solver import Solution, SolverOptions, scored, solve_at
 from liaam.fitting.start import mapped_points, start_shape
+from liaam.fitting.uncertainty import covariance, evidence, explains_more_than_noise, landmark_covariances
 from liaam.model import AAM, Level, Reliability, View
 from liaam.model.mesh import folded_share
 from liaam.model.sampling import within
-from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of
+from liaam.model.shape import ShapeModel, align, diagonal_of
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.encoding import stored_values
 
@@ -487,33 +486,6 @@ class Fitter:
         return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
 
 
-def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
-    """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 5 plus the prior.
-
-    :meth:`Objective.unit` scales the Hessian, since the blur and the model's errors correlate neighbouring pixels.
-    Unobservable directions have a variance of 1e12.
-    """
-    objective, solution = stage.objective, stage.solution
-    unit = max(objective.unit(solution.work), 1e-12)
-    # It may be NaN for a diverged fit.
-    precision = np.nan_to_num(solution.work.base / unit, posinf=0.0, neginf=0.0)
-    n_p = objective.warp.n_parameters
-    precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
-    if len(stage.problem.pull):
-        precision[:n_p, :n_p] += stage.problem.pull
-    try:
-        factor = np.linalg.cholesky(precision)
-    except np.linalg.LinAlgError:
-        factor = np.zeros((1, 1))
-    pivots = factor.diagonal()
-    if pivots.min() > 1e-5 * pivots.max():  # everything is observable; takes a quarter of the time
-        half = np.linalg.inv(factor)
-        return half.T @ half
-    values, vectors = np.linalg.eigh(precision)
-    inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
-    return (vectors * inverse) @ vectors.T
-
-
 def _odds(probability: float) -> float:
     return probability / max(1.0 - probability, 1e-9)
 
@@ -526,99 +498,6 @@ def _with_prior(result: FitResult, prior: float) -> FitResult:
     quality = odds / (1.0 + odds)
     doubtful = result.status.ok and quality < LEAST_QUALITY
     return replace(result, quality=quality, status=FitStatus.DOUBTFUL if doubtful else result.status)
-
-
-BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
-"""Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
-noise, and the upper limit of that fraction. Set on IMM without calibration (15 methods, 15 images of 5 unseen persons,
-some spot-lit). Fits to noise with grains of 1 to 8 pixels explain at most 3.5 times that, correct fits at least 14
-times. For models of few pixels, fits to coarse noise exceed the limit and are not detected."""
-
-
-def explains_more_than_noise(stage: Stage) -> bool:
-    """Return whether a fit explains more of its image, under its own weights, than it would of noise."""
-    objective, work = stage.objective, stage.solution.work
-    contrast, left = _contrast(stage, work.root)
-    count = objective.n_q + objective.n_lambda
-    counted = np.count_nonzero(work.root.reshape(-1, objective.method.n_rows)[:, : _rows_shown(objective)])
-    by_chance = BY_CHANCE * count * objective.correlated / max(counted, 1)
-    return left < (1.0 - min(by_chance, MOST_BY_CHANCE)) * contrast
-
-
-def _rows_shown(objective: Objective) -> int:
-    """Return the number of rows that count as contrast: for ``soft-li`` those of the gradients only."""
-    return 2 if objective.method.weights == "rows" else objective.method.n_rows
-
-
-def _contrast(stage: Stage, own: np.ndarray) -> tuple[float, float]:
-    """Return the weighted squares of a fit's samples and of its residual, over the rows that count.
-
-    ``own`` (n k,) is the square root of the weights. Values and logarithms count relative to their mean.
-    """
-    objective, work = stage.objective, stage.solution.work
-    sums = np.empty((_rows_shown(objective), 4))
-    kernel, gain = get_kernel(objective.kernel), float(work.scales[GAIN])
-    kernel.sum_squares(work.values, work.residual, work.metric, own, work.usable, gain, sums)
-    weight, total, squares, left = sums.T
-    if objective.method.encoding in ("value", "log"):
-        about_mean = squares - total**2 / np.maximum(weight, 1e-300)
-        squares = np.where(about_mean > 1e-9 * squares, about_mean, 0.0)  # else it is rounding
-    return float(squares.sum()), float(left.sum())
-
-
-def evidence(stage: Stage) -> np.ndarray:
-    """Compute the features that separate right fits from wrong ones, (2,) float64.
-
-    The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance. It is
-    multiplied by the square root of the contrast, so that a blurred or partly visible object counts little. The second
-    is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations).
-    """
-    objective, solution = stage.objective, stage.solution
-    contrast, left = _contrast(stage, objective.template.own)
-    if not np.isfinite(left):
-        return np.array([-1.0, 14.0])
-    unlikely = float(objective.template.ridge @ np.square(solution.state.lam))
-    # The mean over all of the model's pixels: unusable pixels count as unexplained.
-    strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
-    explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
-    modes = np.square(solution.state.p) * objective.prior
-    far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
-    return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])
-
-
-def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
-    """Propagate the covariance of p (first in ``spread``) to the landmarks, (n, 2, 2) float64, model pixels squared."""
-    n_p = len(shapes.basis)
-    basis = shapes.basis.reshape(n_p, -1, 2)
-    weighted = (spread[:n_p, :n_p] @ shapes.basis).reshape(n_p, -1, 2)
-    return np.einsum("ina,inb->nab", basis, weighted)
-
-
-def landmark_covariances(
-    shapes: ShapeModel,
-    pose: Similarity,
-    spread: np.ndarray,
-    reliability: Reliability | None = None,
-    unit: float = 1.0,
-) -> np.ndarray:
-    """Return the covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit plus left-out errors.
-
-    Parameters
-    ----------
-    shapes : ShapeModel
-    pose : Similarity
-        Model pixels to image pixels.
-    spread : (n_q, n_q) float64
-        Covariance of (p, free angles).
-    reliability : Reliability, optional
-        Source of the fits' errors on left-out images; by default the shape model's errors on left-out shapes.
-    unit : float
-        Variance of a residual at weight 1, on which these errors depend.
-    """
-    fitted = fitted_covariances(shapes, spread)
-    unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
-    own = fitted if unexplained is None else fitted + unexplained
-    return pose.matrix @ own @ pose.matrix.T
 
 
 def fit(

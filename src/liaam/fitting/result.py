@@ -160,7 +160,7 @@ class FitResult:
         Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
         grow with it.
     evidence : (2,) float64
-        Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.fitter.evidence`).
+        Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.uncertainty.evidence`).
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on left-out training images; 0 if the fit has
         failed. NaN for methods other than ``soft-li`` and for models trained without leaving out.

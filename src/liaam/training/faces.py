@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from liaam.fitting import Fitter
-from liaam.fitting.reliability import OPTIONS
 from liaam.lamps import Lamps
 from liaam.lamps.bank import carried
 from liaam.lamps.learning import unit_shape
@@ -18,6 +17,7 @@ from liaam.model import load_model
 from liaam.model.shape import align
 from liaam.photometry import CameraModel
 from liaam.training.entries import Entry
+from liaam.training.reliability import OPTIONS
 
 FOLDER = Path(__file__).with_name("faces")
 MODEL, LAMPS = FOLDER / "heads.liaam", FOLDER / "lamps.safetensors"

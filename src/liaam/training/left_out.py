@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.fitting.reliability import LeftOut, calibrate
 from liaam.lamps import Copies
 from liaam.model import AAM, Level, Reliability
 from liaam.model.appearance import train_appearance_model
@@ -15,6 +14,7 @@ from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
+from liaam.training.reliability import LeftOut, calibrate
 from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.textures import Sampled
 
