@@ -12,7 +12,7 @@ import typer
 from liaam.cli.inputs import TURNED, CameraOption, ModelFile, ResponseOption, RotationsOption
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
-from liaam.io.files import count_of
+from liaam.io.files import count_of, existing_file
 
 
 def batch(
@@ -102,7 +102,6 @@ def input_paths(
 ) -> Iterator[str]:
     """Iterate over the image paths of all arguments and lists."""
     from liaam.batch import find_pictures, listed_pictures
-    from liaam.io.files import existing_file
 
     if not sources and listed is None:
         raise LiaamError("no images: give a folder, a pattern such as 'images/**', files, or --list FILE")

@@ -9,13 +9,12 @@ import typer
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.io import Landmarks, make_folder, write_image, write_landmarks
 from liaam.io.files import count_of, real_path
-from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.datasets import Dataset, Sample
     from liaam.datasets.label_faults import LabelFault
-    from liaam.io import Landmarks
 
 MAX_WARNINGS = 3
 """Faults that ``liaam train`` prints before it refers to ``liaam check``."""
@@ -42,8 +41,7 @@ def check(
     complete = complete_samples(data)
     if len(complete) < len(data):
         complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
-    with progress_bar() as progress:
-        faults = faults_by_sample(complete, progress)
+    faults = faults_by_sample(complete)
     if not faults:
         say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
         if unusable:
@@ -95,19 +93,19 @@ def complete_samples(data: "Dataset") -> "list[Sample]":
     return [sample for sample in data if not sample.landmarks.missing.any()]
 
 
-def faults_by_sample(samples: "list[Sample]", progress: Progress) -> "list[tuple[Sample, list[LabelFault]]]":
+def faults_by_sample(samples: "list[Sample]") -> "list[tuple[Sample, list[LabelFault]]]":
     """Return each sample that has faults, with its faults. No sample may have missing landmarks."""
     from liaam.datasets.label_faults import find_label_faults
 
     found: dict[int, list[LabelFault]] = defaultdict(list)
-    for fault in find_label_faults([sample.landmarks.points for sample in samples], progress):
-        found[fault.picture].append(fault)
+    with progress_bar() as progress:
+        for fault in find_label_faults([sample.landmarks.points for sample in samples], progress):
+            found[fault.picture].append(fault)
     return [(samples[i], own) for i, own in found.items()]
 
 
 def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
     """Write an overlay of each sample with faults, and its landmarks in the corrected order."""
-    from liaam.io import make_folder, write_image
     from liaam.plotting import overlay_of_faults
 
     if real_path(output).is_relative_to(real_path(folder)):
@@ -130,10 +128,8 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     say(f"written to {output}: an image of each fault{said}")
 
 
-def write_reordered(place: Path, landmarks: "Landmarks") -> None:
+def write_reordered(place: Path, landmarks: Landmarks) -> None:
     """Write landmarks to `place` plus a suffix whose format can hold them. Never overwrite a file."""
-    from liaam.io import write_landmarks
-
     ending = ".ljson" if landmarks.contours or landmarks.names or landmarks.invisible else ".pts"
     file = place.with_name(f"{place.name}{ending}")
     if file.exists():
@@ -148,9 +144,7 @@ def warn_of_faults(data: "Dataset", folder: Path) -> None:
     complete = complete_samples(data)
     if len(complete) < LEAST_PICTURES:
         return
-    with progress_bar() as progress:
-        faults = faults_by_sample(complete, progress)
-    found = [(sample, fault) for sample, own in faults for fault in own]
+    found = [(sample, fault) for sample, own in faults_by_sample(complete) for fault in own]
     for sample, fault in found[:MAX_WARNINGS]:
         complain(f"{sample.name}: {fault.message}")
     if found:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from liaam.cli.inputs import (
@@ -22,6 +23,8 @@ from liaam.cli.inputs import (
 )
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.io import Contour, Landmarks, make_folder, read_image, write_fit, write_image, write_text_atomically
+from liaam.io.results import FIT_SUFFIXES
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
 """Advice for an image with several objects, of which the best was fitted."""
@@ -30,8 +33,6 @@ OTHERS = 4
 """Largest number of objects that are looked for in an image, to give that advice."""
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from liaam.fitting import FitResult, Fitter
 
 
@@ -62,7 +63,6 @@ def fit(
 ) -> None:
     """Fit a model to images. Writes landmarks (.pts, .csv, .tps, .json) and an overlay image for each."""
     from liaam.fitting import Fitter, SolverOptions
-    from liaam.io import make_folder
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
@@ -121,8 +121,6 @@ def fit(
 
 def row_of(result: "FitResult") -> tuple[str, ...]:
     """Return the table row of a fit: start, status, quality, median landmark error, iterations and theta."""
-    import numpy as np
-
     start = "given" if result.found is None else f"found, {result.found.score:.2f}"
     angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
     error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
@@ -145,18 +143,13 @@ def fit_file(
 
     Return the results by the name of their files.
     """
-    if not every:
-        refuse_to_overwrite(outputs.folder, stem)
     pixels, start = read_with_start(image, init)
-    starts, stems = [start], [stem]
+    starts = {stem: start}
     if every:
-        starts = fitter.find_all(pixels, name=image.name)
-        stems = [f"{stem}_{i}" for i in range(1, len(starts) + 1)]
-        for name in stems:
-            refuse_to_overwrite(outputs.folder, name)
-    return {
-        name: fit_one(fitter, pixels, start, image, outputs, name) for start, name in zip(starts, stems, strict=True)
-    }
+        starts = {f"{stem}_{i}": found for i, found in enumerate(fitter.find_all(pixels, name=image.name), 1)}
+    for name in starts:
+        refuse_to_overwrite(outputs.folder, name)
+    return {name: fit_one(fitter, pixels, start, image, outputs, name) for name, start in starts.items()}
 
 
 def has_others(fitter: "Fitter", image: Path, result: "FitResult") -> bool:
@@ -166,7 +159,6 @@ def has_others(fitter: "Fitter", image: Path, result: "FitResult") -> bool:
     each is fitted, and the quality decides. This takes 0.2 to 0.3 s.
     """
     from liaam.fitting.search import DOUBTFUL, are_apart
-    from liaam.io import read_image
 
     if result.found is None or fitter.reliability is None or not result.status.ok:
         return False
@@ -176,9 +168,8 @@ def has_others(fitter: "Fitter", image: Path, result: "FitResult") -> bool:
     return any(fitter.fit(pixels, candidate).status.ok for candidate in others)
 
 
-def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, outputs: Outputs, stem: str) -> "FitResult":
+def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: Outputs, stem: str) -> "FitResult":
     """Fit one object in an image and write the results."""
-    from liaam.io import Contour, Landmarks, write_fit, write_image
     from liaam.plotting import overlay
 
     model = fitter.model
@@ -197,8 +188,6 @@ def fit_one(fitter: "Fitter", pixels: "np.ndarray", start, image: Path, outputs:
 
 def refuse_to_overwrite(output: Path, stem: str) -> None:
     """Raise if a file that no earlier fit wrote would be overwritten, such as manual annotations."""
-    from liaam.io.results import FIT_SUFFIXES
-
     if (output / f"{stem}_fit.png").exists():  # results of an earlier fit may be replaced
         return
     for suffix in FIT_SUFFIXES:
@@ -210,10 +199,6 @@ def refuse_to_overwrite(output: Path, stem: str) -> None:
 
 def write_history(path: Path, result: "FitResult") -> None:
     """Write one row per accepted iteration: level, cost, theta and all landmarks."""
-    import numpy as np
-
-    from liaam.io import write_text_atomically
-
     n = len(result.landmarks)
     lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in range(n) for a in "xy")])]
     for i, step in enumerate(result.history):

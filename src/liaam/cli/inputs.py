@@ -4,16 +4,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from liaam.cli.terminal import complain, say
 from liaam.errors import CameraError, LiaamError
-from liaam.io.atomic import check_output
-from liaam.io.files import real_path, some_names
+from liaam.io import Landmarks, is_raw, read_image, read_start
+from liaam.io.files import existing_file, real_path, some_names
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from liaam.datasets import Dataset, Sample
     from liaam.photometry import CameraModel
 
@@ -36,16 +35,14 @@ ImagesOption = Annotated[
 ]
 RecursiveOption = Annotated[bool, typer.Option("--recursive", help="Include subfolders.")]
 CameraOption = Annotated[
-    Path | None,
-    typer.Option("--camera", help="Camera file, if this is not the camera of the training images."),
+    Path | None, typer.Option("--camera", help="Camera file, if this is not the camera of the training images.")
 ]
 ResponseOption = Annotated[str | None, typer.Option(help="Camera response, if it differs from the training camera's.")]
 EllipsesOption = Annotated[bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")]
 RotationsOption = Annotated[
     str,
     typer.Option(
-        "--rotations",
-        help="Orientations to search: upright (as in training), or all (any rotation, slower).",
+        "--rotations", help="Orientations to search: upright (as in training), or all (any rotation, slower)."
     ),
 ]
 
@@ -63,7 +60,6 @@ def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> 
 def read_sample(image: Path) -> "Sample":
     """Read an image and the landmarks beside it."""
     from liaam.datasets import load_folder
-    from liaam.io.files import existing_file
 
     existing_file(image, LiaamError, "image")
     found = next((sample for sample in load_folder(image.parent) if sample.image == image), None)
@@ -72,19 +68,10 @@ def read_sample(image: Path) -> "Sample":
     return found
 
 
-def read_init(text: str, image: Path, size: tuple[int, int]):
-    """Read --init for one image: numbers, a landmark file, or a folder of them."""
-    from liaam.io import read_start
-
-    return read_start(text, image, size)
-
-
-def read_with_start(image: Path, init: str | None):
+def read_with_start(image: Path, init: str | None) -> tuple[np.ndarray, Landmarks | list[float] | None]:
     """Read an image, and --init for it if given."""
-    from liaam.io import read_image
-
     pixels = read_image(image)
-    return pixels, None if init is None else read_init(init, image, pixels.shape[1::-1])
+    return pixels, None if init is None else read_start(init, image, pixels.shape[1::-1])
 
 
 def unique_stems(images: list[Path]) -> list[str]:
@@ -101,42 +88,21 @@ def unique_stems(images: list[Path]) -> list[str]:
     return names
 
 
-def starting_camera(start: Path | None) -> "CameraModel":
-    """Return the camera of a file, or the default camera."""
-    from liaam.photometry import CameraModel, load_camera
-
-    return CameraModel() if start is None else load_camera(start)
-
-
-def read_pictures(
-    paths: Sequence[Path], start: Path | None, response: str | None, at_least: int = 1
-) -> tuple["CameraModel", list["np.ndarray"]]:
-    """Read images and the camera to start from."""
-    from liaam.io import read_image
-
-    if len(paths) < at_least:
-        raise CameraError(f"too few images ({len(paths)}): give {at_least} or more, under different lights")
-    camera = camera_for(paths, start, response)
-    return camera, [read_image(path) for path in paths]
-
-
 def camera_for(
     paths: Sequence[Path], start: Path | None, response: str | None, otherwise: "CameraModel | None" = None
 ) -> "CameraModel":
-    """Return the camera of a file, or `otherwise`. The response of RAW images is linear unless one is given."""
-    from liaam.io import is_raw
+    """Return the camera of a file, `otherwise` or the default one. The response of RAW images is linear by default."""
+    from liaam.photometry import CameraModel, load_camera
 
     raw = [is_raw(path) for path in paths]
     if any(raw) and not all(raw):
         raise CameraError("RAW files and other images have different responses; process them separately")
-    camera = starting_camera(start) if start or otherwise is None else otherwise
+    camera = load_camera(start) if start else otherwise or CameraModel()
     return camera.suited_to(raw=any(raw), response=response)
 
 
-def numbers_in(text: str, count: int, option: str) -> "np.ndarray":
+def numbers_in(text: str, count: int, option: str) -> np.ndarray:
     """Parse `count` numbers separated by commas."""
-    import numpy as np
-
     try:
         numbers = np.array([float(part) for part in text.split(",")])
     except ValueError:
@@ -146,44 +112,11 @@ def numbers_in(text: str, count: int, option: str) -> "np.ndarray":
     return numbers
 
 
-def check_camera_output(output: Path, start: Path | None, inputs: Sequence[Path] = ()) -> None:
-    """Raise, before any work, if a camera file cannot be written or would replace an unrelated one."""
-    check_output(output)
-    if output.suffix.lower() != ".json":
-        raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
-    if output.exists() and (start is None or real_path(start) != real_path(output)):
-        raise CameraError(f"{output} exists; add --camera {output} to update it, or give another name with -o")
-    refuse_inputs([check_picture(output)], inputs)
-
-
-def check_picture(output: Path) -> Path:
-    """Return the path of the check image beside a camera file."""
-    return output.with_name(f"{output.stem}_check.png")
-
-
 def refuse_inputs(outputs: Sequence[Path], inputs: Sequence[Path]) -> None:
     """Raise if an output would overwrite an input."""
     for path in outputs:
         if real_path(path) in {real_path(other) for other in inputs}:
             raise LiaamError(f"{path} is one of the input images; give another name with -o")
-
-
-def read_patches(path: Path) -> "np.ndarray":
-    """Read boxes from a CSV file, (n, 4) float64."""
-    import numpy as np
-
-    from liaam.io.files import existing_file, is_number, read_bytes
-
-    data = read_bytes(existing_file(path, CameraError, "patch file"), CameraError, limit=10_000_000)
-    try:
-        rows = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
-        rows = rows[1:] if rows and not any(map(is_number, rows[0].split(","))) else rows
-        boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
-    except ValueError:
-        boxes = np.zeros((0, 0))
-    if boxes.ndim != 2 or boxes.shape[1] != 4:
-        raise CameraError(f"{path} is not a patch file: give one row x0,y0,x1,y1 in pixels per patch")
-    return boxes
 
 
 def say_advice(advice: Mapping[str, Sequence[str]]) -> None:

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import RecursiveOption, check_output, read_folder
+from liaam.cli.inputs import RecursiveOption, read_folder
 from liaam.cli.terminal import progress_bar, say
 from liaam.errors import LiaamError
+from liaam.io.atomic import check_output
 
 if TYPE_CHECKING:
-    from liaam.datasets import Sample
     from liaam.lamps import Lamps
     from liaam.photometry import Response
 
@@ -19,10 +19,7 @@ LAMPS_SUFFIX = ".lamps"
 
 TrainingLampOption = Annotated[
     str | None,
-    typer.Option(
-        "--training-lamp",
-        help="Name of the training light in the names of the lamp images, such as 07.",
-    ),
+    typer.Option("--training-lamp", help="Name of the training light in the names of the lamp images, such as 07."),
 ]
 
 
@@ -62,11 +59,3 @@ def read_lamps(
     data = read_folder(source, None, recursive)
     with progress_bar() as progress:
         return learn_lamps(data, training_lamp, response=response, progress=progress)
-
-
-def draw_lamps(lamps: "Lamps", path: Path, picture: "Sample | None" = None) -> None:
-    """Write a figure of a sample, or of plain grey, under each lamp."""
-    from liaam.plotting import figure_of_lamps, save_figure
-
-    shown = () if picture is None else (picture.read_image(), picture.landmarks.points)
-    save_figure(figure_of_lamps(lamps, *shown), path)

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import check_output
 from liaam.cli.terminal import complain, say
 from liaam.errors import LiaamError
+from liaam.io.atomic import check_output
 from liaam.io.files import real_path
 
 

@@ -3,13 +3,15 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 from rich.table import Table
 
 from liaam.cli.inputs import ModelFile, read_sample
-from liaam.cli.lamps import LAMPS_SUFFIX, draw_lamps, read_lamps
+from liaam.cli.lamps import LAMPS_SUFFIX, read_lamps
 from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.io.files import existing_file
 
 if TYPE_CHECKING:
     from liaam.model import AAM
@@ -29,7 +31,8 @@ def show(
     ] = None,
 ) -> None:
     """Draw a model (mean, mesh, shape and appearance modes), or the effect of each lamp in a lamp file."""
-    from liaam.io.files import existing_file
+    from liaam.model import load_model
+    from liaam.plotting import figure_of_lamps, figure_of_model, save_figure
 
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
@@ -40,19 +43,18 @@ def show(
         raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
     with progress_bar() as progress:
         progress(0, 1, f"drawing {file.name}")
-        if lit:
-            draw_lamps(read_lamps(file), path, None if image is None else read_sample(image))
+        if not lit:
+            figure = figure_of_model(load_model(file))
+        elif image is None:
+            figure = figure_of_lamps(read_lamps(file))
         else:
-            from liaam.model import load_model
-            from liaam.plotting import figure_of_model, save_figure
-
-            save_figure(figure_of_model(load_model(file)), path)
+            sample = read_sample(image)
+            figure = figure_of_lamps(read_lamps(file), sample.read_image(), sample.landmarks.points)
+        save_figure(figure, path)
     say(f"written to {path}")
 
 
-def info(
-    model_file: ModelFile,
-) -> None:
+def info(model_file: ModelFile) -> None:
     """Describe a model file."""
     from liaam.model import load_model
 
@@ -73,23 +75,21 @@ def count_modes(model: "AAM") -> str:
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
     """Describe a model as labels and texts."""
-    import numpy as np
-
     appearances = model.levels[-1].appearances
     spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
     width, height = model.frame.size
+    more = {}
+    if model.points is not None:
+        more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
+    if model.features is not None:
+        more["features"] = f"{model.features.name}, a function"
     return {
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
         "trained on": f"{model.n_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
-        **(
-            {}
-            if model.points is None
-            else {"starts from": f"{model.points.n_theirs} points of another landmarker, too"}
-        ),
-        **({} if model.features is None else {"features": f"{model.features.name}, a function"}),
+        **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
         "camera": describe_camera(model.camera),
@@ -106,8 +106,6 @@ def count_copies(model: "AAM") -> str:
 
 def describe_camera(camera: "CameraModel") -> str:
     """Describe a camera in one line."""
-    import numpy as np
-
     error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
     response = camera.response if isinstance(camera.response, (str, float)) else "measured"
     known = [name for name in ("vignetting", "noise") if getattr(camera, name)]

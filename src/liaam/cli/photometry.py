@@ -1,33 +1,23 @@
 """The commands ``liaam calibrate``, ``liaam invariant`` and ``liaam register``."""
 
+import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import typer
 
-from liaam.cli.inputs import (
-    ModelFile,
-    camera_for,
-    check_camera_output,
-    check_output,
-    check_picture,
-    names_of,
-    numbers_in,
-    read_init,
-    read_patches,
-    read_pictures,
-    refuse_inputs,
-    starting_camera,
-    unique_stems,
-)
+from liaam.cli.inputs import ModelFile, camera_for, names_of, numbers_in, read_with_start, refuse_inputs, unique_stems
 from liaam.cli.terminal import complain, progress_bar, say, show_table, table_of
 from liaam.errors import CameraError, LiaamError
+from liaam.io import atomic_path, make_folder, read_image, write_image, write_text_atomically
+from liaam.io.atomic import check_output
+from liaam.io.files import existing_file, is_number, read_bytes, real_path
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from liaam.calibration import AngleEstimate, Averaged, VignettingEstimate
     from liaam.photometry import CameraModel
 
@@ -40,8 +30,7 @@ calibrate = typer.Typer(
 Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images of one camera.")]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Camera file to write.")]
 Start = Annotated[
-    Path | None,
-    typer.Option("--camera", help="Camera file to start from. Values not estimated here are kept."),
+    Path | None, typer.Option("--camera", help="Camera file to start from. Values not estimated here are kept.")
 ]
 ResponseOption = Annotated[
     str | None,
@@ -52,8 +41,7 @@ Align = Annotated[bool, typer.Option("--align/--no-align", help="Align the image
 FreeBalance = Annotated[
     bool,
     typer.Option(
-        "--free-balance",
-        help="The images differ in white balance: use only changes that vary across the image.",
+        "--free-balance", help="The images differ in white balance: use only changes that vary across the image."
     ),
 ]
 CAMERA_FILE = Path("camera.json")
@@ -78,15 +66,14 @@ def spectral(
     from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
     check_camera_output(output, start)
-    if (peaks is None) == (curves is None):
-        raise CameraError("give one of --peaks 610,540,450 and --curves FILE.csv")
-    if peaks is not None:
+    if peaks is not None and curves is None:
         red, green, blue = numbers_in(peaks, 3, "--peaks").tolist()
         estimate, source = theta_from_peaks((red, green, blue)), f"peaks at {peaks} nm"
-    else:
-        assert curves is not None
+    elif curves is not None and peaks is None:
         estimate, source = theta_from_sensitivities(*read_sensitivities(curves)), f"sensitivities of {curves.name}"
-    finish_angle(estimate, starting_camera(start), f"spectral, {source}", output, trust)
+    else:
+        raise CameraError("give one of --peaks 610,540,450 and --curves FILE.csv")
+    finish_angle(estimate, camera_for([], start, None), f"spectral, {source}", output, trust)
 
 
 @calibrate.command()
@@ -217,7 +204,6 @@ def faces(
     """Estimate the angle from fits of a model to many images under lights other than the training light."""
     from liaam.calibration import theta_from_fits
     from liaam.fitting import Fitter
-    from liaam.io import read_image
     from liaam.model import load_model
 
     check_camera_output(output, start)
@@ -230,8 +216,7 @@ def faces(
     with progress_bar() as progress:
         for i, path in enumerate(images):
             progress(i, len(images), path.name)
-            pixels = read_image(path)
-            results.append(fitter.fit(pixels, read_init(init, path, pixels.shape[1::-1]), path.name))
+            results.append(fitter.fit(*read_with_start(path, init), path.name))
     finish_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output, trust)
 
 
@@ -239,8 +224,7 @@ def faces(
 def response_command(
     images: Pictures,
     exposures: Annotated[
-        str | None,
-        typer.Option(help="Relative exposures of the images, such as 1,2,4 (from the shutter times)."),
+        str | None, typer.Option(help="Relative exposures of the images, such as 1,2,4 (from the shutter times).")
     ] = None,
     vignetting: Annotated[
         bool, typer.Option("--vignetting", help="Also estimate vignetting. The images must overlap but not coincide.")
@@ -308,16 +292,13 @@ def corner_sentence(lens: "VignettingEstimate") -> str:
 def noise_command(
     images: Pictures,
     flat: Annotated[
-        list[str] | None,
-        typer.Option(help="Box x0,y0,x1,y1 around a plain, evenly lit surface; may be repeated."),
+        list[str] | None, typer.Option(help="Box x0,y0,x1,y1 around a plain, evenly lit surface; may be repeated.")
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
 ) -> None:
     """Estimate noise from plain surfaces (--flat), two images of one scene under one light, or one image."""
-    import numpy as np
-
     from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair
 
     check_camera_output(output, start, images)
@@ -335,6 +316,45 @@ def noise_command(
     if not found.observable:
         raise CameraError("nothing was written: these images do not determine the noise")
     write_camera(replace(camera, noise=found.noise), output, f"noise, {names_of(images)}: {found.message}")
+
+
+def read_pictures(
+    paths: Sequence[Path], start: Path | None, response: str | None, at_least: int = 1
+) -> tuple["CameraModel", list[np.ndarray]]:
+    """Read images and the camera to start from."""
+    if len(paths) < at_least:
+        raise CameraError(f"too few images ({len(paths)}): give {at_least} or more, under different lights")
+    camera = camera_for(paths, start, response)
+    return camera, [read_image(path) for path in paths]
+
+
+def check_camera_output(output: Path, start: Path | None, inputs: Sequence[Path] = ()) -> None:
+    """Raise, before any work, if a camera file cannot be written or would replace an unrelated one."""
+    check_output(output)
+    if output.suffix.lower() != ".json":
+        raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
+    if output.exists() and (start is None or real_path(start) != real_path(output)):
+        raise CameraError(f"{output} exists; add --camera {output} to update it, or give another name with -o")
+    refuse_inputs([check_picture(output)], inputs)
+
+
+def check_picture(output: Path) -> Path:
+    """Return the path of the check image beside a camera file."""
+    return output.with_name(f"{output.stem}_check.png")
+
+
+def read_patches(path: Path) -> np.ndarray:
+    """Read boxes from a CSV file, (n, 4) float64."""
+    data = read_bytes(existing_file(path, CameraError, "patch file"), CameraError, limit=10_000_000)
+    try:
+        rows = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
+        rows = rows[1:] if rows and not any(map(is_number, rows[0].split(","))) else rows
+        boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
+    except ValueError:
+        boxes = np.zeros((0, 0))
+    if boxes.ndim != 2 or boxes.shape[1] != 4:
+        raise CameraError(f"{path} is not a patch file: give one row x0,y0,x1,y1 in pixels per patch")
+    return boxes
 
 
 def finish_angle(
@@ -365,10 +385,10 @@ def write_camera(camera: "CameraModel", output: Path, sentence: str) -> "CameraM
 
 def write_check(
     output: Path,
-    pictures: Sequence["np.ndarray"],
+    pictures: Sequence[np.ndarray],
     paths: Sequence[Path],
     camera: "CameraModel",
-    patches: Sequence["np.ndarray"] | None = None,
+    patches: Sequence[np.ndarray] | None = None,
 ) -> None:
     """Write a figure of the images beside their invariant images, to check that the light is removed."""
     from liaam.photometry import invariant_image
@@ -405,10 +425,7 @@ def invariant(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-invariant"),
 ) -> None:
     """Write the invariant image of each image: .png for viewing, .tif (float) and .npy for computing."""
-    import numpy as np
-
     from liaam.calibration import averaged
-    from liaam.io import atomic_path, make_folder, read_image, write_image
     from liaam.photometry import invariant_image
     from liaam.photometry.encoding import stored_values
     from liaam.plotting.photometry import figure_of_sweep, invariant_picture, save_figure
@@ -444,12 +461,9 @@ def invariant(
     say(f"written to {output}, at theta {degrees(camera.theta)}")
 
 
-def compare_pictures(pictures: Sequence["np.ndarray"], paths: Sequence[Path], seen: "Averaged", output: Path) -> None:
+def compare_pictures(pictures: Sequence[np.ndarray], paths: Sequence[Path], seen: "Averaged", output: Path) -> None:
     """Write and print the pairwise correlations of invariant images and of log grey."""
-    import numpy as np
-
     from liaam.calibration import agreement
-    from liaam.io import write_text_atomically
     from liaam.plotting.photometry import figure_of_agreement, save_figure
 
     found = agreement(seen)
@@ -479,9 +493,6 @@ def register_command(
     response: ResponseOption = None,
 ) -> None:
     """Align two images of a flat or distant scene, even under different lights."""
-    import json
-
-    from liaam.io import write_image, write_text_atomically
     from liaam.plotting.photometry import checkerboard
     from liaam.registration import METHOD, register
 
@@ -504,6 +515,4 @@ def register_command(
 
 def degrees(angle: float, digits: int = 1) -> str:
     """Format an angle, given in radians, in degrees."""
-    import math
-
     return f"{math.degrees(angle):.{digits}f}°"

@@ -4,6 +4,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from liaam.cli.inputs import (
@@ -12,7 +13,6 @@ from liaam.cli.inputs import (
     ModelFile,
     ResponseOption,
     camera_for,
-    check_output,
     names_of,
     numbers_in,
     read_with_start,
@@ -22,6 +22,8 @@ from liaam.cli.inputs import (
 )
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
+from liaam.io import IMAGE_SUFFIXES, make_folder, write_image
+from liaam.io.atomic import check_output
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -76,7 +78,6 @@ def relight(
     refuse_inputs(outputs, inputs)
 
     from liaam.fitting import Fitter
-    from liaam.io import make_folder, write_image
     from liaam.model import load_model
     from liaam.relighting.lamp import AMBIENT, check_ambient, unit_direction
 
@@ -138,24 +139,15 @@ def check_lights(
 
 def output_paths(images: list[Path], output: Path | None, ending: str) -> list[Path]:
     """Return the path to write for each image. Raise if one cannot be written."""
-    from liaam.io import IMAGE_SUFFIXES
-
     folder = Path() if output is None else output
     if output is not None and len(images) == 1 and not output.is_dir():
-        check_image_name(output)
+        check_output(output)
+        if output.suffix.lower() not in IMAGE_SUFFIXES or output.suffix.lower() == ".pgm":  # grey only
+            raise LiaamError(f"{output}: give the name of an image file, such as {output.stem}.png")
         return [output]
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in IMAGE_SUFFIXES):
         raise LiaamError(f"{folder} is not a folder; for several images, give a folder with -o")
     return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
-
-
-def check_image_name(output: Path) -> None:
-    """Raise if a colour image cannot be written under a name."""
-    from liaam.io import IMAGE_SUFFIXES
-
-    check_output(output)
-    if output.suffix.lower() not in IMAGE_SUFFIXES or output.suffix.lower() == ".pgm":  # grey only
-        raise LiaamError(f"{output}: give the name of an image file, such as {output.stem}.png")
 
 
 def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Relighter, FitResult]":
@@ -169,8 +161,6 @@ def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Reli
 
 def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:
     """Add what may be wrong with a fit, and what was done with it. Return whether it failed."""
-    import numpy as np
-
     if not result.status.ok:
         text = f"{result.status}: {result.message.rstrip('.')}; {what} although the fit may be wrong"
         advice[text].append(image.name)

@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 import typer
 
 from liaam.cli.check import warn_of_faults
-from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, check_output, read_folder
+from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, read_folder
 from liaam.cli.lamps import TrainingLampOption, read_lamps
 from liaam.cli.models import count_copies, count_modes
 from liaam.cli.terminal import complain, progress_bar, say, warnings_as_lines
 from liaam.errors import LiaamError
+from liaam.io.atomic import check_output
 
 MODEL_SUFFIX = ".liaam"
 """Suffix of files that may be replaced by a model."""

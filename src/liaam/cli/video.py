@@ -6,31 +6,28 @@ from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
-from liaam.cli.inputs import (
-    CameraOption,
-    EllipsesOption,
-    ModelFile,
-    ResponseOption,
-    camera_for,
-    check_output,
-    read_init,
-)
+from liaam.cli.inputs import CameraOption, EllipsesOption, ModelFile, ResponseOption, camera_for
 from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
+from liaam.io import VideoFrame, VideoReader, VideoWriter, read_start, video_writer
+from liaam.io.atomic import check_output
 from liaam.io.files import real_path
+from liaam.io.video import can_enter, check_video_name, is_video
 from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
-    from liaam.io import VideoFrame, VideoReader
     from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
+    from liaam.tracking.shading import ShadingRemover
     from liaam.tracking.stretches import Stretch
 
 
@@ -45,8 +42,7 @@ def track(
         Path | None, typer.Option("--video", help="Video to write with the landmarks drawn in, such as out.mp4.")
     ] = None,
     shading_free: Annotated[
-        Path | None,
-        typer.Option("--shading-free", help="Video to write with the object under the training light."),
+        Path | None, typer.Option("--shading-free", help="Video to write with the object under the training light.")
     ] = None,
     init: Annotated[
         str | None,
@@ -85,7 +81,6 @@ def track(
 
     Ctrl-C stops after the current frame and keeps the results so far.
     """
-    from liaam.io import VideoReader
     from liaam.model import load_model
     from liaam.tracking import Tracker, TrackingOptions
     from liaam.workers import one_thread
@@ -126,7 +121,7 @@ def track(
         raise typer.Exit(1)
 
 
-Sink = Callable[["VideoFrame", "TrackedFrame", "FitResult | None"], None]
+Sink = Callable[[VideoFrame, "TrackedFrame", "FitResult | None"], None]
 """Takes a frame, its tracking result and its fit."""
 
 
@@ -182,7 +177,6 @@ def default_output(source: Path | int) -> Path:
 
 def check_outputs(output: Path | None, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
     """Raise, before any work, if an output cannot be written."""
-    from liaam.io.video import check_video_name, is_video
     from liaam.tracking.files import check_track_name, is_track
 
     videos = [path for path in (annotated, shading_free) if path is not None]
@@ -211,12 +205,11 @@ def open_sinks(
     output: Path | None,
     annotated: Path | None,
     shading_free: Path | None,
-    reader: "VideoReader",
+    reader: VideoReader,
     ellipses: bool,
     counts: Counts,
 ) -> list[Sink]:
     """Open the requested outputs; `files` closes them. Videos are drawn and written in background threads."""
-    from liaam.io import video_writer
     from liaam.tracking.aside import aside
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
@@ -227,43 +220,46 @@ def open_sinks(
         track_file = files.enter_context(track_writer(output, tracker.model.n_points))
         sinks.append(lambda _, tracked, __: track_file.write(tracked))
     if annotated is not None:
-        draw = drawing(files.enter_context(video_writer(annotated, reader.rate)), tracker.model, ellipses)
-        sinks.append(files.enter_context(aside(draw)))
+        writer = files.enter_context(video_writer(annotated, reader.rate))
+        sinks.append(files.enter_context(aside(partial(draw, writer, tracker.model, ellipses))))
     if shading_free is not None and remover is not None:
-        unshade = unshading(files.enter_context(video_writer(shading_free, reader.rate)), remover, counts)
-        sinks.append(files.enter_context(aside(unshade)))
+        writer = files.enter_context(video_writer(shading_free, reader.rate))
+        sinks.append(files.enter_context(aside(partial(unshade, writer, remover, counts))))
     return sinks
 
 
-def drawing(writer: Any, model: "AAM", ellipses: bool) -> Sink:
-    """Return a function that writes annotated frames."""
+def draw(
+    writer: VideoWriter, model: "AAM", ellipses: bool, frame: VideoFrame, tracked: "TrackedFrame", _: object
+) -> None:
+    """Write a frame with its landmarks."""
     from liaam.plotting.video import annotated
 
-    def write(frame: "VideoFrame", tracked: "TrackedFrame", _result: "FitResult | None") -> None:
-        landmarks = tracked.landmarks if tracked.ok else None
-        covariances = tracked.covariances if ellipses and tracked.ok else None
-        writer.write(annotated(frame.image, landmarks, model, caption_of(tracked), covariances), frame.time)
-
-    return write
+    landmarks = tracked.landmarks if tracked.ok else None
+    covariances = tracked.covariances if ellipses and tracked.ok else None
+    writer.write(annotated(frame.image, landmarks, model, caption_of(tracked), covariances), frame.time)
 
 
-def unshading(writer: Any, remover: Any, counts: Counts) -> Sink:
-    """Return a function that writes frames without shading. Grey frames and those without the object stay as is."""
+def unshade(
+    writer: VideoWriter,
+    remover: "ShadingRemover",
+    counts: Counts,
+    frame: VideoFrame,
+    tracked: "TrackedFrame",
+    result: "FitResult | None",
+) -> None:
+    """Write a frame without shading. A grey frame, or one without the object, stays as is."""
     from liaam.tracking import TrackStatus
 
-    def write(frame: "VideoFrame", tracked: "TrackedFrame", result: "FitResult | None") -> None:
-        if tracked.status is not TrackStatus.TRACKED:
-            remover.reset()
-        fresh = frame.image
-        if result is not None:
-            try:
-                fresh = remover.remove(frame.image, result, tracked.landmarks)
-                counts.n_unshaded += 1
-            except MethodError:  # a grey frame
-                counts.n_grey += 1
-        writer.write(fresh, frame.time)
-
-    return write
+    if tracked.status is not TrackStatus.TRACKED:
+        remover.reset()
+    fresh = frame.image
+    if result is not None:
+        try:
+            fresh = remover.remove(frame.image, result, tracked.landmarks)
+            counts.n_unshaded += 1
+        except MethodError:  # a grey frame
+            counts.n_grey += 1
+    writer.write(fresh, frame.time)
 
 
 def caption_of(tracked: "TrackedFrame") -> str:
@@ -278,7 +274,7 @@ def caption_of(tracked: "TrackedFrame") -> str:
 class Task:
     """A video to track, its tracker, and whether images and fits of the frames are needed."""
 
-    reader: "VideoReader"
+    reader: VideoReader
     tracker: "Tracker"
     start: int
     stop: int | None
@@ -294,16 +290,15 @@ class Task:
     def set_start(self, size: tuple[int, int]) -> None:
         """Set the tracker's start from ``--init``, for frames of size (width, height)."""
         if self.init is not None:
-            self.tracker.init = read_init(self.init, Path(self.reader.name), size)
+            self.tracker.init = read_start(self.init, Path(self.reader.name), size)
 
 
-Seen = tuple["VideoFrame", "TrackedFrame", "FitResult | None"]
+Seen = tuple[VideoFrame, "TrackedFrame", "FitResult | None"]
 
 
 def stretches_of(task: Task) -> "list[Stretch]":
     """Cut a video into parts to track in parallel; empty unless it is a long file that can be read from its middle."""
     from liaam.fitting.search import is_searchable
-    from liaam.io.video import can_enter
     from liaam.tracking.stretches import cut
 
     reader = task.reader
@@ -330,9 +325,6 @@ def one_by_one(task: Task) -> Generator[Seen, None, None]:
 
 def side_by_side(task: Task, stretches: "list[Stretch]") -> Generator[Seen, None, None]:
     """Track parts of a long video in parallel. The frames hold images only if these are needed."""
-    import numpy as np
-
-    from liaam.io import VideoFrame, VideoReader
     from liaam.tracking.stretches import TrackJob, track_stretches
     from liaam.workers import all_cores
 
@@ -357,11 +349,11 @@ def side_by_side(task: Task, stretches: "list[Stretch]") -> Generator[Seen, None
                     return
 
 
-def by_number(frames: "Iterator[VideoFrame]") -> "Callable[[int], VideoFrame]":
+def by_number(frames: Iterator[VideoFrame]) -> Callable[[int], VideoFrame]:
     """Return a function that advances to the frame of a number, or the next one there is, or the last."""
     frame = next(frames)
 
-    def at(number: int) -> "VideoFrame":
+    def at(number: int) -> VideoFrame:
         nonlocal frame
         while frame.index < number and (following := next(frames, None)) is not None:
             frame = following
@@ -407,8 +399,6 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
 
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Print a summary of the track."""
-    import numpy as np
-
     from liaam.evaluation import ranges_of
 
     seconds = max(monotonic() - counts.began, 1e-9)
