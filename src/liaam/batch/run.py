@@ -6,7 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -21,6 +21,7 @@ from liaam.batch.work import Job, Settings, fit_chunk
 from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
+from liaam.model import load_model
 from liaam.progress import Progress
 from liaam.workers import all_cores
 
@@ -115,8 +116,6 @@ def run_batch(
     >>> summary.statuses                                                          # doctest: +SKIP
     {'converged': 981, 'doubtful': 17, 'error': 2}
     """
-    from liaam.model import load_model
-
     load_model(model)  # its errors name the file
     job = Job(Path(model).read_bytes(), settings or Settings(), str(Path.cwd()))
     job.check()  # before any work
@@ -266,8 +265,7 @@ class _Batch:
                 raise KeyboardInterrupt("stopped: no image is finished yet") from None
             kept = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
             raise KeyboardInterrupt(f"stopped: {kept}; run the same command again to resume") from None
-        summary = Summary(self.output, dict(sorted(statuses.items())))
-        return replace(summary, fitted=summary.total - before, seconds=perf_counter() - begin)
+        return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
 
 
 def summary_file(output: Path) -> Path:

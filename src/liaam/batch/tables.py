@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import count, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any
 
@@ -56,11 +56,6 @@ class Table:
     facts: dict[str, Any]
     contours: tuple[Contour, ...] = ()
 
-    @property
-    def columns(self) -> list[str]:
-        """Names of the columns."""
-        return _columns(self.covariance)
-
 
 def _columns(covariance: bool) -> list[str]:
     return [name for name in COLUMNS if covariance or name != "covariance"]
@@ -105,7 +100,8 @@ def _write_parquet(path: Path, table: Table) -> None:
     pa, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     types = {name: pa.type_for_alias(name) for name in ("string", "float32", "float64", "int32")}
     types["list<float32>"] = pa.list_(pa.float32())
-    schema = pa.schema([(name, types[COLUMNS[name]]) for name in table.columns], {"liaam": json.dumps(table.facts)})
+    columns = [(name, types[COLUMNS[name]]) for name in _columns(table.covariance)]
+    schema = pa.schema(columns, {"liaam": json.dumps(table.facts)})
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         rows = iter(table.rows)
         while group := [row for _, row in islice(rows, GROUP)]:
@@ -114,12 +110,13 @@ def _write_parquet(path: Path, table: Table) -> None:
 
 def _write_csv(path: Path, table: Table) -> None:
     """Write flat columns: x0, y0, x1 ... and covariances xx0, xy0, yy0, xx1 ..."""
-    widths = {name: table.n_points * len(parts) for name, parts in _PARTS.items()}
+    headers = {name: _headers(name, table.n_points) for name in _columns(table.covariance)}
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header for name in table.columns for header in _headers(name, table.n_points))
+        writer.writerow(chain.from_iterable(headers.values()))
         for _, row in table.rows:
-            writer.writerow(cell for name in table.columns for cell in _cells(row[name], widths.get(name)))
+            cells = (row[name] if isinstance(row[name], list) else [row[name]] * len(headers[name]) for name in headers)
+            writer.writerow(chain.from_iterable(cells))
 
 
 def _write_lines(path: Path, table: Table) -> None:
@@ -199,12 +196,6 @@ _READERS = {".parquet": _read_parquet, ".csv": _read_csv, ".jsonl": _read_lines}
 
 def _headers(name: str, n_points: int) -> list[str]:
     return [f"{part}{i}" for i in range(n_points) for part in _PARTS[name]] if name in _PARTS else [name]
-
-
-def _cells(value: Any, width: int | None) -> list[Any]:
-    if width is None:
-        return [value]
-    return [None] * width if value is None else value
 
 
 _WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines, ".tps": _write_tps}

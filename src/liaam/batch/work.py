@@ -9,19 +9,18 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.evaluation import finite_or_none
+from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, check_start, is_raw, read_image, read_start, start_file
+from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
 from liaam.workers import one_thread
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from liaam.fitting import FitResult, Fitter
-    from liaam.model import AAM
 
 BESIDE = "beside"
 """Start from the landmark file beside each image."""
@@ -83,7 +82,7 @@ class Job:
     model_file: bytes
     settings: Settings
     folder: str
-    _fitters: "dict[bool, Fitter]" = field(default_factory=dict, init=False, repr=False)
+    _fitters: dict[bool, Fitter] = field(default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple:
         """Pickle without the cached model and fitters."""
@@ -96,21 +95,17 @@ class Job:
             check_start(self.absolute(str(self.settings.init)))
 
     @cached_property
-    def model(self) -> "AAM":
+    def model(self) -> AAM:
         """The model of `model_file`."""
-        from liaam.model import load_model
-
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "model.liaam"
             path.write_bytes(self.model_file)
             return load_model(path)
 
-    def fitter(self, raw: bool) -> "Fitter":
+    def fitter(self, raw: bool) -> Fitter:
         """Return the fitter for RAW files, or for other images."""
+        settings = self.settings
         if raw not in self._fitters:
-            from liaam.fitting import Fitter, SolverOptions
-
-            settings = self.settings
             camera = (settings.camera or self.model.camera).suited_to(raw=raw, response=settings.response)
             options = SolverOptions(max_iterations=settings.iterations)
             fitter = Fitter(self.model, settings.method, options, camera=camera, rotations=settings.rotations)
@@ -156,8 +151,20 @@ class Job:
         if start is not None:
             start = read_start(start, picture, pixels.shape[1::-1])
         result = self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
-        scale = start.scale if isinstance(start, Landmarks) else None
-        return _row_of(path, result) | {"size": pixels.shape[1::-1], "scale": scale}
+        return {
+            "path": _printable(path),
+            "status": str(result.status),
+            "message": result.message,
+            "quality": _short(result.quality),
+            "found": None if result.found is None else _short(result.found.score),
+            "theta_deg": _short(result.theta_degrees),
+            "cost": finite_or_none(result.cost),
+            "iterations": result.n_iterations,
+            "landmarks": _shorts(result.landmarks),
+            "covariance": _shorts(result.landmark_covariances[:, (0, 0, 1), (0, 1, 1)]),
+            "size": pixels.shape[1::-1],
+            "scale": start.scale if isinstance(start, Landmarks) else None,
+        }
 
     def _start(self, path: str) -> str | None:
         """Return the start of an image in a form that :func:`liaam.io.read_start` accepts."""
@@ -192,41 +199,17 @@ def failed_row(path: str, message: str) -> Row:
     return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
 
 
-def _row_of(path: str, result: "FitResult") -> Row:
-    spread = result.landmark_covariances
-    return {
-        "path": _printable(path),
-        "status": str(result.status),
-        "message": result.message,
-        "quality": _short(result.quality),
-        "found": None if result.found is None else _short(result.found.score),
-        "theta_deg": _short(result.theta_degrees),
-        "cost": _finite(float(result.cost)),
-        "iterations": result.n_iterations,
-        "landmarks": _shorts(result.landmarks),
-        "covariance": _shorts(spread[:, (0, 0, 1), (0, 1, 1)]),
-    }
-
-
 def _printable(text: str) -> str:
     """Escape bytes of a file name that are not UTF-8."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _finite(value: float) -> float | None:
-    return value if abs(value) < float("inf") else None
-
-
 def _short(value: float | None) -> float | None:
-    import numpy as np
-
     return None if value is None else _shorts(np.array([value]))[0]
 
 
-def _shorts(values: "np.ndarray") -> list[float | None]:
+def _shorts(values: np.ndarray) -> list[float | None]:
     """Return values as the shortest decimals that give the same float32."""
-    import numpy as np
-
     with np.errstate(over="ignore"):  # values beyond float32 become None
         # str would depend on print options.
-        return [_finite(float(np.format_float_scientific(value))) for value in values.ravel().astype(np.float32)]
+        return [finite_or_none(float(np.format_float_scientific(value))) for value in values.ravel().astype(np.float32)]

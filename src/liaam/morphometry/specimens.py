@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
@@ -85,7 +86,7 @@ def read_specimens(
     LiaamError
         If the path does not exist, a file cannot be read, or a folder holds none that can.
     """
-    path = Path(path)
+    path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
         return tuple(_of_file(existing_file(path, LiaamError, "file of results")))
     found: dict[str, Specimen] = {}
@@ -94,17 +95,13 @@ def read_specimens(
             for specimen in _of_file(file):
                 found.setdefault(specimen.name, specimen)
         except LiaamError as fault:
-            (on_fault or _warn)(f"skipped {file.name}: {fault}")
+            complain(f"skipped {file.name}: {fault}")
     if not found:
         raise LiaamError(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
             f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
         )
     return tuple(found[name] for name in sorted(found, key=natural_key))
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, stacklevel=3)
 
 
 def _chosen(folder: Path) -> list[Path]:
@@ -119,19 +116,14 @@ def _chosen(folder: Path) -> list[Path]:
 
 def _of_file(path: Path) -> Iterator[Specimen]:
     suffix = path.suffix.lower()
-    if suffix == ".json" and (fit := _fit_in(path)) is not None:
-        yield _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
+    content = (json_object(read_text(path)) if suffix == ".json" else None) or {}
+    if {"landmarks", "status"} <= content.keys():  # other .json files hold landmarks only
+        yield _specimen(path, path.stem, content, content.get("landmark_covariances_px2"))
     elif is_table(path):
         for row in read_rows(path):
             yield _specimen(path, PureWindowsPath(row["path"]).stem, row, row.get("covariance"))
     else:
         yield from _of_landmarks(path)
-
-
-def _fit_in(path: Path) -> dict[str, Any] | None:
-    """Return the content of a fit's .json file, None if it is another."""
-    content = json_object(read_text(path)) or {}
-    return content if {"landmarks", "status"} <= content.keys() else None
 
 
 def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:

@@ -16,15 +16,7 @@ from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io import write_text_atomically
 from liaam.model.shape import procrustes_mean
-from liaam.morphometry.measures import (
-    Measure,
-    Measured,
-    ScaleBar,
-    centroid_size,
-    distance,
-    parse_scale,
-    procrustes,
-)
+from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_size, distance, parse_scale, procrustes
 from liaam.morphometry.specimens import Specimen
 
 Columns = dict[str, list]

@@ -16,7 +16,7 @@ import numpy as np
 
 from liaam.drawing import plot_landmarks
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.evaluation import finite_list
+from liaam.evaluation import finite_list, finite_or_none
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
@@ -143,11 +143,11 @@ class TrackedFrame:
         """Convert the frame to a dictionary that JSON can hold; values that are unknown are None."""
         return {
             "index": self.index,
-            "time": self.time if np.isfinite(self.time) else None,
+            "time": finite_or_none(self.time),
             "status": str(self.status),
             "fit_status": None if self.fit_status is None else str(self.fit_status),
-            "quality": self.quality if np.isfinite(self.quality) else None,
-            "theta_deg": float(np.rad2deg(self.theta)) if np.isfinite(self.theta) else None,
+            "quality": finite_or_none(self.quality),
+            "theta_deg": finite_or_none(np.rad2deg(self.theta)),
             "landmarks": finite_list(self.landmarks),
             "landmark_covariances": finite_list(self.covariances),
         }
