@@ -8,12 +8,12 @@ import typer
 
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
+from liaam.datasets import Dataset, Sample
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, make_folder, write_image, write_landmarks
 from liaam.io.files import count_of, real_path
 
 if TYPE_CHECKING:
-    from liaam.datasets import Dataset, Sample
     from liaam.datasets.label_faults import LabelFault
 
 MAX_WARNINGS = 3
@@ -57,7 +57,7 @@ def check(
     raise typer.Exit(1)
 
 
-def check_pixels(data: "Dataset") -> bool:
+def check_pixels(data: Dataset) -> bool:
     """Name images that are damaged or do not contain their landmarks, and grey images among colour images.
 
     Return whether any cannot be used.
@@ -67,7 +67,7 @@ def check_pixels(data: "Dataset") -> bool:
     from liaam.training.images import describe_outside, grey_use
     from liaam.workers import in_threads
 
-    def look(sample: "Sample") -> bool | str:
+    def look(sample: Sample) -> bool | str:
         try:
             image = as_colour(sample.read_image(), sample.name)
         except LiaamError as error:
@@ -88,12 +88,12 @@ def check_pixels(data: "Dataset") -> bool:
     return bool(unusable)
 
 
-def complete_samples(data: "Dataset") -> "list[Sample]":
+def complete_samples(data: Dataset) -> list[Sample]:
     """Return the samples without missing landmarks."""
     return [sample for sample in data if not sample.landmarks.missing.any()]
 
 
-def faults_by_sample(samples: "list[Sample]") -> "list[tuple[Sample, list[LabelFault]]]":
+def faults_by_sample(samples: list[Sample]) -> "list[tuple[Sample, list[LabelFault]]]":
     """Return each sample that has faults, with its faults. No sample may have missing landmarks."""
     from liaam.datasets.label_faults import find_label_faults
 
@@ -137,7 +137,7 @@ def write_reordered(place: Path, landmarks: Landmarks) -> None:
     write_landmarks(file, landmarks)
 
 
-def warn_of_faults(data: "Dataset", folder: Path) -> None:
+def warn_of_faults(data: Dataset, folder: Path) -> None:
     """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
 

@@ -8,12 +8,12 @@ import numpy as np
 import typer
 
 from liaam.cli.terminal import complain, say
+from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
 
 if TYPE_CHECKING:
-    from liaam.datasets import Dataset, Sample
     from liaam.photometry import CameraModel
 
 LOW_SCORE = (
@@ -47,20 +47,16 @@ RotationsOption = Annotated[
 ]
 
 
-def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> "Dataset":
+def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> Dataset:
     """Read a folder of landmarked images and print a summary."""
-    from liaam.datasets import load_folder
-
     data = load_folder(folder, recursive=recursive)
     data = data.select(images) if images else data
     say(data.report())
     return data
 
 
-def read_sample(image: Path) -> "Sample":
+def read_sample(image: Path) -> Sample:
     """Read an image and the landmarks beside it."""
-    from liaam.datasets import load_folder
-
     existing_file(image, LiaamError, "image")
     found = next((sample for sample in load_folder(image.parent) if sample.image == image), None)
     if found is None:

@@ -17,6 +17,7 @@ import typer
 from liaam.cli.inputs import CameraOption, EllipsesOption, ModelFile, ResponseOption, camera_for
 from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
+from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, VideoWriter, read_start, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import real_path
@@ -399,8 +400,6 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
 
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Print a summary of the track."""
-    from liaam.evaluation import ranges_of
-
     seconds = max(monotonic() - counts.began, 1e-9)
     table = table_of("frames", "with landmarks", "lost", "found again", "corrected", "quality", "frames/s")
     known = [quality for quality in counts.qualities if np.isfinite(quality)]

@@ -1,15 +1,11 @@
 """Annotated frames of a tracked video."""
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from liaam.model import AAM
 from liaam.plotting.overlays import enlarged, overlay
-
-if TYPE_CHECKING:
-    from PIL.ImageFont import FreeTypeFont, ImageFont
 
 GOOD, BAD = (64, 255, 140), (255, 96, 80)
 """Colours of the dot before the caption, for tracked and lost frames."""
@@ -68,7 +64,7 @@ def captioned(picture: np.ndarray, text: str, colour: tuple[int, int, int]) -> n
 
 
 @cache
-def _font(size: int) -> "FreeTypeFont | ImageFont":
+def _font(size: int):
     from PIL import ImageFont
 
     return ImageFont.load_default(size)
