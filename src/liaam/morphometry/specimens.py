@@ -127,7 +127,6 @@ def _of_file(path: Path) -> Iterator[Specimen]:
 
 
 def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:
-    """Make a specimen of a fit."""
     try:
         points = _numbers(facts["landmarks"] or []).reshape(-1, 2)
         spread = None
