@@ -201,8 +201,9 @@ def add_squares(
         store(room, 24, bb)
         store(room, 32, bc)
         store(room, 40, cc)
-        a, b, c = 2 * triangles[t, 0], 2 * triangles[t, 1], 2 * triangles[t, 2]
-        xa, ya, xb, yb, xc, yc = basis[a], basis[a + 1], basis[b], basis[b + 1], basis[c], basis[c + 1]
+        at_a, at_b, at_c = 2 * triangles[t, 0], 2 * triangles[t, 1], 2 * triangles[t, 2]
+        xa, ya, xb, yb = basis[at_a], basis[at_a + 1], basis[at_b], basis[at_b + 1]
+        xc, yc = basis[at_c], basis[at_c + 1]
         for corner in range(3):
             for axis in range(2):
                 own, (pa, pb, pc) = lines[2 * triangles[t, corner] + axis], PAIR[corner]

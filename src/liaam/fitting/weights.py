@@ -53,17 +53,16 @@ def exponential(x: np.float32) -> np.float32:
 
 
 @inlined
-def log_noise(logs: np.ndarray, table: np.ndarray, first: float, steps: float, out: np.ndarray) -> None:
-    """Interpolate standard deviations of logarithms due to noise in a table, constant beyond its ends."""
+def log_noise(log: np.float32, table: np.ndarray, first: np.float32, steps: np.float32) -> np.float32:
+    """Interpolate the standard deviation of a logarithm due to noise in a table, constant beyond its ends."""
     last, top = len(table) - 2, F(len(table) - 1)
-    for i in range(len(logs)):
-        at = (logs[i] - first) * steps
-        at = at if at > F(0.0) else F(0.0)  # also for NaN
-        at = at if at < top else top
-        at_least = np.int32(at)
-        at_least = at_least if at_least < last else np.int32(last)
-        low = table[at_least]
-        out[i] = low + (at - F(at_least)) * (table[at_least + 1] - low)
+    at = (log - first) * steps
+    at = at if at > F(0.0) else F(0.0)  # also for NaN
+    at = at if at < top else top
+    at_least = np.int32(at)
+    at_least = at_least if at_least < last else np.int32(last)
+    low = table[at_least]
+    return low + (at - F(at_least)) * (table[at_least + 1] - low)
 
 
 @compiled
@@ -120,7 +119,7 @@ def row_variances(
             out, scale = planes[7 + c], F(BRIGHTNESS[c])
             for i in range(size):
                 logs[i] = values[SIZE * (begin + i) + 2 + c]
-            log_noise(logs[:size], table, first, steps, deviation)
+                deviation[i] = log_noise(logs[i], table, first, steps)
             for i in range(size):
                 brightness, square = scale * exponential(logs[i]), deviation[i] * deviation[i]
                 light[i] += brightness
@@ -136,15 +135,15 @@ def row_variances(
                 F(1.0) + rest,
                 F(MOST_DIRECTION_NOISE),
             )
-            by_x, by_y = of_slope * (F(1.0) - x * x * bend), of_slope * (F(1.0) - y * y * bend)
-            planes[5, i], planes[6, i] = by_x if by_x < most else most, by_y if by_y < most else most
+            across, down = of_slope * (F(1.0) - x * x * bend), of_slope * (F(1.0) - y * y * bend)
+            planes[5, i], planes[6, i] = across if across < most else most, down if down < most else most
         for r in range(k):
             count = squares = beyond = F(0.0)
-            a, b, c = metric[SIZE * r] ** 2, metric[SIZE * r + 1] ** 2, metric[SIZE * r + 2] ** 2
-            d, f = metric[SIZE * r + 3] ** 2, metric[SIZE * r + 4] ** 2
+            by_x, by_y, by_red = metric[SIZE * r] ** 2, metric[SIZE * r + 1] ** 2, metric[SIZE * r + 2] ** 2
+            by_green, by_blue = metric[SIZE * r + 3] ** 2, metric[SIZE * r + 4] ** 2
             for i in range(size):
-                noise = a * planes[5, i] + b * planes[6, i] + c * planes[7, i] + d * planes[8, i] + f * planes[9, i]
-                logs[i] = noise
+                by_gradient = by_x * planes[5, i] + by_y * planes[6, i]
+                logs[i] = by_gradient + by_red * planes[7, i] + by_green * planes[8, i] + by_blue * planes[9, i]
                 deviation[i] = residual[(begin + i) * k + r] * residual[(begin + i) * k + r]
             for i in range(size):
                 counted = counts[i] if logs[i] < F(0.5 * UNKNOWN) else F(0.0)
@@ -292,8 +291,7 @@ def weigh_by_noise(
     k, steps = len(residual) // n, (len(table) - 1) / (span[1] - span[0])
     for i in range(n):
         for c in range(3):
-            log_noise(values[SIZE * i + c : SIZE * i + c + 1], table, F(span[0]), F(steps), noise[SIZE * i + c :])
-            square = noise[SIZE * i + c] ** 2
+            square = log_noise(values[SIZE * i + c], table, F(span[0]), F(steps)) ** 2
             # The blur reduces noise, but not the bias due to the logarithm's curvature: E log(rho + n) is below
             # log(rho) by half the relative variance.
             noise[SIZE * i + c] = kept[0] * kept[0] * square + 0.25 * square * square
