@@ -6,7 +6,7 @@ the form ``{"error": sentence}``.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,7 +42,7 @@ from liaam.studio.model_store import (
     load_studio_model,
     model_json,
 )
-from liaam.studio.pictures import Pictures, Source, checked_size, source_of
+from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
 from liaam.studio.safety import GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
@@ -100,34 +100,20 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
     settings = settings or Settings()
     lock = FolderLock(checked_folder(folder), settings.address.partition("?")[0])
     try:
-        return _made(folder, model, settings, lock)
+        project, models, events = Project(folder, settings), ModelStore(), Events(settings.heartbeat_seconds)
+        project.prepare()
+        pictures = Pictures()
+        uploads = Uploads(pictures, settings)
+        trainer = Trainer(project, models, events.publish)
+        fits, videos = Fits(project, models, uploads, pictures, settings), LiveVideos(models, settings)
+        if model is not None:
+            load_given_model(model, models)
+        else:
+            load_studio_model(project, models)
+        return Studio(settings, project, models, events, trainer, pictures, uploads, fits, videos, lock)
     except BaseException:
         lock.release()
         raise
-
-
-def _made(folder: str | Path, model: Path | None, settings: Settings, lock: FolderLock) -> Studio:
-    project, models, events = Project(folder, settings), ModelStore(), Events(settings.heartbeat_seconds)
-    project.prepare()
-    pictures = Pictures()
-    uploads = Uploads(pictures, settings)
-    studio = Studio(
-        settings=settings,
-        project=project,
-        models=models,
-        events=events,
-        training=Trainer(project, models, events.publish),
-        pictures=pictures,
-        uploads=uploads,
-        fits=Fits(project, models, uploads, pictures, settings),
-        live=LiveVideos(models, settings),
-        lock=lock,
-    )
-    if model is not None:
-        load_given_model(model, models)
-    else:
-        load_studio_model(project, models)
-    return studio
 
 
 def make_app(studio: Studio) -> Starlette:
@@ -149,9 +135,6 @@ def make_app(studio: Studio) -> Starlette:
             Exception: _on_bug,
         },
     )
-
-
-Handler = Callable[[Request], Awaitable[Response]]
 
 
 class _Handlers:
@@ -181,8 +164,8 @@ class _Handlers:
             Route("/api/training", self.stop_training, methods=delete),
             Route("/api/events", self.events, methods=get),
             Route(UPLOADS, self.upload, methods=post),
-            Route(UPLOADS + "/{id}/image", self.upload_image, methods=get),
-            Route(UPLOADS + "/{id}/chroma", self.upload_chroma, methods=get),
+            Route(UPLOADS + "/{id}/image", self.image, methods=get),
+            Route(UPLOADS + "/{id}/chroma", self.chroma, methods=get),
             Route("/api/model/file", self.model_file, methods=get),
             Route(GUEST, self.receive_guest, methods=post),
             Route(GUEST, self.dismiss_guest, methods=delete),
@@ -192,6 +175,15 @@ class _Handlers:
 
     async def _json(self, request: Request) -> Any:
         return await read_json(request, self.studio.settings.json_bytes)
+
+    async def _in_folder(self, data: Any, act: Callable[..., Any], *arguments: Any) -> Any:
+        """Act in a thread; refuse a request with data that names another folder."""
+
+        def checked() -> Any:
+            self.studio.project.check_id(data)
+            return act(*arguments)
+
+        return await run_sync(checked)
 
     # The project ----------------------------------------------------------------------------------
 
@@ -204,7 +196,8 @@ class _Handlers:
 
         studio, project = self.studio, self.studio.project
         suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
-        overview = project.overview_since(_without(suffix, known), OVERVIEW_SECONDS)
+        of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
+        overview = project.overview_since(of_folder, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
         follow_template(project, studio.models, studio.training)
@@ -238,28 +231,21 @@ class _Handlers:
 
     async def save_landmarks(self, request: Request) -> Response:
         name, data = request.path_params["name"], await self._json(request)
-        answer = await run_sync(self._save_marks, name, data)
+        answer = await self._in_folder(data, self.studio.project.save_marks, name, data)
         self.studio.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
         return JSONResponse(answer)
-
-    def _save_marks(self, name: str, data: Any) -> dict[str, Any]:
-        self.studio.project.check_id(data)
-        return self.studio.project.save_marks(name, data)
 
     async def history(self, request: Request) -> Response:
         return JSONResponse(await run_sync(self.studio.project.history, request.path_params["name"]))
 
     async def review(self, request: Request) -> Response:
-        answer = await run_sync(self._review, await self._json(request))
+        data = await self._json(request)
+        answer = await self._in_folder(data, self.studio.project.review, data)
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.studio.events.publish("landmarks", written)
         self.studio.events.publish("project", {})
         return JSONResponse(answer)
-
-    def _review(self, data: Any) -> dict[str, Any]:
-        self.studio.project.check_id(data)
-        return self.studio.project.review(data)
 
     async def export(self, request: Request) -> Response:
         name, data = await run_sync(export_of, self.studio.project, request.path_params["kind"])
@@ -267,13 +253,13 @@ class _Handlers:
         return Response(data, media_type="application/octet-stream", headers=headers)
 
     async def save_template(self, request: Request) -> Response:
-        template = await run_sync(self._save_template, await self._json(request))
+        data = await self._json(request)
+        template = await self._in_folder(data, self._save_template, data)
         self.studio.events.publish("project", {})
         return JSONResponse(template)
 
     def _save_template(self, data: Any) -> dict[str, Any]:
         studio = self.studio
-        studio.project.check_id(data)
         try:
             studio.project.save_template(data)
             return studio.project.template_json() or {}
@@ -293,14 +279,9 @@ class _Handlers:
         return JSONResponse(await self._control_training(request, self.studio.training.stop))
 
     async def _control_training(self, request: Request, action: Callable[[], Any]) -> dict[str, Any]:
-        """Start or stop the training. A request with a body is refused if it names another folder."""
+        """Start or stop the training. The request may have a body."""
         body = await self._json(request) if request.headers.get("content-type") else None
-
-        def checked() -> dict[str, Any]:
-            self.studio.project.check_id(body)
-            return asdict(action())
-
-        return await run_sync(checked)
+        return asdict(await self._in_folder(body, action))
 
     async def events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -329,11 +310,13 @@ class _Handlers:
             self.studio.models.receive(make(), name)
 
         await run_sync(receive, limiter=self._model_threads)
-        self.studio.events.publish("project", {})
-        return Response(status_code=204)
+        return self._changed()
 
     async def dismiss_guest(self, request: Request) -> Response:
         await run_sync(self.studio.models.dismiss)
+        return self._changed()
+
+    def _changed(self) -> Response:
         self.studio.events.publish("project", {})
         return Response(status_code=204)
 
@@ -343,32 +326,20 @@ class _Handlers:
 
     # Pictures -------------------------------------------------------------------------------------
 
-    async def image(self, request: Request) -> Response:
-        return await self._image(request, self._source)
-
-    async def thumbnail(self, request: Request) -> Response:
-        return await self._cached(request, self._source, "thumbnail", "image/jpeg", self.studio.pictures.thumbnail)
-
-    async def chroma(self, request: Request) -> Response:
-        return await self._chroma(request, self._source)
-
     async def upload(self, request: Request) -> Response:
         data = await read_body(request, self.studio.settings.upload_bytes)
         upload = await run_sync(self.studio.uploads.add, data, request.query_params.get("name", ""))
         return JSONResponse({"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height}, 201)
 
-    async def upload_image(self, request: Request) -> Response:
-        return await self._image(request, self._upload_source)
-
-    async def upload_chroma(self, request: Request) -> Response:
-        return await self._chroma(request, self._upload_source)
-
-    async def _image(self, request: Request, source: Callable[[Request], Source]) -> Response:
+    async def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
         pictures = self.studio.pictures
-        return await self._cached(request, source, f"{size}", "image/jpeg", lambda s: pictures.image(s, size))
+        return await self._cached(request, f"{size}", "image/jpeg", lambda picture: pictures.image(picture, size))
 
-    async def _chroma(self, request: Request, source: Callable[[Request], Source]) -> Response:
+    async def thumbnail(self, request: Request) -> Response:
+        return await self._cached(request, "thumbnail", "image/jpeg", self.studio.pictures.thumbnail)
+
+    async def chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
         camera = CameraModel() if current is None else current.model.camera
 
@@ -376,18 +347,11 @@ class _Handlers:
             return self.studio.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
-        return await self._cached(request, source, kind, "application/octet-stream", chroma)
+        return await self._cached(request, kind, "application/octet-stream", chroma)
 
-    async def _cached(
-        self,
-        request: Request,
-        source: Callable[[Request], Source],
-        kind: str,
-        media: str,
-        make: Callable[[Source], bytes],
-    ) -> Response:
+    async def _cached(self, request: Request, kind: str, media: str, make: Callable[[Source], bytes]) -> Response:
         """Return bytes computed from a picture, or 304 if the browser has them already."""
-        picture = await run_sync(source, request)
+        picture = await run_sync(self._source, request)
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
         known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in known:
@@ -396,12 +360,10 @@ class _Handlers:
         return Response(content, media_type=media, headers=headers)
 
     def _source(self, request: Request) -> Source:
-        project, name = self.studio.project, request.path_params["name"]
-        project.size_of(name)  # raises if the picture cannot be used
-        return source_of(project.path_of(name), self.studio.settings.pixels, name)
-
-    def _upload_source(self, request: Request) -> Source:
-        return self.studio.uploads.source(request.path_params["id"])
+        """Return the picture of the folder, or the dropped one, that a request names."""
+        if "id" in request.path_params:
+            return self.studio.uploads.source(request.path_params["id"])
+        return self.studio.project.source(request.path_params["name"])
 
     # Errors ---------------------------------------------------------------------------------------
 
@@ -412,11 +374,6 @@ class _Handlers:
             return JSONResponse({"error": text, **fault.details}, fault.status)
         refused_write = isinstance(fault.__cause__, OSError) and request.method != "GET"
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
-
-
-def _without(suffix: str, stamp: str | None) -> str | None:
-    """Return the folder's part of a stamp, or None if there is no stamp or its suffix has changed."""
-    return stamp.removesuffix(suffix) if stamp is not None and stamp.endswith(suffix) else None
 
 
 async def _nothing(request: Request) -> Response:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable, Mapping, Sequence
-from functools import wraps
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
 
 from liaam.errors import LiaamError
 from liaam.fitting.methods import DEFAULT_METHOD
@@ -16,14 +20,9 @@ from liaam.photometry import srgb_to_linear
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.fit_files import attachment, file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
-from liaam.studio.pictures import Source, checked_size, jpeg_bytes, source_of
+from liaam.studio.pictures import Source, checked_size, jpeg_bytes
 from liaam.studio.safety import Refusal
 from liaam.studio.uploads import read_json
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response as Answer
-    from starlette.routing import Route
 
 MOST_LAMPS = 8
 """Maximum number of lamps of a relit picture."""
@@ -31,64 +30,45 @@ MOST_LAMPS = 8
 
 def routes(fits: Fits) -> list[Route]:
     """Return the endpoints of fits. Failures are raised as :class:`Refusal` with the status to answer."""
-    from starlette.routing import Route
-
     endpoints = _Endpoints(fits)
-    table: list[tuple[str, str, Callable[[Request], Awaitable[Answer]]]] = [
-        ("POST", "/api/fits", endpoints.fit),
-        ("GET", "/api/fits/{id}/layers/{layer}", endpoints.layer),
-        ("GET", "/api/fits/{id}/relit", endpoints.relit),
-        ("GET", "/api/fits/{id}/export", endpoints.export),
+    return [
+        Route("/api/fits", endpoints.fit, methods=["POST"]),
+        Route("/api/fits/{id}/layers/{layer}", endpoints.layer, methods=["GET"]),
+        Route("/api/fits/{id}/relit", endpoints.relit, methods=["GET"]),
+        Route("/api/fits/{id}/export", endpoints.export, methods=["GET"]),
     ]
-    return [Route(path, _refusing(endpoint), methods=[verb]) for verb, path, endpoint in table]
-
-
-def _refusing(endpoint: Callable[[Request], Awaitable[Answer]]) -> Callable[[Request], Awaitable[Answer]]:
-    """Turn a :class:`LiaamError` of an endpoint into a refusal with a status."""
-
-    @wraps(endpoint)
-    async def refusing(request: Request) -> Answer:
-        try:
-            return await endpoint(request)
-        except Refusal:
-            raise
-        except LiaamError as fault:
-            raise Refusal(422, str(fault)) from fault
-
-    return refusing
 
 
 class _Endpoints:
     """Handlers of requests about fits."""
 
     def __init__(self, fits: Fits) -> None:
-        import anyio
-
         self.fits = fits
         # A separate limit, so that the thumbnails of a large folder do not delay a fit.
-        self._threads = anyio.CapacityLimiter(4)
+        self._threads = CapacityLimiter(4)
 
-    async def fit(self, request: Request) -> Answer:
+    async def fit(self, request: Request) -> Response:
         text = await self._work(self._fitted, await read_json(request, self.fits.settings.json_bytes))
-        return _answer(text, "application/json", {"cache-control": "no-store"})
+        return Response(text, media_type="application/json", headers={"cache-control": "no-store"})
 
-    async def layer(self, request: Request) -> Answer:
+    async def layer(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
         data = await self._work(self.fits.layer, fit, what, size)
-        return _answer(data, "image/png", {"cache-control": "private, max-age=86400, immutable"})
+        return Response(data, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
 
-    async def relit(self, request: Request) -> Answer:
+    async def relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
         data = await self._work(lambda: jpeg_bytes(self.fits.relit(fit, *light, size)))
-        return _answer(data, "image/jpeg", {"cache-control": "private, max-age=86400, immutable"})
+        return Response(data, media_type="image/jpeg", headers={"cache-control": "private, max-age=86400, immutable"})
 
-    async def export(self, request: Request) -> Answer:
+    async def export(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
         light = light_of(request.query_params)
         name, kind, data = await self._work(file_of, self.fits, fit, what, light)
-        return _answer(data, kind, {"content-disposition": attachment(name), "cache-control": "no-store"})
+        headers = {"content-disposition": attachment(name), "cache-control": "no-store"}
+        return Response(data, media_type=kind, headers=headers)
 
     def _fitted(self, body: Any) -> bytes:
         """Fit the requested picture and return JSON."""
@@ -111,20 +91,16 @@ class _Endpoints:
         if kind == "upload":
             return self.fits.uploads.source(name), (kind, name), None
         project = self.fits.project
-        project.size_of(name)  # raises if the picture cannot be used
-        source = source_of(project.path_of(name), self.fits.settings.pixels, name)
-        return source, (kind, name), truth_of(project.landmarks(name))
+        return project.source(name), (kind, name), truth_of(project.landmarks(name))
 
     async def _work(self, call: Callable, *arguments: Any) -> Any:
-        import anyio
-
-        return await anyio.to_thread.run_sync(call, *arguments, limiter=self._threads)
-
-
-def _answer(content: bytes, kind: str, headers: Mapping[str, str]) -> Answer:
-    from starlette.responses import Response as Content
-
-    return Content(content, media_type=kind, headers=dict(headers))
+        """Work in a thread. Any error is a refusal, since the page would retry after a failed write."""
+        try:
+            return await run_sync(call, *arguments, limiter=self._threads)
+        except Refusal:
+            raise
+        except LiaamError as fault:
+            raise Refusal(422, str(fault)) from fault
 
 
 # Parsing ------------------------------------------------------------------------------------------

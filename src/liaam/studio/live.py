@@ -16,6 +16,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult
@@ -31,10 +34,6 @@ from liaam.tracking.shading import ShadingRemover
 from liaam.tracking.tracker import TrackState
 
 if TYPE_CHECKING:
-    from starlette.requests import Request
-    from starlette.responses import Response as Answer
-    from starlette.routing import Route
-
     from liaam.studio.model_store import ModelStore
 
 AT_ONCE = 3
@@ -199,13 +198,10 @@ class LiveVideos:
 
 def routes(videos: LiveVideos) -> list[Route]:
     """Return the endpoints of live videos."""
-    from starlette.responses import JSONResponse, Response
-    from starlette.routing import Route
-
     # A thread for each step keeps the frames in order, and makes one tracker at a time.
     tracking, painting = ThreadPoolExecutor(1, "live-track"), ThreadPoolExecutor(1, "live-paint")
 
-    async def begin(request: Request) -> Answer:
+    async def begin(request: Request) -> Response:
         video = await wrap_future(tracking.submit(videos.open))
         return JSONResponse({"id": video.id, "header": video.rows.header}, 201)
 
@@ -216,7 +212,7 @@ def routes(videos: LiveVideos) -> list[Route]:
             return row
         return row + await wrap_future(painting.submit(video.without_shading, image, tracked, result))
 
-    async def update(request: Request) -> Answer:
+    async def update(request: Request) -> Response:
         video, frame = videos.get(request.path_params["id"]), Frame(request.query_params)
         image = frame.image(await read_body(request, videos.settings.json_bytes))
         if video.in_progress >= AT_ONCE:
@@ -227,7 +223,7 @@ def routes(videos: LiveVideos) -> list[Route]:
         finally:
             video.in_progress -= 1
 
-    async def end(request: Request) -> Answer:
+    async def end(request: Request) -> Response:
         videos.close(request.path_params["id"])
         return Response(status_code=204)
 

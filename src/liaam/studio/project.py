@@ -35,6 +35,7 @@ from liaam.studio.folder import Folder, checked_folder, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, n_placed
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
+from liaam.studio.pictures import Source, source_of
 from liaam.studio.proposals import Proposals, Unchecked
 from liaam.studio.review import ReviewLog, parse_who
 from liaam.studio.review_actions import ReviewActions
@@ -246,6 +247,17 @@ class Project:
         """
         with self._lock:
             return self._listing.usable_size(self._find(name))
+
+    def source(self, name: str) -> Source:
+        """Return a picture that can be decoded.
+
+        Raises
+        ------
+        Refusal
+            As :meth:`size_of`.
+        """
+        self.size_of(name)
+        return source_of(self.path_of(name), self.settings.pixels, name)
 
     def annotated(self) -> list[Annotated]:
         """Return the done pictures, which have all their points, except those left out of training.
