@@ -7,7 +7,7 @@ import zipfile
 from dataclasses import replace
 
 from liaam.io.landmarks import collection_text
-from liaam.io.landmarks.pts import dump
+from liaam.studio.landmark_files import text_of
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.uploads import plain_name
@@ -34,7 +34,7 @@ def export_of(project: Project, kind: str) -> tuple[str, bytes]:
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
             for file, landmarks, _ in found:
-                archive.writestr(f"{file.stem}.pts", dump(landmarks))
+                archive.writestr(f"{file.stem}.pts", text_of(landmarks, ".pts"))
         return name, stream.getvalue()
     names = project.template.names if project.template is not None else ()
     collection = {file.name: replace(landmarks, names=names) for file, landmarks, _ in found}

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from liaam.io import Contour, Landmarks, fit_text
-from liaam.io.landmarks import FORMATS
 from liaam.relighting import Lamp
 from liaam.studio import layers
+from liaam.studio.landmark_files import text_of
 from liaam.studio.pictures import png_bytes, shown
 from liaam.studio.safety import Refusal
 from liaam.studio.uploads import plain_name
@@ -45,10 +45,8 @@ def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, by
         if what == "json":
             facts = fit.result.to_dict() | {"image": fit.source.name}
             return f"{stem}.json", "application/json", fit_text(landmarks, facts).encode()
-        dump = FORMATS[f".{what}"].dump
-        assert dump is not None
         kind = "application/json" if what == "ljson" else "text/csv" if what == "csv" else "text/plain"
-        return f"{stem}.{what}", kind, dump(landmarks).encode()
+        return f"{stem}.{what}", kind, text_of(landmarks, f".{what}").encode()
     if what not in FILES:
         raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
     return (

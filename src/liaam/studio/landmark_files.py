@@ -30,11 +30,11 @@ INVISIBLE_FILE = "invisible.json"
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """The contents of a landmark file."""
+    """The contents of a landmark file; without arguments, those of a picture that has none."""
 
-    file: str
-    revision: str
-    landmarks: Landmarks | None
+    file: str = ""
+    revision: str | None = None
+    landmarks: Landmarks | None = None
     error: str | None = None
 
     @property
@@ -49,9 +49,7 @@ class Marks:
         return 0 if self.landmarks is None else int((~self.landmarks.missing).sum())
 
 
-def n_placed(marks: Marks | None) -> int:
-    """Return the number of placed points, 0 without a file."""
-    return 0 if marks is None else marks.n_placed
+_NO_MARKS = Marks()
 
 
 class LandmarkFiles:
@@ -63,6 +61,11 @@ class LandmarkFiles:
     state : StateFiles
     most_bytes : int
         Maximum size of a landmark file.
+
+    Attributes
+    ----------
+    problems : list of str
+        Errors of files that cannot be read and belong to no picture.
     """
 
     def __init__(self, listing: Listing, state: StateFiles, most_bytes: int) -> None:
@@ -73,39 +76,29 @@ class LandmarkFiles:
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
         self._faults: dict[str, str] = {}
-        self._problems: list[str] = []
+        self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
         self._invisible: dict[str, Any] = state.read(INVISIBLE_FILE, _is_invisible) or {}
 
     # Reading --------------------------------------------------------------------------------------
 
-    def of(self, picture: File) -> Marks | None:
-        """Return the landmarks of a picture, or None if it has no file or the file belongs to another picture."""
+    def of(self, picture: File) -> Marks:
+        """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
         if self._listing.winners[picture.stem] != picture.name:
-            return None
+            return _NO_MARKS
         own = self._listing.own(picture)
-        return self._foreign().get(picture.name) if own is None else self._own(own)
-
-    def revision(self, picture: File) -> str | None:
-        """Return the hash of a picture's landmark file, or None if there is none."""
-        marks = self.of(picture)
-        return None if marks is None else marks.revision
+        return self._foreign().get(picture.name, _NO_MARKS) if own is None else self._own(own)
 
     def fault_of(self, picture: File) -> str | None:
         """Return why the file of another format cannot be read for a picture without landmarks."""
         self._foreign()
         return self._faults.get(picture.name)
 
-    @property
-    def problems(self) -> list[str]:
-        """Errors of files that cannot be read and belong to no picture."""
-        return self._problems
-
     def is_current(self, picture: File) -> bool:
         """Whether the listing is current for a picture: no file was added or removed, and its files are unchanged."""
-        marks = self._foreign().get(picture.name)
-        others = [self._listing.own(picture), None if marks is None else self._listing.files.get(marks.file)]
+        foreign = self._foreign().get(picture.name, _NO_MARKS)
+        others = [self._listing.own(picture), self._listing.files.get(foreign.file)]
         return self._listing.is_current(picture, *(other for other in others if other is not None))
 
     def is_read(self, picture: File) -> bool:
@@ -148,7 +141,7 @@ class LandmarkFiles:
         self._paired_version = listing.version
         files = (tuple(listing.other_files), tuple(listing.winners.values())) if listing.other_files else None
         if files != self._paired_files or files is None:
-            self._paired, self._faults, self._problems = self._pair() if files else ({}, {}, [])
+            self._paired, self._faults, self.problems = self._pair() if files else ({}, {}, [])
             self._paired_files = files
         return self._paired
 
@@ -198,7 +191,7 @@ class LandmarkFiles:
         """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed."""
         target, before = self.target(picture), self.of(picture)
         name = self._folder.name_of(target)
-        if before is not None and before.file == name:
+        if before.file == name:
             self._keep_unreadable(before, target, template)
         # If the .ljson were removed, a file of another format would be read again.
         is_alone = picture.name not in self._foreign()
@@ -206,8 +199,8 @@ class LandmarkFiles:
             remove(target)
         else:
             landmarks = landmarks_of(template, points, invisible)
-            text = text_of(landmarks, target)
-            revision = before.revision if before is not None and before.file == name else None
+            text = text_of(landmarks, target.suffix)
+            revision = before.revision if before.file == name else None
             self._remember_invisible(name, revision, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)
         self._listing.renew(name)
@@ -260,9 +253,9 @@ class LandmarkFiles:
             self._invisible = known
 
 
-def text_of(landmarks: Landmarks, target: Path) -> str:
-    """Return the text of a landmark file in a format that the studio writes."""
-    dump = FORMATS[target.suffix.lower()].dump
+def text_of(landmarks: Landmarks, suffix: str) -> str:
+    """Return the text of a landmark file in a format that can be written."""
+    dump = FORMATS[suffix.lower()].dump
     assert dump is not None
     return dump(landmarks)
 

@@ -3,48 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from liaam.studio.landmark_files import LandmarkFiles, Marks, n_placed
+from liaam.studio.landmark_files import LandmarkFiles, Marks
 from liaam.studio.listing import File, Listing
 from liaam.studio.proposals import Proposals, Unchecked, revision_of_proposal, teaching_order
 from liaam.studio.review import ReviewLog
 from liaam.studio.template_store import TemplateStore
 
 
+@dataclass(frozen=True, eq=False)
 class PictureStates:
     """Describes pictures for the page from their listing, landmarks, proposals and reviews."""
 
-    def __init__(
-        self,
-        listing: Listing,
-        landmarks: LandmarkFiles,
-        proposals: Proposals,
-        templates: TemplateStore,
-        unchecked: Unchecked,
-        log: ReviewLog,
-    ) -> None:
-        self._listing = listing
-        self._landmarks = landmarks
-        self._proposals = proposals
-        self._templates = templates
-        self._unchecked = unchecked
-        self._log = log
+    listing: Listing
+    landmarks: LandmarkFiles
+    proposals: Proposals
+    templates: TemplateStore
+    unchecked: Unchecked
+    log: ReviewLog
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
         waiting = {
             file.name: proposal
-            for file in self._listing.pictures
-            if (proposal := self.proposal_of(file)) is not None and not n_placed(self._landmarks.of(file))
+            for file in self.listing.pictures
+            if (proposal := self.proposal_of(file)) is not None and not self.landmarks.of(file).n_placed
         }
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
     def is_read(self, file: File) -> bool:
         """Whether the files of a picture were read before, so that its state is known at once."""
-        return self._listing.is_read(file) and self._landmarks.is_read(file)
+        return self.listing.is_read(file) and self.landmarks.is_read(file)
 
     def unread_json(self, file: File) -> dict[str, Any]:
         """Return a picture whose files have not been read yet as JSON for the page."""
@@ -53,29 +46,28 @@ class PictureStates:
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""
-        size, fault, marks = self._listing.size_of(file), self._listing.fault_of(file), self._landmarks.of(file)
+        size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)
         proposal = self.proposal_of(file)
-        placed = n_placed(marks)
-        waiting = proposal is not None and not placed and fault is None
+        waiting = proposal is not None and not marks.n_placed and fault is None
         if fault is not None:
             state = "broken"
-        elif placed:
+        elif marks.n_placed:
             state = "done" if self.is_done(file) else "partial"
         else:
-            state = "proposed" if waiting else "unchecked" if file in self._unchecked else "new"
+            state = "proposed" if waiting else "unchecked" if file in self.unchecked else "new"
         return {
             "name": file.name,
             "tag": file.tag,
             "state": state,
-            "placed": placed,
+            "placed": marks.n_placed,
             "error": fault or self._error_of(file, marks),
             "width": None if isinstance(size, str) else size[0],
             "height": None if isinstance(size, str) else size[1],
             "uncertainty": proposal["uncertainty"] if waiting and proposal else None,
             "doubtful": bool(waiting and proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if waiting else None,
-            "checked": self._log.checked_by(file.name, marks.revision) if marks and state == "done" else None,
-            "left_out": self._log.left_out_by(file.name),
+            "checked": self.log.checked_by(file.name, marks.revision) if state == "done" else None,
+            "left_out": self.log.left_out_by(file.name),
         }
 
     def marks_json(self, file: File) -> dict[str, Any]:
@@ -86,24 +78,24 @@ class PictureStates:
         Refusal
             409 if the picture cannot be used.
         """
-        width, height = self._listing.usable_size(file)
-        template, marks = self._templates.current, self._landmarks.of(file)
+        width, height = self.listing.usable_size(file)
+        template, marks = self.templates.current, self.landmarks.of(file)
         answer: dict[str, Any] = {
             "points": [None] * (0 if template is None else len(template)),
             "invisible": [],
-            "revision": None if marks is None else marks.revision,
+            "revision": marks.revision,
             "source": "none",
             "tag": file.tag,
-            "file": None if marks is None else marks.file,
+            "file": marks.file or None,
             "covariances": None,
             "quality": None,
             "status": None,
             "doubtful": False,
-            "error": None if marks is None else marks.error,
+            "error": marks.error,
             "width": width,
             "height": height,
         }
-        if marks is not None and marks.landmarks is not None and marks.n_placed:
+        if marks.landmarks is not None and marks.n_placed:
             return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
         proposal = self.proposal_of(file)
         if proposal is None:
@@ -113,27 +105,27 @@ class PictureStates:
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
-        proposal = self._proposals.with_points(file, self._templates.current)
-        discarded = self._log.discarded(file.name)
+        proposal = self.proposals.with_points(file, self.templates.current)
+        discarded = self.log.discarded(file.name)
         if proposal is None or discarded is None:
             return proposal
         return None if discarded == revision_of_proposal(proposal) else proposal
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""
-        template, marks = self._templates.current, self._landmarks.of(file)
-        if template is None or marks is None or marks.landmarks is None:
+        template, marks = self.templates.current, self.landmarks.of(file)
+        if template is None or marks.landmarks is None:
             return False
         is_complete = marks.n_placed == len(template) == len(marks.landmarks)
         return is_complete and self._misplaced(file, marks) is None
 
-    def _error_of(self, file: File, marks: Marks | None) -> str | None:
+    def _error_of(self, file: File, marks: Marks) -> str | None:
         """Return what is wrong with the landmarks of a usable picture."""
-        template = self._templates.current
-        if marks is None:
-            proposal = self._proposals.of(file)
+        template = self.templates.current
+        if not marks.file:
+            proposal = self.proposals.of(file)
             failed = proposal is not None and proposal["points"] is None
-            return self._landmarks.fault_of(file) or (proposal["message"] if proposal and failed else None)
+            return self.landmarks.fault_of(file) or (proposal["message"] if proposal and failed else None)
         if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
             return (
                 f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
@@ -143,7 +135,7 @@ class PictureStates:
 
     def _misplaced(self, file: File, marks: Marks) -> str | None:
         """Return an error if most points lie outside the picture, as after it was replaced."""
-        size = self._listing.size_of(file)
+        size = self.listing.size_of(file)
         if isinstance(size, str) or marks.landmarks is None:
             return None
         placed = marks.landmarks.points[~marks.landmarks.missing]

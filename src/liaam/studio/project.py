@@ -32,7 +32,7 @@ from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.errors import LiaamError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import Folder, checked_folder, revision_of
-from liaam.studio.landmark_files import LandmarkFiles, n_placed
+from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
 from liaam.studio.pictures import Source, source_of
@@ -281,7 +281,7 @@ class Project:
         return [
             Annotated(file.name, self.root / file.name, marks.landmarks.points, marks.revision)
             for file, marks in found
-            if marks is not None and marks.landmarks is not None
+            if marks.landmarks is not None and marks.revision is not None
         ]
 
     def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
@@ -294,8 +294,7 @@ class Project:
             return [
                 (file, marks.landmarks, self._listing.usable_size(file))
                 for file, marks in found
-                if marks is not None
-                and marks.landmarks is not None
+                if marks.landmarks is not None
                 and marks.n_placed
                 and template is not None
                 and len(marks.landmarks) == len(template)
@@ -310,7 +309,7 @@ class Project:
         with self._lock:
             self._listing.scan()
             ranks = self._states.ranks()
-            blank = [file.name for file in self._listing.usable() if not n_placed(self._landmarks.of(file))]
+            blank = [file.name for file in self._listing.usable() if not self._landmarks.of(file).n_placed]
             known = sorted((name for name in blank if name in ranks), key=ranks.__getitem__)
             fresh = [name for name in blank if name not in ranks]
             known = known[: max(most // 2, most - len(fresh))]
@@ -332,8 +331,7 @@ class Project:
     def landmarks(self, name: str) -> Landmarks | None:
         """Return the landmarks in a picture's file, complete or not, or None if no file can be read."""
         with self._lock:
-            marks = self._landmarks.of(self._find(name))
-            return None if marks is None else marks.landmarks
+            return self._landmarks.of(self._find(name)).landmarks
 
     def marks(self, name: str) -> dict[str, Any]:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none.
@@ -392,10 +390,10 @@ class Project:
                 self._landmarks.save(file, template, points, invisible)
                 did = "placed" if any(points) else "cleared"
                 with suppress(LiaamError):  # the landmarks are saved
-                    self._log.add_change(who, name, did, self._landmarks.revision(file))
+                    self._log.add_change(who, name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
                 self._unchecked.mark(file, bool(data["unchecked"]))
-            revision = self._landmarks.revision(file)
+            revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
     def review(self, data: Any) -> dict[str, Any]:

@@ -57,7 +57,8 @@ class ReviewLog:
 
     def add_change(self, who: str, name: str, did: str, revision: str | None) -> None:
         """Append that the points of a picture were placed or cleared, once for all changes in a few minutes."""
-        last = self._last(name, *ENTRIES)
+        entries = self._entries.get(name)
+        last = entries[-1] if entries else None
         age = SAME_WORK if last is None else datetime.now(UTC) - datetime.fromisoformat(last["time"])
         if last is None or (last["who"], last["did"]) != (who, did) or age >= SAME_WORK:
             self.add(did, who, {name: revision})
@@ -66,28 +67,31 @@ class ReviewLog:
         """Return the last entries of a picture, newest first."""
         return self._entries.get(name, [])[: -SHOWN - 1 : -1]
 
-    def checked_by(self, name: str, revision: str) -> str | None:
-        """Return who checked a revision of the landmarks."""
-        last = self._last(name, "checked", "unchecked")
-        return _who(last) if last is not None and (last["did"], last["revision"]) == ("checked", revision) else None
+    def checked_by(self, name: str, revision: str | None) -> str | None:
+        """Return who checked a revision of the landmarks; None without landmarks."""
+        last = self._standing(name, "checked")
+        return _who(last) if last is not None and revision is not None and last["revision"] == revision else None
 
     def left_out_by(self, name: str) -> str | None:
         """Return who left a picture out of training."""
-        last = self._last(name, "left out", "taken in")
-        return _who(last) if last is not None and last["did"] == "left out" else None
+        last = self._standing(name, "left out")
+        return None if last is None else _who(last)
 
     def discarded(self, name: str) -> str | None:
         """Return the revision of the proposal that was discarded."""
-        last = self._last(name, "discarded", "restored")
-        return last["revision"] if last is not None and last["did"] == "discarded" else None
+        last = self._standing(name, "discarded")
+        return None if last is None else last["revision"]
 
     def deleted(self, name: str) -> str | None:
         """Return the revision of the landmarks that were deleted and can be restored."""
-        last = self._last(name, "deleted", "undeleted")
-        return last["revision"] if last is not None and last["did"] == "deleted" else None
+        last = self._standing(name, "deleted")
+        return None if last is None else last["revision"]
 
-    def _last(self, name: str, *did: str) -> dict[str, Any] | None:
-        return next((entry for entry in reversed(self._entries.get(name, ())) if entry["did"] in did), None)
+    def _standing(self, name: str, did: str) -> dict[str, Any] | None:
+        """Return the last entry of an action, unless its opposite came later."""
+        both = (did, OPPOSITE[did])
+        last = next((entry for entry in reversed(self._entries.get(name, ())) if entry["did"] in both), None)
+        return last if last is not None and last["did"] == did else None
 
 
 def parse_who(name: Any) -> str:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import secrets
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
-from liaam.studio.folder import Folder, is_relative, status_of
+from liaam.studio.folder import is_relative, status_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, text_of
 from liaam.studio.listing import OWN_SUFFIXES, File, Listing
 from liaam.studio.proposals import Proposals
@@ -25,24 +26,17 @@ from liaam.studio.template_store import TemplateStore, is_template
 CHANGE_FILE = "change.json"
 
 
+@dataclass(eq=False)
 class TemplateChanges:
     """Applies changes of the template and finishes interrupted ones."""
 
-    def __init__(
-        self,
-        listing: Listing,
-        state: StateFiles,
-        landmarks: LandmarkFiles,
-        proposals: Proposals,
-        templates: TemplateStore,
-    ) -> None:
-        self.is_pending = True  # until change.json has been read
-        self._folder: Folder = listing.folder
-        self._listing = listing
-        self._state = state
-        self._landmarks = landmarks
-        self._proposals = proposals
-        self._templates = templates
+    listing: Listing
+    state: StateFiles
+    landmarks: LandmarkFiles
+    proposals: Proposals
+    templates: TemplateStore
+    is_pending: bool = True
+    """Whether ``change.json`` may exist, as before it has been read."""
 
     def save(self, template: Template, data: dict[str, Any]) -> bool:
         """Save a template; return whether points were added, removed or reordered.
@@ -59,10 +53,10 @@ class TemplateChanges:
             See :meth:`liaam.studio.project.Project.save_template`.
         """
         self.finish()
-        self._listing.scan()
-        templates = self._templates
+        self.listing.scan()
+        templates = self.templates
         old = templates.current
-        marks = [(file, marks) for file in self._listing.pictures if (marks := self._landmarks.of(file)) is not None]
+        marks = [(file, marks) for file in self.listing.pictures if (marks := self.landmarks.of(file)).file]
         identity = None if old is None else list(range(len(old)))
         is_there, is_current = template == templates.saved, data.get("revision") == templates.revision
         if "revision" in data and not is_current:
@@ -75,7 +69,7 @@ class TemplateChanges:
         moved = old is not None and mapping != identity
         change = self._change(template, old, mapping, marks, moved)
         self.is_pending = True
-        self._state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a crash
+        self.state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a crash
         self.finish()
         return moved
 
@@ -94,10 +88,10 @@ class TemplateChanges:
         except (LiaamError, OSError) as fault:
             cause = fault if isinstance(fault, OSError) else fault.__cause__
             sentence = (
-                f"a change of the template cannot be finished yet ({self._folder.plain(fault)}): fix this, and the "
-                "studio will finish it"
+                f"a change of the template cannot be finished yet ({self.state.folder.plain(fault)}): fix this, and "
+                "the studio will finish it"
             )
-            self._state.note(CHANGE_FILE, sentence)
+            self.state.note(CHANGE_FILE, sentence)
             status = fault.status if isinstance(fault, Refusal) else status_of(cause)
             raise Refusal(status, sentence) from fault
 
@@ -117,8 +111,8 @@ class TemplateChanges:
         """Return a change in full. Applying it twice has no further effect."""
         files = []
         for file, known in marks:
-            target = self._landmarks.target(file)
-            name = self._folder.name_of(target)
+            target = self.landmarks.target(file)
+            name = self.state.folder.name_of(target)
             stays = not moved and (known.file != name or target.suffix.lower() == ".pts")
             if stays or old is None or known.landmarks is None or len(known.landmarks) != len(old):
                 continue
@@ -126,27 +120,27 @@ class TemplateChanges:
             hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
             landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden)
             before = known.revision if known.file == name else None
-            text = text_of(landmarks, target)
+            text = text_of(landmarks, target.suffix)
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})
-        order = secrets.token_hex(8) if moved else self._templates.order
+        order = secrets.token_hex(8) if moved else self.templates.order
         stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
         return {"template": stored, "files": files}
 
     def _apply(self) -> None:
         """Apply ``change.json`` and remove it. Files that were changed in the meantime are left alone."""
-        change = self._state.read(CHANGE_FILE, _is_change)
+        change = self.state.read(CHANGE_FILE, _is_change)
         if change is None:  # missing, or damaged and noted
             self.is_pending = False
             return
         for item in change["files"]:
-            self._landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
-        if (change["template"].get("order") or "") != self._templates.order:
-            self._proposals.forget()
-        self._templates.store(change["template"])
-        self._state.remove(CHANGE_FILE)
+            self.landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
+        if (change["template"].get("order") or "") != self.templates.order:
+            self.proposals.forget()
+        self.templates.store(change["template"])
+        self.state.remove(CHANGE_FILE)
         self.is_pending = False
-        self._landmarks.forget()
-        self._listing.scan()
+        self.landmarks.forget()
+        self.listing.scan()
 
 
 def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[int | None]:
@@ -177,9 +171,5 @@ def _is_item(item: Any) -> bool:
         return False
     invisible = item["invisible"]
     numbers = isinstance(invisible, list) and all(isinstance(i, int) and i >= 0 for i in invisible)
-    return numbers and isinstance(item["before"], str | None) and _is_own(item["file"])
-
-
-def _is_own(name: str) -> bool:
-    """Whether a name is that of a landmark file in the folder, in a format that the studio writes."""
-    return is_relative(name) and Path(name).suffix.lower() in OWN_SUFFIXES
+    is_own = is_relative(item["file"]) and Path(item["file"]).suffix.lower() in OWN_SUFFIXES
+    return numbers and isinstance(item["before"], str | None) and is_own

@@ -49,7 +49,10 @@ class TemplateStore:
         """The saved template, or else that of the first picture with landmarks."""
         if self.saved is None and self._guessed_version != self._listing.version:
             self._guessed_version = self._listing.version
-            self._guess = self._guessed()
+            found = (self._landmarks.of(file).landmarks for file in self._listing.pictures)
+            first = next((landmarks for landmarks in found if landmarks is not None), None)
+            if self._guessed_of is not first:  # the search for symmetry is slow
+                self._guessed_of, self._guess = first, None if first is None else template_of(first)
         return self.saved or self._guess
 
     @property
@@ -103,16 +106,6 @@ class TemplateStore:
         self.saved = parse_template(stored, _MOST)
         self._revision = stored.get("revision") or ""
         self.order = stored.get("order") or ""
-
-    def _guessed(self) -> Template | None:
-        all_marks = (self._landmarks.of(file) for file in self._listing.pictures)
-        first = next((marks for marks in all_marks if marks is not None and marks.landmarks is not None), None)
-        if first is None or first.landmarks is None:
-            self._guessed_of = None
-            return None
-        if self._guessed_of is not first.landmarks:  # the search for symmetry is slow
-            self._guessed_of, self._guess = first.landmarks, template_of(first.landmarks)
-        return self._guess
 
 
 def is_template(data: Any) -> bool:
