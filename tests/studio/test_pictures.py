@@ -175,7 +175,7 @@ class TestPictures:
         exif[0x0112] = 6
         Image.fromarray(smooth(480, 640)).save(tmp_path / "a.jpg", exif=exif, quality=95)
         source = source_of(tmp_path / "a.jpg", LIMIT)
-        assert (source.width, source.height) == (480, 640)
+        assert source.size == (480, 640)
         upright = np.rot90(smooth(480, 640), -1)
         seen = decode_image(Pictures().thumbnail(source)).astype(int)
         assert seen.shape == (160, 120, 3)

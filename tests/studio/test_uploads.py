@@ -119,7 +119,7 @@ class TestTaken:
         upload = uploads.add(PNG, "folder/a.png")
         (source,) = heard
         assert (source.name, source.tag) == ("a.png", f"upload-{upload.id}")
-        assert (source.width, source.height) == (32, 24)
+        assert source.size == (32, 24)
         assert len(upload.id) >= 12
 
     def test_a_picture_can_be_decoded_again_while_it_is_kept(self):

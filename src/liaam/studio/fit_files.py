@@ -22,8 +22,14 @@ if TYPE_CHECKING:
 Light = tuple[Sequence[Lamp], float]
 """Lamps, and the fraction of ambient light."""
 
-FILES = ("pts", "ljson", "csv", "json", "overlay", "flat", "shading", "relit")
-"""Kinds of exported files."""
+FILES = {
+    "pts": "text/plain",
+    "ljson": "application/json",
+    "csv": "text/csv",
+    "json": "application/json",
+    **dict.fromkeys(("overlay", "flat", "shading", "relit"), "image/png"),
+}
+"""Kinds of exported files, and their media types."""
 
 
 def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
@@ -38,27 +44,23 @@ def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, by
     light : (lamps, ambient)
         For ``relit``.
     """
-    stem = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name)
-    contours = Contour.all_of(fit.model.contours)
-    if what in ("pts", "ljson", "csv", "json"):
-        landmarks = Landmarks(fit.result.landmarks, contours)
-        if what == "json":
-            facts = fit.result.to_dict() | {"image": fit.source.name}
-            return f"{stem}.json", "application/json", fit_text(landmarks, facts).encode()
-        kind = "application/json" if what == "ljson" else "text/csv" if what == "csv" else "text/plain"
-        return f"{stem}.{what}", kind, text_of(landmarks, f".{what}").encode()
     if what not in FILES:
         raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
-    return (
-        f"{stem}_{'fit' if what == 'overlay' else what}.png",
-        "image/png",
-        png_bytes(_picture(fits, fit, what, light)),
-    )
+    stem, kind = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name), FILES[what]
+    if kind == "image/png":
+        data = png_bytes(_picture(fits, fit, what, light))
+        return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, data
+    landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours))
+    if what == "json":
+        text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name})
+    else:
+        text = text_of(landmarks, f".{what}")
+    return f"{stem}.{what}", kind, text.encode()
 
 
 def _picture(fits: Fits, fit: Fit, what: str, light: Light) -> np.ndarray:
     """Return the picture to export, in full size."""
-    size = fit.source.width, fit.source.height
+    size = fit.source.size
     if what == "relit":
         return fits.whole_light(fit).under_lamps(*light)
     if what == "flat":

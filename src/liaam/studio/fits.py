@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,14 +28,7 @@ from liaam.model.shape import diagonal_of
 from liaam.relighting import Lamp, Relighter
 from liaam.studio import layers
 from liaam.studio.model_store import ModelInUse, ModelStore
-from liaam.studio.pictures import (
-    Kept,
-    Pictures,
-    Source,
-    averaged,
-    fitted_size,
-    png_bytes,
-)
+from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
@@ -72,39 +66,25 @@ _GONE = "this fit is no longer kept: fit again"
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit and its inputs.
-
-    Attributes
-    ----------
-    id : str
-    source : Source
-        The picture.
-    fitter : Fitter
-        Holds the model of this fit.
-    result : FitResult
-    search_seconds, fit_seconds : float
-    residual : layers.Residual
-    no_flat : str or None
-        Why its shading cannot be computed.
-    error : (float, float) or None
-        Distance from the picture's landmarks, in pixels and in percent of their diagonal.
-    of : (str, str)
-        ``picture`` or ``upload``, and its name or id.
-    trained_on : bool
-        Whether the picture is one of those that the model was trained on.
-    """
+    """A fit and its inputs."""
 
     id: str
     source: Source
+    """The picture."""
     fitter: Fitter
+    """Holds the model of this fit."""
     result: FitResult
     search_seconds: float
     fit_seconds: float
     residual: layers.Residual
     no_flat: str | None
+    """Why its shading cannot be computed."""
     error: tuple[float, float] | None
+    """Distance from the picture's landmarks, in pixels and in percent of their diagonal."""
     of: tuple[str, str]
+    """``picture`` or ``upload``, and its name or id."""
     trained_on: bool = False
+    """Whether the picture is one of those that the model was trained on."""
 
     @property
     def model(self) -> AAM:
@@ -120,7 +100,7 @@ class Fit:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fit as JSON for the page."""
-        result, model = self.result, self.model
+        result, model, found = self.result, self.model, self.result.found
         return {
             "id": self.id,
             "method": result.method.name,
@@ -134,7 +114,7 @@ class Fit:
             "deviations": numbers(result.deviations, 3),
             "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
-            "found": None if result.found is None else _found(result.found),
+            "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},
             "iterations": [
                 {
                     "shape": numbers(step.landmarks, 2),
@@ -148,8 +128,8 @@ class Fit:
             "error": None if self.error is None else dict(zip(("pixels", "percent"), self.error, strict=True)),
             "triangles": model.triangles.tolist(),
             "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
-            "width": self.source.width,
-            "height": self.source.height,
+            "width": self.source.size[0],
+            "height": self.source.size[1],
             "layers": self.layers,
             "scale": {
                 "residual": {"limit": self.residual.limit, "what": self.residual.what},
@@ -157,10 +137,6 @@ class Fit:
             },
             self.of[0]: self.of[1],
         }
-
-
-def _found(candidate: Candidate) -> dict[str, Any]:
-    return {"score": round(candidate.score, 4), "doubtful": candidate.doubtful}
 
 
 def numbers(values: np.ndarray, digits: int) -> list:
@@ -235,42 +211,23 @@ class Fits:
 
     def warm_up_soon(self, current: ModelInUse | None) -> threading.Thread:
         """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`."""
-        thread = threading.Thread(target=self._try_to_warm_up, args=(current,), name="warm-up", daemon=True)
-        thread.start()
-        return thread
-
-    def _try_to_warm_up(self, current: ModelInUse | None) -> None:
-        try:
-            self.warm_up(current)
-        except LiaamError:  # the first fit will report it
-            return
+        return _soon("warm-up", lambda: self.warm_up(current))
 
     def prepare_soon(self, make: Callable[[], AAM]) -> threading.Thread:
         """Make a model that may be used soon, and fit an example with it, in a thread."""
-
-        def prepare() -> None:
-            with suppress(LiaamError):  # reported when the model is used
-                self.warm_up(ModelInUse(make(), 0, {}))
-
-        thread = threading.Thread(target=prepare, name="prepare", daemon=True)
-        thread.start()
-        return thread
+        return _soon("prepare", lambda: self.warm_up(ModelInUse(make(), 0, {})))
 
     def search_soon(self, source: Source) -> threading.Thread | None:
         """Search a dropped picture while the upload is being answered, so that the fit has less to do."""
         current = self.models.current
-        if current is None or source.width * source.height > SEARCHED_AHEAD:
+        if current is None or prod(source.size) > SEARCHED_AHEAD:
             return None
-        thread = threading.Thread(target=self._try_to_search, args=(current, source), name="search", daemon=True)
-        thread.start()
-        return thread
 
-    def _try_to_search(self, current: ModelInUse, source: Source) -> None:
-        try:
+        def search() -> None:
             with self.pictures.at_work(source) as image:
                 self._search(current, source, image)
-        except LiaamError:  # the fit will report it
-            return
+
+        return _soon("search", search)
 
     def fit(
         self,
@@ -358,8 +315,9 @@ class Fits:
     def draw(self, fit: Fit, what: str, size: int) -> np.ndarray:
         """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
         if what == "residual":
-            to = fitted_size(fit.source.width, fit.source.height, size)
-            return layers.residual_layer(fit.model, self._shape(fit, to), fit.residual, to)
+            to = fitted_size(*fit.source.size, size)
+            shape = layers.scaled_points(fit.result.landmarks, fit.source.size, to)
+            return layers.residual_layer(fit.model, shape, fit.residual, to)
         light, to = self._light(fit, size)
         return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)
 
@@ -371,11 +329,10 @@ class Fits:
     def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
         """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
         layers.need_flat(fit.no_flat)
-        width, height = fit.source.width, fit.source.height
         size = min(size, LIGHT_SIZE)
-        to = fitted_size(width, height, max(size, LAYER_SIZE))
-
-        return self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to)), fitted_size(width, height, size)
+        to = fitted_size(*fit.source.size, max(size, LAYER_SIZE))
+        light = self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to))
+        return light, fitted_size(*fit.source.size, size)
 
     def whole_light(self, fit: Fit) -> Relighter:
         """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel.
@@ -386,8 +343,8 @@ class Fits:
             422 if it would take too much memory.
         """
         layers.need_flat(fit.no_flat)
-        whole = fit.source.width, fit.source.height
-        if whole[0] * whole[1] > self.settings.whole_pixels:
+        whole = fit.source.size
+        if prod(whole) > self.settings.whole_pixels:
             raise Refusal(
                 422,
                 f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the "
@@ -403,9 +360,6 @@ class Fits:
         with self.pictures.at_work(fit.source) as image:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
-    def _shape(self, fit: Fit, to: tuple[int, int]) -> np.ndarray:
-        return layers.scaled_points(fit.result.landmarks, (fit.source.width, fit.source.height), to)
-
     def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Candidate:
         """Search for the object; all methods share one search."""
         searcher = self._fitter(current, "igo", source.raw)
@@ -414,11 +368,21 @@ class Fits:
 
     def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:
         # A fitter holds its model, so that the id is not used again. A model may be prepared before it has a number.
-        return self._fitters.get((id(current.model), method, raw), lambda: _make_fitter(current.model, method, raw))
+        model = current.model
+        camera = model.camera.suited_to(raw=raw)
+        return self._fitters.get((id(model), method, raw), lambda: Fitter(model, method, camera=camera))
 
 
-def _make_fitter(model: AAM, method: str, raw: bool) -> Fitter:
-    return Fitter(model, method, camera=model.camera.suited_to(raw=raw))
+def _soon(name: str, work: Callable[[], Any]) -> threading.Thread:
+    """Work in a thread. Errors are ignored, since the request that needs the result will report them."""
+
+    def run() -> None:
+        with suppress(LiaamError):
+            work()
+
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    return thread
 
 
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:

@@ -46,21 +46,14 @@ _ROWS = {
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """One channel of a fit's residual.
-
-    Attributes
-    ----------
-    values : (n_pixels, 2) float32
-        Image minus model, and whether the image was usable, at the pixels of the model's frame.
-    limit : float
-        Limit of the colour scale.
-    what : str
-        Name of the channel.
-    """
+    """One channel of a fit's residual."""
 
     values: np.ndarray
+    """(n_pixels, 2) float32: image minus model at the pixels of the model's frame, and whether the image was usable."""
     limit: float
+    """Limit of the colour scale."""
     what: str
+    """Name of the channel."""
 
 
 def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residual:
@@ -102,7 +95,8 @@ def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tupl
     size : (int, int)
         Width and height of the layer.
     """
-    painted, inside = paint(_canvas(size), shape, model, residual.values)
+    canvas = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))  # takes no memory
+    painted, inside = paint(canvas, shape, model, residual.values)
     colours = coloured(painted[..., 0] / residual.limit, RESIDUAL_COLOURS)
     return _with_alpha(colours, inside & (painted[..., 1] > 0.5))
 
@@ -175,11 +169,6 @@ def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...]) -> n
     table = np.stack([np.interp(np.linspace(-1, 1, 255), (-1, 0, 1), channel) for channel in np.array(colours).T], 1)
     index = np.rint((np.clip(np.nan_to_num(values), -1, 1) + 1) * 127).astype(np.uint8)
     return np.rint(table).astype(np.uint8)[index]
-
-
-def _canvas(size: tuple[int, int]) -> np.ndarray:
-    """Return a black image of a size (width, height) that takes no memory."""
-    return np.broadcast_to(np.uint8(0), (size[1], size[0], 3))
 
 
 def _with_alpha(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:

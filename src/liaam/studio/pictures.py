@@ -14,6 +14,7 @@ from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -158,31 +159,20 @@ class Room:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A picture that can be decoded.
-
-    Attributes
-    ----------
-    name : str
-        Name for messages.
-    tag : str
-        Identifier of the contents; changes with the file.
-    width, height : int
-        Size of the upright picture in pixels.
-    read : callable
-        Decodes the picture: (h, w, 3) uint8, uint16 or float32.
-    preview : callable, optional
-        Decodes the picture for a size, perhaps at a lower resolution (see :func:`liaam.io.read_preview`).
-    raw : bool
-        Whether the values are linear.
-    """
+    """A picture that can be decoded."""
 
     name: str
+    """Name for messages."""
     tag: str
-    width: int
-    height: int
+    """Identifier of the contents; changes with the file."""
+    size: tuple[int, int]
+    """Width and height of the upright picture in pixels."""
     read: Callable[[], np.ndarray]
+    """Decodes the picture: (h, w, 3) uint8, uint16 or float32."""
     preview: Callable[[int], np.ndarray] | None = None
+    """Decodes the picture for a size, perhaps at a lower resolution (see :func:`liaam.io.read_preview`)."""
     raw: bool = False
+    """Whether the values are linear."""
 
 
 def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
@@ -194,7 +184,7 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
         If it is not an image, or too large.
     """
     tag = file_tag(path)
-    width, height = _of_file(path, image_size)
+    size = _of_file(path, image_size)
 
     def read(read_some: Callable[[Path], np.ndarray]) -> np.ndarray:
         image = _of_file(path, read_some)
@@ -205,8 +195,7 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
     return Source(
         name or path.name,
         tag,
-        width,
-        height,
+        size,
         lambda: read(lambda file: read_image(file, max_pixels)),
         lambda size: read(lambda file: read_preview(file, size, max_pixels)),
         is_raw(path),
@@ -252,7 +241,7 @@ class Pictures:
         from liaam.photometry.encoding import as_colour
 
         def read() -> np.ndarray:
-            with self.room.of(source.width * source.height):
+            with self.room.of(prod(source.size)):
                 return as_colour(source.read(), source.name)
 
         return self._decoded.get((source.name, source.tag), read)
@@ -263,7 +252,7 @@ class Pictures:
 
         Do not nest this, and do not hold it while waiting for a :meth:`Kept.get` that needs it: both can deadlock.
         """
-        with self.work_room.of(source.width * source.height):
+        with self.work_room.of(prod(source.size)):
             yield self.pixels(source)
 
     def keep(self, source: Source, image: np.ndarray) -> None:
@@ -290,15 +279,15 @@ class Pictures:
 
     def _image(self, source: Source, size: int) -> bytes:
         # At half size or less, decoding a preview may be faster, and independent of the cache.
-        if source.preview is not None and 2 * size <= max(source.width, source.height):
-            with self.room.of(source.width * source.height):
+        if source.preview is not None and 2 * size <= max(source.size):
+            with self.room.of(prod(source.size)):
                 return _displayed(source, source.preview(size), size)
         with self.at_work(source) as image:
             return _displayed(source, image, size)
 
 
 def _displayed(source: Source, image: np.ndarray, size: int) -> bytes:
-    return jpeg_bytes(shown(image, fitted_size(source.width, source.height, size), source.raw))
+    return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
 
 
 def checked_size(text: str | None, otherwise: int) -> int:

@@ -28,23 +28,15 @@ _GONE = "this picture is no longer in memory, where only the {} newest are kept:
 
 @dataclass(frozen=True, eq=False)
 class Upload:
-    """A dropped picture.
-
-    Attributes
-    ----------
-    id : str
-    name : str
-        Name of the file without folders.
-    data : bytes
-        Contents of the file.
-    width, height : int
-        Size of the upright picture in pixels.
-    """
+    """A dropped picture."""
 
     id: str
     name: str
+    """Name of the file without folders."""
     data: bytes
+    """Contents of the file."""
     width: int
+    """Width of the upright picture in pixels."""
     height: int
 
 
@@ -126,8 +118,7 @@ class Uploads:
         return Source(
             name,
             f"upload-{number}",
-            upload.width,
-            upload.height,
+            (upload.width, upload.height),
             lambda: decode_image(self.get(number).data, name, pixels),
         )
 
