@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from typing import Any
 
 ROOM = 100
@@ -28,14 +29,12 @@ class Events:
     def publish(self, kind: str, data: Any) -> None:
         """Send an event to all pages."""
         text = f"event: {kind}\ndata: {json.dumps(data)}\n\n"
-        for page, loop in self._open_pages():
-            _call(loop, page.put, text)
+        self._in_loops(lambda page: page.put(text))
 
     def close(self) -> None:
         """End all present and future streams, because the server stops."""
         self._closed = True
-        for page, loop in self._open_pages():
-            _call(loop, page.end)
+        self._in_loops(_Page.end)
 
     async def stream(self) -> AsyncIterator[str]:
         """Yield the events of one page until it disconnects, falls behind, or the server stops."""
@@ -53,9 +52,13 @@ class Events:
             with self._lock:
                 self._pages.pop(page, None)
 
-    def _open_pages(self) -> list[tuple[_Page, asyncio.AbstractEventLoop]]:
+    def _in_loops(self, call: Callable[[_Page], None]) -> None:
+        """Call a function for each page on its event loop."""
         with self._lock:
-            return list(self._pages.items())
+            pages = list(self._pages.items())
+        for page, loop in pages:
+            with suppress(RuntimeError):  # the event loop is closed
+                loop.call_soon_threadsafe(call, page)
 
 
 class _Page:
@@ -84,10 +87,3 @@ class _Page:
             return await asyncio.wait_for(self._queue.get(), heartbeat)
         except TimeoutError:
             return ": still here\n\n"
-
-
-def _call(loop: asyncio.AbstractEventLoop, call: Any, *arguments: Any) -> None:
-    try:
-        loop.call_soon_threadsafe(call, *arguments)
-    except RuntimeError:  # the event loop is closed
-        return

@@ -25,7 +25,7 @@ from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
-from liaam.relighting import Lamp, Relighter
+from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes
@@ -391,8 +391,6 @@ def example(model: AAM, size: tuple[int, int]) -> np.ndarray:
     mean = np.broadcast_to(mean, (len(mean), 3))
     height, width = size
     shape = model.shape_model.mean * (0.6 * height / diagonal_of(model.shape_model.mean)) + (width / 2, height / 2)
-    from liaam.relighting import paint
-
     painted, inside = paint(np.broadcast_to(0, (height, width, 3)), shape, model, mean)
     return np.rint(255 * np.where(inside[..., None], painted, 0.5)).astype(np.uint8)
 

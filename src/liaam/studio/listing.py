@@ -13,7 +13,7 @@ import numpy as np
 
 from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
-from liaam.io.files import natural_key
+from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import UNREAD_SUFFIXES, image_size
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.photometry.encoding import as_colour
@@ -25,9 +25,6 @@ OWN_SUFFIXES = (".pts", ".ljson")
 
 MOST_FOLDERS = 1000
 """Maximum number of folders that are listed."""
-
-_NAMED = 3
-"""Maximum number of file names in a message."""
 
 Signature = tuple[int, int, int]
 
@@ -287,16 +284,14 @@ class Listing:
 
     def orphans(self) -> list[str]:
         """Return messages about landmark files without a picture, which may have been renamed."""
-        names = [file.name for file in self.files.values() if self._is_orphan(file)]
+        own = [file for file in self.files.values() if file.suffix in OWN_SUFFIXES]
+        names = [file.name for file in own if file.stem not in self.winners]
         if not names:
             return []
         return [
             f"{_several(names, 'landmark file')} without a picture of the same name: "
             "if the picture was renamed, rename the landmark file too"
         ]
-
-    def _is_orphan(self, file: File) -> bool:
-        return file.suffix in OWN_SUFFIXES and file.stem not in self.winners
 
 
 def _signature(facts: os.stat_result) -> Signature:
@@ -305,5 +300,4 @@ def _signature(facts: os.stat_result) -> Signature:
 
 def _several(names: Sequence[str], what: str) -> str:
     """Return the number of files and the first few names."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{len(names)} {what}{'s' if len(names) > 1 else ''} ({', '.join(names[:_NAMED])}{more})"
+    return f"{count_of(len(names), what)} ({some_names(names, 3)})"

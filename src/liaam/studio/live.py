@@ -125,11 +125,10 @@ class Frame:
         return np.ascontiguousarray(rgba[..., :3])
 
 
-def in_whole(tracked: TrackedFrame, size: tuple[int, ...], whole: tuple[int, int]) -> TrackedFrame:
+def in_whole(tracked: TrackedFrame, size: tuple[int, int], whole: tuple[int, int]) -> TrackedFrame:
     """Convert a frame tracked on a copy of a size (height, width) to the pixels of the whole video."""
     if size == whole:
         return tracked
-    size = (size[0], size[1])
     factors = np.array(whole[::-1]) / np.array(size[::-1])
     squares = np.outer(factors, factors)
     return replace(
@@ -207,7 +206,7 @@ def routes(videos: LiveVideos) -> list[Route]:
 
     async def fitted(video: LiveVideo, frame: Frame, image: np.ndarray) -> bytes:
         tracked, result = await wrap_future(tracking.submit(video.track, image, frame))
-        row = video.rows.of(in_whole(tracked, image.shape[:2], frame.whole)).encode()
+        row = video.rows.of(in_whole(tracked, (frame.height, frame.width), frame.whole)).encode()
         if not frame.flat:
             return row
         return row + await wrap_future(painting.submit(video.without_shading, image, tracked, result))

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.errors import LiaamError, ModelFileError
+from liaam.model import AAM, load_model
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.state_files import StateFiles
 
 if TYPE_CHECKING:
-    from liaam.model import AAM
     from liaam.studio.training import Trainer
 
 MODEL_FILE, FACTS_FILE = "model.liaam", "model.json"
@@ -55,7 +55,8 @@ class ModelStore:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._own: ModelInUse | None = None
+        self.own: ModelInUse | None = None
+        """The model of the folder, if there is one."""
         self._guest: ModelInUse | None = None
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
@@ -64,22 +65,17 @@ class ModelStore:
     @property
     def current(self) -> ModelInUse | None:
         """The model in use, if there is one."""
-        return self._guest or self._own
-
-    @property
-    def own(self) -> ModelInUse | None:
-        """The model of the folder, if there is one."""
-        return self._own
+        return self._guest or self.own
 
     def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
         """Set the model of the folder."""
-        self._own = made = self._numbered(model, facts)
+        self.own = made = self._numbered(model, facts)
         self._tell()
         return made
 
     def withdraw(self) -> None:
         """Remove the model of the folder."""
-        self._own = None
+        self.own = None
         self._tell()
 
     def receive(self, model: AAM, name: str) -> ModelInUse:
@@ -158,24 +154,19 @@ def _is_version(data: Any) -> bool:
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     for file, facts_file, careful in ((MODEL_FILE, FACTS_FILE, True), (QUICK_FILE, QUICK_FACTS_FILE, False)):
-        if models.own is None:
-            _load_model(project, models, file, facts_file, careful)
-
-
-def _load_model(project: Project, models: ModelStore, file: str, facts_file: str, careful: bool) -> None:
-    from liaam.model import load_model
-
-    project.state.note(file, None)
-    try:
-        path = project.state.path(file)
-        if not path.exists():
+        if models.own is not None:
             return
-        facts = project.state.read(facts_file, _are_facts) or {"source": "studio", "trained": None, "pictures": {}}
-        facts = {"order": project.order, **facts, "careful": careful}
-        if facts["order"] == project.order:
-            models.publish(load_model(path), facts)
-    except (LiaamError, OSError) as fault:
-        project.state.note(file, f"{fault}; the model is ignored: train again")
+        project.state.note(file, None)
+        try:
+            path = project.state.path(file)
+            if not path.exists():
+                continue
+            facts = project.state.read(facts_file, _are_facts) or {"source": "studio", "trained": None, "pictures": {}}
+            facts = {"order": project.order, **facts, "careful": careful}
+            if facts["order"] == project.order:
+                models.publish(load_model(path), facts)
+        except (LiaamError, OSError) as fault:
+            project.state.note(file, f"{fault}; the model is ignored: train again")
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
@@ -202,8 +193,6 @@ def load_given_model(path: Path, models: ModelStore) -> None:
     ModelFileError
         If it cannot be read.
     """
-    from liaam.model import load_model
-
     models.publish(load_model(path), {"source": "file", "trained": None, "pictures": {}})
 
 
@@ -215,8 +204,6 @@ def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
     Refusal
         422 if it is not a valid model, or has more points.
     """
-    from liaam.model import load_model
-
     with tempfile.TemporaryDirectory() as folder:  # safetensors reads the metadata of files only
         path = Path(folder) / "dropped.liaam"
         path.write_bytes(data)

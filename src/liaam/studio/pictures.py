@@ -22,7 +22,8 @@ import numpy as np
 
 from liaam.errors import ImageError
 from liaam.io import image_size, is_raw, read_image, read_preview
-from liaam.photometry import Response
+from liaam.photometry import Response, linear_to_srgb
+from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
 from liaam.studio.safety import Refusal
 
 JPEG_QUALITY = 92
@@ -238,7 +239,6 @@ class Pictures:
 
     def pixels(self, source: Source) -> np.ndarray:
         """Return the decoded picture with three channels. The array is shared and must not be modified."""
-        from liaam.photometry.encoding import as_colour
 
         def read() -> np.ndarray:
             with self.room.of(prod(source.size)):
@@ -311,8 +311,6 @@ def shown(image: np.ndarray, size: tuple[int, int], raw: bool = False) -> np.nda
     Pixels are averaged: pixel centre x moves to (x + 0.5) * width' / width - 0.5.
     """
     from liaam.drawing import as_picture
-    from liaam.photometry import linear_to_srgb
-    from liaam.photometry.encoding import stored_values
 
     if raw:  # linear values are averaged, then encoded as sRGB
         return as_picture(linear_to_srgb(np.clip(averaged(stored_values(image), size), 0.0, 1.0)))
@@ -382,8 +380,6 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
     ImageError
         If the image is grey.
     """
-    from liaam.photometry.encoding import as_colour, encode, refuse_grey
-
     image = as_colour(image, name)
     refuse_grey(image, name, "an invariant image needs colour")
     encoded = encode(image, "log", response, reduce=block_size(image.shape[1], image.shape[0], size))

@@ -13,7 +13,7 @@ import json
 import socket
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs
 
@@ -38,8 +38,6 @@ HEADERS: dict[str, str] = {
     "cache-control": "no-store",
 }
 """Default headers of every response."""
-
-_NO_TOKEN = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
 
 
 class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
@@ -70,10 +68,8 @@ class Guard:
         """Answer or refuse one request."""
         import h11
 
-        try:
+        with suppress(h11.LocalProtocolError):  # invalid data after the request has closed the connection
             await self._handle(scope, receive, send)
-        except h11.LocalProtocolError:  # invalid data after the request has closed the connection
-            return
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
@@ -85,15 +81,17 @@ class Guard:
         send = _with_headers(send)
         headers = _Headers(scope["headers"])
         refusal = self._refusal(headers)
-        if refusal is None and self._shows_token(scope):
-            await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", self._cookie().encode())])
-            return
-        if refusal is None and not self._knows_token(headers):
-            refusal = Refusal(401, _NO_TOKEN)
+        shows_token = refusal is None and self._shows_token(scope)
+        if refusal is None and not shows_token and not self._knows_token(headers):
+            no_token = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
+            refusal = Refusal(401, no_token)
         if refusal is not None:
             await _refuse(send, refusal, html="text/html" in headers.one("accept"))
-            return
-        await self._limited(scope, headers, receive, send)
+        elif shows_token:
+            cookie = f"{self.settings.cookie}={self.settings.token}; HttpOnly; SameSite=Strict; Path=/"
+            await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+        else:
+            await self._limited(scope, headers, receive, send)
 
     def _refusal(self, headers: _Headers) -> Refusal | None:
         """Check the origin of a request."""
@@ -125,9 +123,6 @@ class Guard:
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self.settings.token.encode())
 
-    def _cookie(self) -> str:
-        return f"{self.settings.cookie}={self.settings.token}; HttpOnly; SameSite=Strict; Path=/"
-
     async def _limited(self, scope: Scope, headers: _Headers, receive: Receive, send: Send) -> None:
         """Pass a request to the application and limit the size of its body."""
         is_upload = scope["path"] in (UPLOADS, GUEST)
@@ -136,12 +131,18 @@ class Guard:
         if declared.isdecimal() and int(declared[:20]) > limit:
             await self._refuse_body(receive, send, _too_large(limit))
             return
-        watched = _Watched(send)
+        started = False
+
+        async def watched(message: Message) -> None:
+            nonlocal started
+            started = True
+            await send(message)
+
         try:
             with self.crowd.one(is_upload and scope["method"] == "POST") as hold:
                 await self.app(scope, _Body(receive, limit, self.settings.body_seconds, hold), watched)
         except Stopped as stopped:
-            if not watched.started:
+            if not started:
                 await self._refuse_body(receive, send, stopped.refusal)
 
     async def _refuse_body(self, receive: Receive, send: Send, refusal: Refusal) -> None:
@@ -241,18 +242,6 @@ class _Body:
             raise Stopped(_too_large(self.limit))
         self.hold(n_bytes)
         return message
-
-
-class _Watched:
-    """A sender that records whether a response has started."""
-
-    def __init__(self, send: Send) -> None:
-        self.send = send
-        self.started = False
-
-    async def __call__(self, message: Message) -> None:
-        self.started = True
-        await self.send(message)
 
 
 class _Headers:

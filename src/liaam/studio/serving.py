@@ -9,6 +9,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -245,8 +246,6 @@ def _welcome(settings: Settings, open_browser: bool, say: Callable[[str], None])
 
 def _read_headers(studio: Studio) -> None:
     """Read the files of the pictures, since thousands take a while, and then tell the page."""
-    try:
+    with suppress(LiaamError):  # reported when the page asks
         studio.project.read_files()
         studio.events.publish("project", {})
-    except LiaamError:  # reported when the page asks
-        return

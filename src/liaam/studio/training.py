@@ -18,6 +18,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from liaam.errors import LiaamError
+from liaam.model import load_model
 from liaam.studio.model_store import FACTS_FILE, MODEL_FILE, QUICK_FACTS_FILE, QUICK_FILE, ModelStore, Versions
 from liaam.studio.project import Project
 from liaam.studio.proposals import is_proposal
@@ -59,16 +60,12 @@ class Trainer:
         self._lock = threading.RLock()
         self._waiting = threading.Lock()
         """Held while joining the process: if two threads join, an ended process seems alive to the second."""
-        self._state = Training()
+        self.state = Training()
+        """The current state."""
         self._process: Any = None
         self._listener: threading.Thread | None = None
         self._run = 0
         self._order = ""
-
-    @property
-    def state(self) -> Training:
-        """The current state."""
-        return self._state
 
     def start(self) -> Training:
         """Train on the done pictures.
@@ -79,8 +76,8 @@ class Trainer:
             409 if a training is running, 422 if there are too few pictures.
         """
         with self._lock:
-            if self._state.state == "running":
-                raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self._state))
+            if self.state.state == "running":
+                raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
             job = self._job()
             self._run += 1
             self._order = job.order
@@ -89,32 +86,36 @@ class Trainer:
             arguments = (self._run, job, pipe, self._process)
             self._listener = threading.Thread(target=self._listen, args=arguments, name="studio-training", daemon=True)
             self._listener.start()
-            return self._state
+            return self.state
 
     def stop(self) -> Training:
         """Stop a running training; its results so far are kept."""
         with self._lock:
-            if self._state.state == "running":
+            if self.state.state == "running":
                 self._run += 1  # messages still in the pipe are ignored
                 self._set(Training("idle"))
             process, self._process = self._process, None
         if process is not None:
-            self._end(process)
-        return self._state
+            process.terminate()
+            with self._waiting:
+                process.join(2.0)
+                if process.is_alive():
+                    process.kill()
+                    process.join()
+        return self.state
 
     def stop_unless(self, order: str) -> None:
         """Stop a running training if it is for another :attr:`Project.order`."""
         with self._lock:
-            stale = self._state.state == "running" and self._order != order
+            stale = self.state.state == "running" and self._order != order
         if stale:
             self.stop()
 
     def wait(self, timeout: float | None = None) -> Training:
         """Wait for a running training and return its final state."""
-        listener = self._listener
-        if listener is not None:
-            listener.join(timeout)
-        return self._state
+        if self._listener is not None:
+            self._listener.join(timeout)
+        return self.state
 
     def _job(self) -> Job:
         order = self.project.order  # read before the points, so that results for changed points are dropped
@@ -189,8 +190,6 @@ class Trainer:
 
     def _use(self, job: Job, left_out: Mapping[str, str], careful: bool, errors: Mapping[str, float]) -> None:
         """Publish a model; a quick one only if there is no careful one."""
-        from liaam.model import load_model
-
         current = self.models.own
         if job.order != self.project.order or not (careful or current is None or not current.is_careful):
             return
@@ -209,15 +208,6 @@ class Trainer:
             self.project.state.remove(QUICK_FILE, QUICK_FACTS_FILE)
         self._publish("project", {})
 
-    def _end(self, process: Any) -> None:
-        """Terminate a process, and kill it if it does not end."""
-        process.terminate()
-        with self._waiting:
-            process.join(2.0)
-            if process.is_alive():
-                process.kill()
-                process.join()
-
     def _set(self, state: Training) -> None:
-        self._state = state
+        self.state = state
         self._publish("training", asdict(state))

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -18,6 +19,7 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.model.shape import diagonal_of
 from liaam.progress import Progress
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Annotated
@@ -177,7 +179,6 @@ class _Worker:
         The unit is the diagonal of the box around the placed points. Pictures that cannot be fitted are missing.
         """
         from liaam.fitting import Fitter
-        from liaam.model.shape import diagonal_of
 
         fitter, errors = Fitter(model), {}
         for item in self.job.done:
@@ -189,19 +190,17 @@ class _Worker:
 
     def _propose(self, model: AAM, pictures: list[tuple[str, Path]]) -> None:
         """Find the object in pictures and report the proposals, at most once per second."""
-        from time import monotonic
-
         from liaam.fitting import Fitter
 
         fitter, progress = Fitter(model), self._progress("proposals")
         batch: dict[str, Any] = {}
-        last_sent = monotonic()
+        last_sent = time.monotonic()
         for i, (name, path) in enumerate(pictures):
             progress(i, len(pictures), name)
             batch[name] = propose(fitter, path)
-            if monotonic() - last_sent > 1.0:
+            if time.monotonic() - last_sent > 1.0:
                 self.send(("proposals", batch))
-                batch, last_sent = {}, monotonic()
+                batch, last_sent = {}, time.monotonic()
         self.send(("proposals", batch))
         progress(len(pictures), len(pictures), "")
 
@@ -231,8 +230,6 @@ _NOTHING: dict[str, Any] = {
 
 def proposal_of(result: FitResult) -> dict[str, Any]:
     """Return a fit as a proposal. A failed fit keeps its points: correcting them is less work than placing them."""
-    from liaam.model.shape import diagonal_of
-
     facts = {"status": str(result.status), "message": result.message}
     if not np.isfinite(result.landmarks).all():
         return {**_NOTHING, **facts}
