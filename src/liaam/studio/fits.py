@@ -60,9 +60,6 @@ SEARCHED_AHEAD = 4_000_000
 WARM_UP = (480, 640)
 """Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""
 
-_NO_MODEL = "there is no model yet: train one first, or drop a model file on the page"
-_GONE = "this fit is no longer kept: fit again"
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -259,7 +256,7 @@ class Fits:
         """
         current = self.models.current
         if current is None:
-            raise Refusal(409, _NO_MODEL)
+            raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
         with self.pictures.at_work(source) as image:
             began = time.perf_counter()
@@ -295,7 +292,7 @@ class Fits:
         """
         fit = self._fits.peek(number)
         if fit is None:
-            raise Refusal(404, _GONE)
+            raise Refusal(404, "this fit is no longer kept: fit again")
         return fit
 
     def layer(self, fit: Fit, what: str, size: int) -> bytes:

@@ -250,8 +250,8 @@ class Listing:
 
     # Notices --------------------------------------------------------------------------------------
 
-    def passed_over(self) -> list[str]:
-        """Return messages about files that look like pictures but are skipped."""
+    def notices(self) -> list[str]:
+        """Return messages about files that look like pictures but are skipped, and landmark files without a picture."""
         unread = [file.name for file in self.files.values() if file.suffix in UNREAD_SUFFIXES]
         kinds = Counter(Path(name).suffix.lower() for name in unread)
         lines = []
@@ -273,6 +273,13 @@ class Listing:
                 f"{'there are too many' if len(self._times) > 1 else 'the folder itself has pictures'}: "
                 "open the studio on a subfolder"
             )
+        own = [file for file in self.files.values() if file.suffix in OWN_SUFFIXES]
+        orphans = [file.name for file in own if file.stem not in self.winners]
+        if orphans:
+            lines.append(
+                f"{_several(orphans, 'landmark file')} without a picture of the same name: "
+                "if the picture was renamed, rename the landmark file too"
+            )
         return lines
 
     def _has_pictures(self, name: str) -> bool:
@@ -281,17 +288,6 @@ class Listing:
                 return any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries)
         except OSError:
             return False
-
-    def orphans(self) -> list[str]:
-        """Return messages about landmark files without a picture, which may have been renamed."""
-        own = [file for file in self.files.values() if file.suffix in OWN_SUFFIXES]
-        names = [file.name for file in own if file.stem not in self.winners]
-        if not names:
-            return []
-        return [
-            f"{_several(names, 'landmark file')} without a picture of the same name: "
-            "if the picture was renamed, rename the landmark file too"
-        ]
 
 
 def _signature(facts: os.stat_result) -> Signature:

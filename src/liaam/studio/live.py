@@ -45,8 +45,6 @@ IDLE_SECONDS = 60.0
 SIDE, WHOLE_SIDE = 16, 20_000
 """Shortest side of a frame, and longest side of the video that it is a reduced copy of, pixels."""
 
-_GONE = "this video is no longer tracked: start it again"
-
 
 class LiveVideo:
     """A video and its tracker. Each of its methods is called by one thread at a time.
@@ -186,7 +184,7 @@ class LiveVideos:
         """
         video = self._videos.peek(number)
         if video is None:
-            raise Refusal(404, _GONE)
+            raise Refusal(404, "this video is no longer tracked: start it again")
         video.used = time.monotonic()
         return video
 

@@ -47,14 +47,13 @@ class PictureStates:
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""
         size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)
-        proposal = self.proposal_of(file)
-        waiting = proposal is not None and not marks.n_placed and fault is None
+        proposal = None if marks.n_placed or fault is not None else self.proposal_of(file)
         if fault is not None:
             state = "broken"
         elif marks.n_placed:
             state = "done" if self.is_done(file) else "partial"
         else:
-            state = "proposed" if waiting else "unchecked" if file in self.unchecked else "new"
+            state = "proposed" if proposal else "unchecked" if file in self.unchecked else "new"
         return {
             "name": file.name,
             "tag": file.tag,
@@ -63,9 +62,9 @@ class PictureStates:
             "error": fault or self._error_of(file, marks),
             "width": None if isinstance(size, str) else size[0],
             "height": None if isinstance(size, str) else size[1],
-            "uncertainty": proposal["uncertainty"] if waiting and proposal else None,
-            "doubtful": bool(waiting and proposal and proposal["doubtful"]),
-            "rank": ranks.get(file.name) if waiting else None,
+            "uncertainty": proposal["uncertainty"] if proposal else None,
+            "doubtful": bool(proposal and proposal["doubtful"]),
+            "rank": ranks.get(file.name) if proposal else None,
             "checked": self.log.checked_by(file.name, marks.revision) if state == "done" else None,
             "left_out": self.log.left_out_by(file.name),
         }
@@ -105,11 +104,12 @@ class PictureStates:
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
-        proposal = self.proposals.with_points(file, self.templates.current)
+        template, proposal = self.templates.current, self.proposals.of(file)
+        points = None if proposal is None else proposal["points"]
+        if proposal is None or points is None or template is None or len(points) != len(template):
+            return None
         discarded = self.log.discarded(file.name)
-        if proposal is None or discarded is None:
-            return proposal
-        return None if discarded == revision_of_proposal(proposal) else proposal
+        return None if discarded is not None and discarded == revision_of_proposal(proposal) else proposal
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""

@@ -20,6 +20,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from liaam.drawing import as_picture
 from liaam.errors import ImageError
 from liaam.io import image_size, is_raw, read_image, read_preview
 from liaam.photometry import Response, linear_to_srgb
@@ -310,8 +311,6 @@ def shown(image: np.ndarray, size: tuple[int, int], raw: bool = False) -> np.nda
 
     Pixels are averaged: pixel centre x moves to (x + 0.5) * width' / width - 0.5.
     """
-    from liaam.drawing import as_picture
-
     if raw:  # linear values are averaged, then encoded as sRGB
         return as_picture(linear_to_srgb(np.clip(averaged(stored_values(image), size), 0.0, 1.0)))
     return averaged(as_picture(image), size)
@@ -330,12 +329,8 @@ def jpeg_bytes(image: np.ndarray) -> bytes:
     """Encode an image (h, w, 3) uint8 as JPEG without chroma subsampling."""
     import cv2
 
-    options = [
-        cv2.IMWRITE_JPEG_QUALITY,
-        JPEG_QUALITY,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
-    ]
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     return _encoded(".jpg", image, options)
 
 

@@ -157,13 +157,7 @@ class Project:
     def problems(self) -> list[str]:
         """Messages for the user about files that cannot be read, are skipped, or belong to no picture."""
         with self._lock:
-            listing = self._listing
-            return [
-                *self.state.faults.values(),
-                *self._landmarks.problems,
-                *listing.passed_over(),
-                *listing.orphans(),
-            ]
+            return [*self.state.faults.values(), *self._landmarks.problems, *self._listing.notices()]
 
     def _rescan(self) -> None:
         """Scan the folder; ignore a change of the template that cannot be finished yet."""

@@ -11,7 +11,7 @@ from typing import Any
 from liaam.studio.folder import revision_of
 from liaam.studio.listing import File, Listing
 from liaam.studio.state_files import StateFiles
-from liaam.studio.template import Template, parse_points
+from liaam.studio.template import parse_points
 
 PROPOSALS_FILE = "proposals.json"
 UNCHECKED_FILE = "unchecked.json"
@@ -40,13 +40,6 @@ class Proposals:
         """Return the proposal for a picture, unless the picture has been replaced since."""
         proposal = self._kept.get(picture.name)
         return proposal if proposal is not None and proposal.get("tag") == picture.tag else None
-
-    def with_points(self, picture: File, template: Template | None) -> dict[str, Any] | None:
-        """Return the proposal for a picture if it has as many points as the template."""
-        proposal = self.of(picture)
-        if proposal is None or proposal["points"] is None or template is None:
-            return None
-        return proposal if len(proposal["points"]) == len(template) else None
 
 
 def revision_of_proposal(proposal: Mapping[str, Any]) -> str:

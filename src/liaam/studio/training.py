@@ -165,11 +165,9 @@ class Trainer:
             process.join()
         with self._lock:
             if run == self._run:
-                died = Training(
-                    "failed", error="the training ended unexpectedly, perhaps for lack of memory: start it again"
-                )
                 self._process = None
-                self._set(end or died)
+                died = "the training ended unexpectedly, perhaps for lack of memory: start it again"
+                self._set(end or Training("failed", error=died))
         self._publish("project", {})
 
     def _handle(self, job: Job, message: tuple[str, Any]) -> Training | None:

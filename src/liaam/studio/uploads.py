@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 LONGEST_NAME = 120
 """Maximum number of characters of a name."""
 
-_GONE = "this picture is no longer in memory, where only the {} newest are kept: drop it again"
-
 
 @dataclass(frozen=True, eq=False)
 class Upload:
@@ -105,7 +103,8 @@ class Uploads:
         with self._lock:
             upload = self._uploads.get(number)
         if upload is None:
-            raise Refusal(404, _GONE.format(self._settings.uploads_kept))
+            kept = f"only the {self._settings.uploads_kept} newest are kept"
+            raise Refusal(404, f"this picture is no longer in memory, where {kept}: drop it again")
         return upload
 
     def source(self, number: str) -> Source:
