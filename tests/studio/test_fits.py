@@ -69,7 +69,7 @@ def fits(folder, head_model) -> Fits:
 
 def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) -> Fits:
     pictures, models = Pictures(), ModelStore()
-    fits = Fits(Project(folder, settings), models, Uploads(pictures, settings), pictures, settings)
+    fits = Fits(Project(folder, settings), models, Uploads(pictures, settings), pictures)
     models.listeners.clear()  # tests do not wait for what is made ready beside them
     if model is not None:
         models.publish(model, {})

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
@@ -23,6 +23,7 @@ from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
 from liaam.errors import LiaamError
+from liaam.model import AAM
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
@@ -48,9 +49,6 @@ from liaam.studio.safety import GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
-
-if TYPE_CHECKING:
-    from liaam.model import AAM
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
 """Default longest sides in pixels."""
@@ -105,7 +103,7 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
         pictures = Pictures()
         uploads = Uploads(pictures, settings)
         trainer = Trainer(project, models, events.publish)
-        fits, videos = Fits(project, models, uploads, pictures, settings), LiveVideos(models, settings)
+        fits, videos = Fits(project, models, uploads, pictures), LiveVideos(models, settings)
         if model is not None:
             load_given_model(model, models)
         else:
@@ -306,10 +304,7 @@ class _Handlers:
         return await self._receive(model_of_heads, "generated heads")
 
     async def _receive(self, make: Callable[[], AAM], name: str) -> Response:
-        def receive() -> None:
-            self.studio.models.receive(make(), name)
-
-        await run_sync(receive, limiter=self._model_threads)
+        await run_sync(lambda: self.studio.models.receive(make(), name), limiter=self._model_threads)
         return self._changed()
 
     async def dismiss_guest(self, request: Request) -> Response:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 from urllib.parse import quote
+
+import numpy as np
 
 from liaam.io import Contour, Landmarks, fit_text
 from liaam.relighting import Lamp
 from liaam.studio import layers
+from liaam.studio.fits import Fit, Fits
 from liaam.studio.landmark_files import text_of
 from liaam.studio.pictures import png_bytes, shown
 from liaam.studio.safety import Refusal
 from liaam.studio.uploads import plain_name
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from liaam.studio.fits import Fit, Fits
 
 Light = tuple[Sequence[Lamp], float]
 """Lamps, and the fraction of ambient light."""

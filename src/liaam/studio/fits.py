@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,12 +29,9 @@ from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes
+from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
-
-if TYPE_CHECKING:
-    from liaam.studio.project import Project
 
 LAYER_SIZE = 1280
 """Default longest side of a layer in pixels."""
@@ -155,18 +152,10 @@ class Fits:
     uploads : Uploads
     pictures : Pictures
         Cache of decoded pictures.
-    settings : Settings, optional
     """
 
-    def __init__(
-        self,
-        project: Project,
-        models: ModelStore,
-        uploads: Uploads,
-        pictures: Pictures,
-        settings: Settings | None = None,
-    ) -> None:
-        self.settings = settings = settings or Settings()
+    def __init__(self, project: Project, models: ModelStore, uploads: Uploads, pictures: Pictures) -> None:
+        self.settings = settings = project.settings
         self.project = project
         self.models = models
         self.uploads = uploads

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from liaam.model import AAM
+from liaam.model.views import Reliability
 from liaam.studio.pictures import Kept
 from liaam.studio.settings import STATIC
-
-if TYPE_CHECKING:
-    from liaam.model import AAM
 
 GALLERY = STATIC / "heads"
 """Folder of the pictures under hard light; the page fetches them."""
@@ -44,7 +43,6 @@ def trained(calibrate: bool = False) -> AAM:
     """Train the model; measure its calibration, or read it from :data:`CALIBRATION`."""
     from liaam.datasets import load_folder
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-    from liaam.model.views import Reliability
     from liaam.training import train
 
     model = train(load_folder(TRAINING), leave_out=calibrate, lamps=None, name="generated heads")

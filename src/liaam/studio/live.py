@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from starlette.requests import Request
@@ -23,6 +22,7 @@ from starlette.routing import Route
 from liaam.errors import MethodError
 from liaam.fitting import FitResult
 from liaam.model import AAM
+from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
@@ -32,9 +32,6 @@ from liaam.tracking.files import TrackRows
 from liaam.tracking.motion import rescaled
 from liaam.tracking.shading import ShadingRemover
 from liaam.tracking.tracker import TrackState
-
-if TYPE_CHECKING:
-    from liaam.studio.model_store import ModelStore
 
 AT_ONCE = 3
 """Frames of a video in progress: one arrives, one is tracked, and the shading of one is removed."""

@@ -10,8 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from liaam.errors import LandmarkError
 from liaam.io.files import read_bytes
 from liaam.io.landmarks import Landmarks, parse_landmark_data
@@ -130,10 +128,12 @@ class ReviewActions:
     def _write(self, file: File, revision: str | None) -> None:
         """Write landmarks from a copy; remove them without one."""
         template = self.templates.needed
-        landmarks = None if revision is None else self._copy_of(revision)
-        points = [[np.nan, np.nan]] * len(template) if landmarks is None else landmarks.points.tolist()
-        invisible = () if landmarks is None else landmarks.invisible
-        self.landmarks.save(file, template, [None if x != x else (x, y) for x, y in points], invisible)
+        if revision is None:
+            self.landmarks.save(file, template, [None] * len(template), ())
+            return
+        landmarks = self._copy_of(revision)
+        points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
+        self.landmarks.save(file, template, points, landmarks.invisible)
 
     def _copy_of(self, revision: str) -> Landmarks:
         """Read a copy of deleted landmarks; raise LandmarkError if it is gone or was changed."""

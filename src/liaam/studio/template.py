@@ -5,17 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.model.shape import mirror_order
 from liaam.studio.safety import Refusal
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 LONGEST_NAME = 100
 FARTHEST = 1e6

@@ -8,7 +8,9 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from starlette.requests import Request
 
 from liaam.errors import ImageError
 from liaam.io import decode_image, encoded_size, is_image, is_raw
@@ -16,9 +18,6 @@ from liaam.photometry.encoding import as_colour
 from liaam.studio.pictures import Pictures, Source
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-
-if TYPE_CHECKING:
-    from starlette.requests import Request
 
 LONGEST_NAME = 120
 """Maximum number of characters of a name."""
