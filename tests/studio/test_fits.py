@@ -25,7 +25,7 @@ from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
 from liaam.studio.app import make_app, make_studio
-from liaam.studio.fit_files import FILES, attachment, file_of
+from liaam.studio.export import FILES, attachment, file_of
 from liaam.studio.fit_routes import light_of, parse_start, truth_of
 from liaam.studio.fits import Fits, error_of, example, numbers
 from liaam.studio.model_store import ModelInUse, ModelStore

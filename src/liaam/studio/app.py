@@ -28,8 +28,7 @@ from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
 from liaam.studio.events import Events
-from liaam.studio.export import export_of
-from liaam.studio.fit_files import attachment
+from liaam.studio.export import attachment, export_of
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.generated import GALLERY, gallery, model_of_heads

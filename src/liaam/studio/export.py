@@ -1,19 +1,40 @@
-"""Export of all landmarks of a project as one file."""
+"""Export as files: the landmarks of a project; and of a fit, its landmarks, tables and pictures."""
 
 from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
+from urllib.parse import quote
 
+import numpy as np
+
+from liaam.io import Contour, Landmarks, fit_text
 from liaam.io.landmarks import collection_text
+from liaam.relighting import Lamp
+from liaam.studio import layers
+from liaam.studio.fits import Fit, Fits
 from liaam.studio.landmark_files import text_of
+from liaam.studio.pictures import png_bytes, shown
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.uploads import plain_name
 
 KINDS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}
-"""Kinds of files, and the ends of their names."""
+"""Kinds of files with the landmarks of a project, and the ends of their names."""
+
+Light = tuple[Sequence[Lamp], float]
+"""Lamps, and the fraction of ambient light."""
+
+FILES = {
+    "pts": "text/plain",
+    "ljson": "application/json",
+    "csv": "text/csv",
+    "json": "application/json",
+    **dict.fromkeys(("overlay", "flat", "shading", "relit"), "image/png"),
+}
+"""Kinds of files of a fit, and their media types."""
 
 
 def export_of(project: Project, kind: str) -> tuple[str, bytes]:
@@ -39,3 +60,51 @@ def export_of(project: Project, kind: str) -> tuple[str, bytes]:
     names = project.template.names if project.template is not None else ()
     collection = {file.name: replace(landmarks, names=names) for file, landmarks, _ in found}
     return name, collection_text(name, collection, {file.name: size for file, _, size in found}).encode()
+
+
+def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
+    """Return the name, media type and content of an exported file.
+
+    Parameters
+    ----------
+    fits : Fits
+    fit : Fit
+    what : str
+        One of :data:`FILES`.
+    light : (lamps, ambient)
+        For ``relit``.
+    """
+    if what not in FILES:
+        raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
+    stem, kind = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name), FILES[what]
+    if kind == "image/png":
+        data = png_bytes(_picture(fits, fit, what, light))
+        return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, data
+    landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours))
+    if what == "json":
+        text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name})
+    else:
+        text = text_of(landmarks, f".{what}")
+    return f"{stem}.{what}", kind, text.encode()
+
+
+def _picture(fits: Fits, fit: Fit, what: str, light: Light) -> np.ndarray:
+    """Return the picture to export, in full size."""
+    size = fit.source.size
+    if what == "relit":
+        return fits.whole_light(fit).under_lamps(*light)
+    if what == "flat":
+        return fits.whole_light(fit).flat()
+    if what == "shading":
+        return layers.shading_layer(fits.whole_light(fit), size)
+    from liaam.plotting import overlay
+
+    with fits.pictures.at_work(fit.source) as pixels:
+        image = shown(pixels, size, fit.source.raw)
+    return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances)
+
+
+def attachment(name: str) -> str:
+    """Return the Content-Disposition header for a file name with any characters (RFC 6266)."""
+    plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
+    return f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"

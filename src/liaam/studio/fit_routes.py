@@ -18,7 +18,7 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks
 from liaam.photometry import srgb_to_linear
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
-from liaam.studio.fit_files import attachment, file_of
+from liaam.studio.export import attachment, file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
 from liaam.studio.pictures import Source, checked_size, jpeg_bytes
 from liaam.studio.safety import Refusal

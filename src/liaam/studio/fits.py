@@ -1,6 +1,6 @@
 """Fits for the page: computed with the current model and cached together with their layers.
 
-HTTP is in :mod:`liaam.studio.fit_routes`, the export of files in :mod:`liaam.studio.fit_files`.
+HTTP is in :mod:`liaam.studio.fit_routes`, the export of files in :mod:`liaam.studio.export`.
 """
 
 from __future__ import annotations

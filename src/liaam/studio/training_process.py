@@ -207,14 +207,14 @@ class _Worker:
 
 def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
     """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
-    nothing = {**_NOTHING, "status": "not fitted"}
     try:
         tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
         return {**proposal_of(fitter.fit(path)), "tag": tag}
     except LiaamError as fault:
-        return {**nothing, "message": str(fault).replace(f"{path.parent}{os.sep}", "")}
+        message = str(fault).replace(f"{path.parent}{os.sep}", "")
     except MemoryError:
-        return {**nothing, "message": f"{path.name} does not fit into memory: make it smaller"}
+        message = f"{path.name} does not fit into memory: make it smaller"
+    return {**_NOTHING, "status": "not fitted", "message": message}
 
 
 _NOTHING: dict[str, Any] = {
