@@ -20,10 +20,11 @@ from liaam.datasets.scenes import (
 )
 from liaam.fitting import get_method
 from liaam.fitting.kernel import get_kernel
-from liaam.fitting.level import Work
+from liaam.fitting.level import Work, without
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
 from liaam.io import write_image, write_landmarks
+from liaam.kernels.fields import FunctionOf, RecordOf, Span, layout
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
@@ -40,6 +41,21 @@ class Kernel:
 
     def __getattr__(self, function: str):
         return getattr(get_kernel(self.name), function)
+
+    def record(self, kind: type, **fields):
+        """Give a named tuple as the kernel takes it; arrays that are not given are empty, and numbers 0."""
+        return self.by_reference(self._filled(kind, fields))
+
+    def _filled(self, kind: type, fields: dict):
+        made = {}
+        for name, (of, _) in layout(kind).items():
+            if isinstance(of, Span):
+                made[name] = fields.get(name, np.zeros((0,) * of.ndim, of.dtype))
+            elif isinstance(of, RecordOf):
+                made[name] = fields.get(name, self._filled(of.fields, {}))
+            else:
+                made[name] = fields.get(name, without if isinstance(of, FunctionOf) else of(0))
+        return kind(**made)
 
     def __repr__(self) -> str:
         return self.name

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from liaam.fitting.kernel import KERNELS
-from liaam.fitting.level import BLOCK, RIDGE
+from liaam.fitting.level import BLOCK, RIDGE, Work
 from setups import Kernel
 
 seeds = st.integers(0, 999)
@@ -84,7 +84,7 @@ def test_the_joint_step_is_least_squares_over_q_and_lambda(kernel, rng):
     hessian, gradient = dense.eliminated(kernel)
     step = np.linalg.solve(hessian, -gradient)
     lam = np.full(len(dense.ar), np.nan)
-    kernel.along_with(dense.factor, dense.ar, dense.aj, step, lam)
+    kernel.along_with(kernel.record(Work, factor=dense.factor, ar=dense.ar, aj=dense.aj, step=step, lam_step=lam))
     np.testing.assert_allclose(step, expected[:n_q], rtol=1e-9)
     np.testing.assert_allclose(lam, expected[n_q:], rtol=1e-9)
 

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from liaam.fitting import METHODS
 from liaam.fitting.kernel import KERNELS
-from liaam.fitting.level import LEAST_CURVATURE, ROTATIONS
+from liaam.fitting.level import LEAST_CURVATURE, PULL, ROTATIONS, SCALE, Picture, Row, Template, Work
 from liaam.fitting.steps import DAMPING_FLOOR, OBSERVABLE_APART, ROUNDING, TO_AND_FRO
 from setups import Kernel
 
@@ -29,13 +29,21 @@ def symmetric(rng: np.random.Generator, eigenvalues: np.ndarray) -> np.ndarray:
 
 def damped(kernel, hessian, gradient, free, damping) -> tuple[bool, np.ndarray]:
     step = np.full(len(free), np.nan)
-    return kernel.damped_step(hessian, gradient, free, damping, np.empty_like(hessian), step), step
+    work = kernel.record(
+        Work, hessian=hessian, gradient=gradient, free=free, small=np.empty((1, *hessian.shape)), step=step
+    )
+    return kernel.damped(work, damping), step
 
 
 def raised(kernel, base, hessian, gradient, free, damping, least=LEAST_CURVATURE) -> tuple[bool, np.ndarray]:
     step = np.full(len(free), np.nan)
-    room = np.empty_like(base), np.empty_like(base), np.empty((4, len(free))), np.empty((ROTATIONS * len(free) ** 2, 3))
-    return kernel.raised_step(base, hessian, gradient, free, least, damping, *room, step), step
+    room = {
+        "small": np.empty((2, *base.shape)),
+        "spectrum": np.empty((4, len(free))),
+        "rotations": np.empty((ROTATIONS * len(free) ** 2, 3)),
+    }
+    given = {"damper": base, "hessian": hessian, "gradient": gradient, "free": free, "scales": np.full(7, least)}
+    return kernel.raised(kernel.record(Work, **given, **room, step=step), damping), step
 
 
 @given(n=st.integers(1, 8), rank=st.integers(1, 8), free=free_entries, damping=dampings, seed=seeds)
@@ -137,7 +145,8 @@ def test_no_raised_step_is_made_of_what_is_no_number(kernel, bad):
 @pytest.mark.parametrize("fault", ["no gradient is expected", "what is expected is no number", "no number", "no pixel"])
 def test_no_step_is_made_of_nothing(kernel, rng, fault):
     own, base, sums = symmetric(rng, np.arange(1.0, 6.0)), np.eye(5), np.array([3.0, 40.0])
-    assert kernel.has_texture(own, base, sums, 4)  # the last is an angle
+    work = kernel.record(Work, hessian=own, base=base, sums=sums, p=np.zeros(4))  # the last is an angle
+    assert kernel.has_texture(work)
     if fault == "no gradient is expected":
         base[:4] = 0.0
     elif fault == "what is expected is no number":
@@ -146,13 +155,13 @@ def test_no_step_is_made_of_nothing(kernel, rng, fault):
         own[0, 1] = np.inf
     else:
         sums[1] = 0.0
-    assert not kernel.has_texture(own, base, sums, 4)
+    assert not kernel.has_texture(work)
 
 
 def test_neither_an_angle_nor_a_prior_makes_up_for_a_flat_picture(kernel):
-    own, sums = np.diag([1e-9, 1e-9, 5.0]), np.array([1.0, 100.0])
-    assert not kernel.has_texture(own, np.eye(3), sums, 2)
-    assert kernel.has_texture(np.diag([1e-3, 0.0, 0.0]), np.eye(3), sums, 2)
+    rest = {"base": np.eye(3), "sums": np.array([1.0, 100.0]), "p": np.zeros(2)}
+    assert not kernel.has_texture(kernel.record(Work, hessian=np.diag([1e-9, 1e-9, 5.0]), **rest))
+    assert kernel.has_texture(kernel.record(Work, hessian=np.diag([1e-3, 0.0, 0.0]), **rest))
 
 
 @given(n=st.integers(1, 6), back=st.floats(-2.0, 2.0), seed=seeds)
@@ -176,11 +185,13 @@ def test_a_step_is_taken_and_undone(kernel, rng):
     p, angles, lam = rng.normal(size=3), rng.normal(size=2), rng.normal(size=4)
     step, lam_step, before = rng.normal(size=5), rng.normal(size=4), np.empty(9)
     there = p.copy(), angles.copy(), lam.copy()
-    kernel.move(directions, step, lam_step, *there, before)
+    state = dict(zip(("p", "angles", "lam"), there, strict=True))
+    work = kernel.record(Work, **state, step=step, lam_step=lam_step, before=before)
+    kernel.move(kernel.record(Row, directions=directions), work)
     expected = p + step[:3], angles + directions @ step[3:], lam + lam_step
     for found, wanted in zip(there, expected, strict=True):
         np.testing.assert_allclose(found, wanted)
-    kernel.go_back(before, *there)
+    kernel.go_back(work)
     for found, wanted in zip(there, (p, angles, lam), strict=True):
         np.testing.assert_array_equal(found, wanted)
 
@@ -189,7 +200,10 @@ def test_a_prior_is_part_of_the_system_and_of_the_cost(kernel, rng):
     prior, p, base = rng.random(3), rng.normal(size=3), symmetric(rng, np.arange(1.0, 5.0))
     precision, metric, hessian, gradient = np.empty(3), base.copy(), 2 * base, rng.normal(size=4)
     bare = gradient.copy()
-    kernel.add_prior(prior, 2.0, 0.3, p, precision, metric, hessian, gradient)
+    system = {"damper": metric, "hessian": hessian, "gradient": gradient}
+    kernel.add_prior(
+        kernel.record(Template, prior=prior), kernel.record(Work, p=p, precision=precision, **system), 2.0 * 0.3
+    )
     np.testing.assert_allclose(precision, 0.6 * prior)
     wide = np.diag([*precision, 0.0])
     np.testing.assert_allclose(metric, base + wide)
@@ -197,16 +211,24 @@ def test_a_prior_is_part_of_the_system_and_of_the_cost(kernel, rng):
     np.testing.assert_allclose(gradient[:3], bare[:3] + precision * p)
     assert gradient[3] == bare[3]
     lam, ridge = rng.normal(size=2), rng.random(2)
-    nothing = np.zeros((0, 0)), np.zeros(0), 0.0
-    merit = kernel.merit_of(np.array([5.0, 10.0]), p, precision, lam, ridge, *nothing)
-    assert merit == pytest.approx((5.0 + precision @ p**2 + ridge @ lam**2) / 10.0)
-    assert kernel.merit_of(np.zeros(2), p, precision, lam, ridge, *nothing) == np.inf  # no pixel counts
+
+    def merit(sums: list[float]) -> float:
+        state = {"p": p, "precision": precision, "lam": lam, "scales": np.zeros(7), "sums": np.array(sums)}
+        return kernel.merit_of(
+            kernel.record(Template, ridge=ridge), kernel.record(Picture), kernel.record(Work, **state)
+        )
+
+    assert merit([5.0, 10.0]) == pytest.approx((5.0 + precision @ p**2 + ridge @ lam**2) / 10.0)
+    assert merit([0.0, 0.0]) == np.inf  # no pixel counts
 
 
 def test_points_of_another_landmarker_are_part_of_the_system_and_of_the_cost(kernel, rng):
     pull, towards, p = symmetric(rng, np.arange(1.0, 4.0)), rng.normal(size=3), rng.normal(size=3)
     metric, hessian, gradient = np.zeros((4, 4)), np.ones((4, 4)), np.ones(4)
-    kernel.add_points(pull, towards, 0.3, p, metric, hessian, gradient)
+    their, scales = kernel.record(Picture, pull=pull, towards=towards), np.zeros(7)
+    scales[PULL] = 0.3
+    system = {"damper": metric, "hessian": hessian, "gradient": gradient}
+    kernel.add_points(their, kernel.record(Work, p=p, scales=scales, **system))
     wide = np.zeros((4, 4))
     wide[:3, :3] = 0.3 * pull
     np.testing.assert_allclose(metric, wide)
@@ -214,8 +236,8 @@ def test_points_of_another_landmarker_are_part_of_the_system_and_of_the_cost(ker
     np.testing.assert_allclose(gradient, [*(1.0 + 0.3 * pull @ (p - towards)), 1.0])
 
     def merit(p: np.ndarray) -> float:
-        nothing = np.zeros(3), np.zeros(0), np.zeros(0)
-        return kernel.merit_of(np.array([5.0, 10.0]), p, *nothing, pull, towards, 0.3)
+        state = {"p": p, "precision": np.zeros(3), "scales": scales, "sums": np.array([5.0, 10.0])}
+        return kernel.merit_of(kernel.record(Template), their, kernel.record(Work, **state))
 
     assert merit(towards) == pytest.approx(0.5)
     slope = [(merit(p + step) - merit(p - step)) / 2e-4 for step in 1e-4 * np.eye(3)]  # of squares / 10: twice J'r / 10
@@ -232,7 +254,9 @@ def told(kernel, free_angles: str, hessian: np.ndarray, noise: float, observable
     whole[1:, 1:] = hessian
     free = np.zeros(len(whole), bool)
     metric, slope = np.ones(8, np.float32), np.ones(8, np.float32)  # |L'|^2 / |L|^2 = 1
-    all_free = kernel.free_entries(directions, metric, slope, whole, np.array([noise, 1.0]), observable, free)
+    seen = {"metric": metric, "slope": slope, "hessian": whole, "sums": np.array([noise, 1.0])}
+    row, work = kernel.record(Row, directions=directions), kernel.record(Work, **seen, free=free)
+    all_free = kernel.free_entries(row, work, observable)
     assert all_free == free.all()
     return free.tolist()
 
@@ -276,8 +300,12 @@ def picture(rng, scale, n=30, rigid=4):
 
 
 def next_scale(kernel, hessian, p, prior, unit, freedom, scale, strength=1.0):
-    room = np.empty_like(hessian), np.empty_like(hessian)
-    return kernel.next_scale(hessian, p, prior, strength, unit, freedom, scale, *room)
+    scales, small = np.zeros(7), np.empty((2, *hessian.shape))
+    scales[SCALE] = scale
+    template = kernel.record(Template, prior=prior, freedom=freedom)
+    return kernel.next_scale(
+        template, kernel.record(Work, damper=hessian, p=p, scales=scales, small=small), strength, unit
+    )
 
 
 def converged(kernel, hessian, unit, prior, seen, freedom, strength=1.0):

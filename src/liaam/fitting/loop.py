@@ -13,8 +13,8 @@ import numpy as np
 from liaam.fitting.equations import copy
 from liaam.fitting.evaluate import movement
 from liaam.fitting.level import Controls, Picture, Row, Template, Work
-from liaam.fitting.proposal import TRUSTED_DAMPING, eased_damping, merit_in, propose, raised_damping
-from liaam.fitting.steps import go_back, move, record
+from liaam.fitting.proposal import TRUSTED_DAMPING, eased_damping, propose, raised_damping
+from liaam.fitting.steps import go_back, merit_of, move, record
 from liaam.fitting.weights import BY_ROWS
 from liaam.kernels.compiled import compiled
 
@@ -47,9 +47,9 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
     while True:
         row.evaluate_residual(template, picture, row, work, solves)  # eq 9
         row.solve_lambda(template, row, work, False, solves)  # lambda, where it is solved for at every state
-        merit = merit_in(template, picture, work)
+        merit = merit_of(template, picture, work)
         if tried and controls.damping > 0.0 and not merit <= rise * least:  # NaN is refused, too
-            go_back(work.before, work.p, work.angles, work.lam)
+            go_back(work)
             converged, damping = small or damping >= DAMPING_LIMIT, raised_damping(damping, controls.expected)
             tried, rounds = False, 0
             continue
@@ -65,7 +65,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
                 row.weigh_by_loss(template, row, work)
             row.solve_lambda(template, row, work, True, solves)
             least, fresh = np.inf, True  # new weights invalidate the lowest cost and the expected curvature
-        record(n_taken, work.p, work.angles, work.sums, work.costs, work.path, work.turns)
+        record(n_taken, work)
         ends = converged or n_tried >= controls.max_iterations or not np.isfinite(work.costs[n_taken])
         if ends and not controls.evaluate_last:
             break
@@ -73,7 +73,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
         flat = not found
         if ends or flat:
             break
-        merit, length = merit_in(template, picture, work), movement(template, work)
+        merit, length = merit_of(template, picture, work), movement(template, work)
         solves, least, fresh, tried = not controls.joint, merit if merit < least else least, False, True
         small = (
             negligible
@@ -81,10 +81,10 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
             or (n_tried < controls.early_steps and length < controls.early_tolerance)
         )
         n_tried += 1
-        move(row.directions, work.step, work.lam_step, work.p, work.angles, work.lam, work.before)
+        move(row, work)
         if small and not controls.evaluate_last and damping <= TRUSTED_DAMPING:  # skip the last evaluation
             converged, moved, n_taken = True, length, n_taken + 1
-            record(n_taken, work.p, work.angles, work.sums, work.costs, work.path, work.turns)
+            record(n_taken, work)
             break
         rounds = again if controls.reweigh and not small and not (averages and length < STILL) else 0
     out = work.outcome

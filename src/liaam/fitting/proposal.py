@@ -13,7 +13,6 @@ from liaam.fitting.steps import (
     free_entries,
     goes_back,
     has_texture,
-    merit_of,
     next_scale,
     squared_length,
 )
@@ -29,13 +28,6 @@ third is that value with the expected gradient, relative to the expected curvatu
 
 LONGEST_UNSEEN = 1.0
 """Longest step, in model pixels, that may be accepted without another evaluation."""
-
-
-@compiled
-def merit_in(template: Template, picture: Picture, work: Work) -> float:
-    """Return the cost of the current state that an accepted step must not raise."""
-    pull, towards, factor = picture.pull, picture.towards, work.scales[PULL]
-    return merit_of(work.sums, work.p, work.precision, work.lam, template.ridge, pull, towards, factor)
 
 
 @compiled
@@ -60,7 +52,6 @@ def propose(
     negligible : bool
         Whether the step is short compared with its standard deviation.
     """
-    n_p, n_q = len(work.p), len(work.step)
     expects = controls.expected and not ends
     if expects:
         row.expect(template, work)
@@ -71,29 +62,23 @@ def propose(
     else:
         row.differentiate(template, row, work, work.image_slopes, work.image_slopes)
         copy_matrix(work.hessian, work.base)
-    held = not free_entries(
-        row.directions, work.metric, work.slope, work.hessian, work.sums, controls.observable, work.free
-    )
-    found, negligible = has_texture(work.hessian, work.base, work.sums, n_p), False
+    held, found, negligible = not free_entries(row, work, controls.observable), has_texture(work), False
     if not found or ends:
         return found, held, negligible
     known = row.weights == BY_ROWS and np.isfinite(work.scales[UNIT])
     unit = work.scales[UNIT] if known else template.correlated * work.sums[0] / work.sums[1]
     work.scales[PULL] = unit
     copy_matrix(work.base, work.damper)
-    add_points(picture.pull, picture.towards, unit, work.p, work.damper, work.hessian, work.gradient)
-    prior, strength, freedom, scale = template.prior, controls.shape_prior, template.freedom, work.scales[SCALE]
-    if strength > 0.0 and np.isfinite(freedom):
-        scale = next_scale(work.damper, work.p, prior, strength, unit, freedom, scale, work.small[0], work.small[1])
-        work.scales[SCALE] = scale
-    variance = unit / scale
-    add_prior(prior, strength, variance, work.p, work.precision, work.damper, work.hessian, work.gradient)
+    add_points(picture, work)
+    if controls.shape_prior > 0.0 and np.isfinite(template.freedom):
+        work.scales[SCALE] = next_scale(template, work, controls.shape_prior, unit)
+    add_prior(template, work, controls.shape_prior * (unit / work.scales[SCALE]))
     found = row.raised(work, damping) if expects else row.damped(work, damping)
     if expects and goes_back(work.step, work.last_step, work.damper):
         work.scales[LEAST] *= 2.0
     if controls.joint:
-        along_with(work.factor, work.ar, work.aj, work.step, work.lam_step)
-    short = squared_length(work.step, work.damper) < controls.relative_tolerance**2 * n_q * unit
+        along_with(work)
+    short = squared_length(work.step, work.damper) < controls.relative_tolerance**2 * len(work.step) * unit
     negligible = known and short and damping <= 0.1 and movement(template, work) < LONGEST_UNSEEN
     return found, held, negligible
 

@@ -9,10 +9,10 @@ its symmetric part, raised to a fraction of E'E in directions in which it is sma
 
 import numpy as np
 
-from liaam.fitting.equations import cholesky, solve, solve_lower, solve_raised
-from liaam.fitting.level import LEAST, Work
+from liaam.fitting.equations import cholesky, copy, solve, solve_lower, solve_raised
+from liaam.fitting.level import LEAST, PULL, SCALE, Picture, Row, Template, Work
 from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Bool1, Double1, Double2, Single1
+from liaam.kernels.fields import Bool1, Double1, Double2
 
 DAMPING_FLOOR = 1e-9
 """Lower bound on the curvature that damping is relative to, as a fraction of the largest curvature."""
@@ -32,21 +32,12 @@ LEAST_PRECISION = 1e-9
 
 
 @compiled
-def damped_step(
-    hessian: Double2, gradient: Double1, free: Bool1, damping: float, matrix: Double2, step: Double1
-) -> bool:
-    """Compute the Levenberg step, (H + damping diag H) step = -gradient, over free entries; False if there is none.
+def damped(work: Work, damping: float) -> bool:
+    """Compute the Levenberg step, (H + damping diag H) step = -gradient, over the free entries; False if there is none.
 
-    Parameters
-    ----------
-    hessian, gradient : (n, n), (n,) float64
-        Including the prior.
-    free : (n,) bool
-        Entries that may move; the step of the others is 0.
-    damping : float
-    matrix, step : (n, n), (n,) float64
-        Scratch, and the step.
+    Hessian and gradient include the prior; the step of the other entries is 0.
     """
+    hessian, gradient, free, matrix, step = work.hessian, work.gradient, work.free, work.small[0], work.step
     n, most = len(free), 0.0
     for i in range(n):
         step[i] = -gradient[i] if free[i] else 0.0
@@ -65,35 +56,15 @@ def damped_step(
 
 
 @compiled
-def raised_step(
-    base: Double2,
-    hessian: Double2,
-    gradient: Double1,
-    free: Bool1,
-    least: float,
-    damping: float,
-    factor: Double2,
-    matrix: Double2,
-    lines: Double2,
-    rotations: Double2,
-    step: Double1,
-) -> bool:
+def raised(work: Work, damping: float) -> bool:
     """Compute the Newton step of a symmetric matrix H whose curvature is raised to a fraction of that of B.
 
-    Each generalised eigenvalue rho of H v = rho B v is replaced by max(rho, least) + damping. False if there is none.
-
-    Parameters
-    ----------
-    base, hessian, gradient : (n, n), (n, n), (n,) float64
-        B, H and the gradient, including the prior.
-    free : (n,) bool
-        Entries that may move; the step of the others is 0.
-    least, damping : float
-        Lower bound (:data:`liaam.fitting.level.LEAST_CURVATURE`) and damping, as fractions of B.
-    factor, matrix, lines, rotations : (n, n), (n, n), (4, n), (3 n^2, 3) float64
-        Scratch.
-    step : (n,) float64
+    H is the Hessian and B the expected curvature (``work.damper``), both with the prior. Each generalised eigenvalue
+    rho of H v = rho B v is replaced by max(rho, least) + damping, with the lower bound in ``work.scales``
+    (:data:`liaam.fitting.level.LEAST_CURVATURE`). The step of entries that are not free is 0. False if there is none.
     """
+    base, hessian, gradient, free, step = work.damper, work.hessian, work.gradient, work.free, work.step
+    least, factor, matrix = work.scales[LEAST], work.small[0], work.small[1]
     n, largest = len(free), 0.0
     for i in range(n):
         largest = base[i, i] if free[i] and base[i, i] > largest else largest
@@ -115,7 +86,7 @@ def raised_step(
             solve(matrix, step)
         return found
     _take_free(hessian, free, 0.0, matrix)
-    return cholesky(factor) and _whitened_step(factor, matrix, least, damping, lines, rotations, step)
+    return cholesky(factor) and _whitened_step(work, damping)
 
 
 @compiled
@@ -128,14 +99,13 @@ def _take_free(source: Double2, free: Bool1, more: float, out: Double2) -> None:
 
 
 @compiled
-def _whitened_step(
-    factor: Double2, matrix: Double2, least: float, damping: float, lines: Double2, rotations: Double2, step: Double1
-) -> bool:
+def _whitened_step(work: Work, damping: float) -> bool:
     """Compute the step with max(H, least B) + damping B, in coordinates in which B = L L' is the identity.
 
     Raising the pivots of a Cholesky factorisation instead (Gill and Murray) takes two steps more. Shifting all of H
     makes fits of unseen persons of IMM 0.1 % worse.
     """
+    factor, matrix, step, least = work.small[0], work.small[1], work.step, work.scales[LEAST]
     n, finite = len(step), True
     solve_lower(factor, matrix)
     for i in range(n):
@@ -151,7 +121,7 @@ def _whitened_step(
         for j in range(i):  # L^-1 times the right side
             step[i] -= factor[i, j] * step[j]
         step[i] /= factor[i, i]
-    if not finite or not solve_raised(matrix, least + damping, lines, rotations, step):
+    if not finite or not solve_raised(matrix, least + damping, work.spectrum, work.rotations, step):
         return False
     for i in range(n - 1, -1, -1):  # L'^-1 times that
         step[i] /= factor[i, i]
@@ -161,37 +131,13 @@ def _whitened_step(
 
 
 @compiled
-def next_scale(
-    hessian: Double2,
-    p: Double1,
-    prior: Double1,
-    strength: float,
-    unit: float,
-    freedom: float,
-    scale: float,
-    matrix: Double2,
-    inverse: Double2,
-) -> float:
+def next_scale(template: Template, work: Work, strength: float, unit: float) -> float:
     """Update the scale of the shape prior by one step of the evidence's fixed point (MacKay, Neural Comput. 4, 1992).
 
     The prior is a Student distribution: p ~ N(0, scale Lambda), where the scale is drawn for each shape with
-    ``freedom`` degrees of freedom. Estimating the scale keeps a shape near the mean close to it, and leaves a distant
-    one free to move.
-
-    Parameters
-    ----------
-    hessian : (n_q, n_q) float64
-        Hessian of the squared residuals, p first, with the appearance eliminated.
-    p, prior : (n_p,) float64
-        Parameters, and their precision at a scale of 1; 0 for none.
-    strength : float
-        Strength of the prior.
-    unit : float
-        Variance of a residual of weight 1.
-    freedom, scale : float
-        Degrees of freedom, and the last scale.
-    matrix, inverse : (n_q, n_q) float64
-        Scratch.
+    ``template.freedom`` degrees of freedom. Estimating the scale keeps a shape near the mean close to it, and leaves a
+    distant one free to move. The image determines p by ``work.damper``, the Hessian of the squared residuals with the
+    appearance eliminated, in which a residual of weight 1 has the variance ``unit``.
 
     Returns
     -------
@@ -199,6 +145,8 @@ def next_scale(
         (freedom + p' Lambda^-1 p) / (freedom + gamma), with gamma the number of parameters that the image determines.
         The last scale if this is not finite.
     """
+    hessian, p, prior, matrix, inverse = work.damper, work.p, template.prior, work.small[0], work.small[1]
+    freedom, scale = template.freedom, work.scales[SCALE]
     if not (unit > 0.0 and unit < np.inf):
         return scale
     n, largest = len(p), 0.0
@@ -227,21 +175,14 @@ def next_scale(
 
 
 @compiled
-def free_entries(
-    directions: Double2,
-    metric: Single1,
-    slope: Single1,
-    hessian: Double2,
-    sums: Double1,
-    observable: float,
-    free: Bool1,
-) -> bool:
-    """Mark the entries of q that may move, (n_q,) bool: p and the observable angles; return whether all may.
+def free_entries(row: Row, work: Work, observable: float) -> bool:
+    """Mark the entries of q that may move in ``work.free``: p and the observable angles; return whether all may.
 
     Without a change of light, a common turn of both angles changes only noise: |dr/dtheta|^2 is then
     |r|^2 |L'|^2 / |L|^2. The common turn is fixed if its curvature is less than ``observable`` times that, so that
     noise cannot make the angles drift. If both angles are free, theta_1 is then kept and theta_2 alone moves.
     """
+    directions, hessian, free, metric, slope = row.directions, work.hessian, work.free, work.metric, work.slope
     for i in range(len(free)):
         free[i] = True
     n_free = directions.shape[1]
@@ -250,7 +191,7 @@ def free_entries(
     n_p, image_slopes, size = len(free) - n_free, 0.0, 0.0
     for c in range(len(metric)):
         image_slopes, size = image_slopes + slope[c] * slope[c], size + metric[c] * metric[c]
-    noise = sums[0] * image_slopes / size + 1e-12 * sums[1]
+    noise = work.sums[0] * image_slopes / size + 1e-12 * work.sums[1]
     limit = OBSERVABLE_APART if observable > OBSERVABLE_APART else observable  # 0 keeps all free, as in the paper
     own = hessian[n_p, n_p]
     if n_free == 1:
@@ -266,16 +207,17 @@ def free_entries(
 
 
 @compiled
-def has_texture(own: Double2, base: Double2, sums: Double1, n_p: int) -> bool:
+def has_texture(work: Work) -> bool:
     """Return whether image and model both have texture (prior and angles excluded), and all sums are finite.
 
     The image's own curvature is 0 for a flat image, the expected curvature for a mesh folded to zero area.
     """
+    own, base, sums = work.hessian, work.base, work.sums
     curved, expected, finite = 0.0, 0.0, np.isfinite(sums[0])
     for i in range(len(own)):
         for j in range(len(own)):
             finite = finite and np.isfinite(own[i, j]) and np.isfinite(base[i, j])
-    for i in range(n_p):
+    for i in range(len(work.p)):
         curved = abs(own[i, i]) if abs(own[i, i]) > curved else curved
         expected = base[i, i] if base[i, i] > expected else expected
     return finite and sums[1] > 0.0 and curved > TEXTURE * sums[1] and expected > 0.0
@@ -308,58 +250,21 @@ def squared_length(step: Double1, metric: Double2) -> float:
 
 
 @compiled
-def add_prior(
-    prior: Double1,
-    strength: float,
-    variance: float,
-    p: Double1,
-    precision: Double1,
-    metric: Double2,
-    hessian: Double2,
-    gradient: Double1,
-) -> None:
-    """Add the prior on p to the normal equations, in place and in units of squared residuals.
-
-    Parameters
-    ----------
-    prior : (n_p,) float64
-        Precision of p.
-    strength, variance : float
-        Factors on the precision.
-    p : (n_p,) float64
-    precision : (n_p,) float64
-        Output: the product of the precision and both factors.
-    metric, hessian, gradient : (n_q, n_q), (n_q, n_q), (n_q,) float64
-        Expected Hessian, Hessian and gradient.
-    """
+def add_prior(template: Template, work: Work, factor: float) -> None:
+    """Add the prior on p, with its precision times a factor, to the normal equations, in units of squared residuals."""
+    p, precision, metric, hessian, gradient = work.p, work.precision, work.damper, work.hessian, work.gradient
     for i in range(len(p)):
-        precision[i] = strength * variance * prior[i]
+        precision[i] = factor * template.prior[i]
         metric[i, i] += precision[i]
         hessian[i, i] += precision[i]
         gradient[i] += precision[i] * p[i]
 
 
 @compiled
-def add_points(
-    pull: Double2,
-    towards: Double1,
-    variance: float,
-    p: Double1,
-    metric: Double2,
-    hessian: Double2,
-    gradient: Double1,
-) -> None:
-    """Add the points of another landmarker to the normal equations: a Gaussian around ``towards``, in place.
-
-    Parameters
-    ----------
-    pull, towards : (n_p, n_p), (n_p,) float64
-        Precision and mean of p; empty for none.
-    variance : float
-        Factor that converts the precision to units of squared residuals.
-    p, metric, hessian, gradient
-        See :func:`add_prior`.
-    """
+def add_points(picture: Picture, work: Work) -> None:
+    """Add the points of another landmarker to the normal equations: a Gaussian of p around ``picture.towards``."""
+    pull, towards, p, variance = picture.pull, picture.towards, work.p, work.scales[PULL]
+    metric, hessian, gradient = work.damper, work.hessian, work.gradient
     for i in range(len(pull)):
         for j in range(len(pull)):
             more = variance * pull[i, j]
@@ -369,27 +274,21 @@ def add_points(
 
 
 @compiled
-def along_with(factor: Double2, ar: Double1, aj: Double2, step: Double1, out: Double1) -> None:
+def along_with(work: Work) -> None:
     """Compute the step of lambda (m,) in the joint system (eq 5), (A'A)^-1 (A'r + A'J dq)."""
-    for j in range(len(ar)):
-        out[j] = ar[j]
+    aj, step, out = work.aj, work.step, work.lam_step
+    for j in range(len(out)):
+        out[j] = work.ar[j]
         for i in range(len(step)):
             out[j] += aj[j, i] * step[i]
-    solve(factor, out)
+    solve(work.factor, out)
 
 
 @compiled
-def merit_of(
-    sums: Double1,
-    p: Double1,
-    precision: Double1,
-    lam: Double1,
-    ridge: Double1,
-    pull: Double2,
-    towards: Double1,
-    variance: float,
-) -> float:
+def merit_of(template: Template, picture: Picture, work: Work) -> float:
     """Return the cost that an accepted step must not raise: mean squared residual plus the priors on p and lambda."""
+    p, precision, lam, ridge, sums = work.p, work.precision, work.lam, template.ridge, work.sums
+    pull, towards, variance = picture.pull, picture.towards, work.scales[PULL]
     squares = sums[0]
     for i in range(len(p)):
         squares += precision[i] * p[i] * p[i]
@@ -402,30 +301,24 @@ def merit_of(
 
 
 @compiled
-def move(
-    directions: Double2,
-    step: Double1,
-    lam_step: Double1,
-    p: Double1,
-    angles: Double1,
-    lam: Double1,
-    before: Double1,
-) -> None:
-    """Take a step (forward-additive), in place, and keep the last state in ``before`` (n_p + 2 + m,)."""
+def move(row: Row, work: Work) -> None:
+    """Take a step (forward-additive), and keep the last state in ``work.before``."""
+    p, angles, lam, before, step, lam_step = work.p, work.angles, work.lam, work.before, work.step, work.lam_step
     n = len(p)
     for i in range(n):
         before[i], p[i] = p[i], p[i] + step[i]
     for i in range(2):
         before[n + i] = angles[i]
-        for f in range(directions.shape[1]):
-            angles[i] += directions[i, f] * step[n + f]
+        for f in range(row.directions.shape[1]):
+            angles[i] += row.directions[i, f] * step[n + f]
     for j in range(len(lam)):
         before[n + 2 + j], lam[j] = lam[j], lam[j] + lam_step[j]
 
 
 @compiled
-def go_back(before: Double1, p: Double1, angles: Double1, lam: Double1) -> None:
+def go_back(work: Work) -> None:
     """Undo :func:`move`."""
+    p, angles, lam, before = work.p, work.angles, work.lam, work.before
     n = len(p)
     for i in range(n):
         p[i] = before[i]
@@ -436,32 +329,8 @@ def go_back(before: Double1, p: Double1, angles: Double1, lam: Double1) -> None:
 
 
 @compiled
-def record(
-    n: int,
-    p: Double1,
-    angles: Double1,
-    sums: Double1,
-    costs: Double1,
-    path: Double2,
-    turns: Double2,
-) -> None:
+def record(n: int, work: Work) -> None:
     """Record cost, parameters and angles after n steps."""
-    costs[n] = sums[0] / sums[1] if sums[1] > 0.0 else np.inf
-    for i in range(len(p)):
-        path[n, i] = p[i]
-    turns[n, 0], turns[n, 1] = angles[0], angles[1]
-
-
-@compiled
-def damped(work: Work, damping: float) -> bool:
-    """Write the damped Gauss-Newton step to ``work.step``; return False if there is none."""
-    return damped_step(work.hessian, work.gradient, work.free, damping, work.small[0], work.step)
-
-
-@compiled
-def raised(work: Work, damping: float) -> bool:
-    """Write the step with the expected gradient to ``work.step``; return False if there is none."""
-    expected, least, step = work.damper, work.scales[LEAST], work.step
-    hessian, gradient, free, factor, matrix = work.hessian, work.gradient, work.free, work.small[0], work.small[1]
-    lines, rotations = work.spectrum, work.rotations
-    return raised_step(expected, hessian, gradient, free, least, damping, factor, matrix, lines, rotations, step)
+    work.costs[n] = work.sums[0] / work.sums[1] if work.sums[1] > 0.0 else np.inf
+    copy(work.p, work.path[n])
+    copy(work.angles, work.turns[n])
