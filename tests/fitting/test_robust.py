@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from liaam.fitting import Fitter, SolverOptions, get_method, solver
 from liaam.fitting.kernel import KERNELS
+from liaam.fitting.level import Row, Template, Work
 from liaam.fitting.losses import LOSSES, gaussian_median
 from liaam.photometry import linear_to_srgb, noise_deviation
 from setups import Kernel, disturb, finest_objective, make_problem, model_pixels
@@ -84,8 +85,10 @@ def scale_of(kernel, residuals: np.ndarray, variance: np.ndarray | None = None) 
     n, k = residuals.shape
     flat, weighed = residuals.astype(np.float32).ravel(), np.ones(n * k, np.float32)
     by = np.zeros(0, np.float32) if variance is None else variance.astype(np.float32).ravel()
-    seen = flat, np.ones(n, np.float32), np.ones(n * k, np.float32), by, np.zeros(n)
-    kernel.weigh_by_loss(LOSSES.index("cauchy"), gaussian_median(k), *seen, np.empty((2, n)), weighed)
+    template = kernel.record(Template, own=np.ones(n * k, np.float32), errors=np.zeros(n))
+    row = kernel.record(Row, loss=LOSSES.index("cauchy"), median=gaussian_median(k))
+    seen = {"residual": flat, "usable": np.ones(n, np.float32), "variance": by, "sizes": np.empty((2, n))}
+    kernel.weigh_by_loss(template, row, kernel.record(Work, **seen, weighed=weighed))
     sizes = np.sqrt((np.square(residuals) / (1.0 if variance is None else variance)).mean(axis=1))
     middle = int(np.argsort(sizes)[n // 2])
     weight = float(weighed[middle * k]) ** 2

@@ -16,7 +16,7 @@ from finite_differences import assert_jacobian
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
 from liaam.fitting.kernel import KERNELS, get_kernel
-from liaam.fitting.level import BLOCK, PLANE, Work
+from liaam.fitting.level import BLOCK, PLANE, Picture, Row, Template, Work
 from liaam.fitting.losses import LOSSES, gaussian_median
 from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import LOGS, FitProblem
@@ -154,6 +154,22 @@ def both(name: str, *arguments, written=(), rtol: float = 1e-4, atol: float = 1e
         returned = getattr(kernel, name)(*own)
         numbers = () if returned is None else returned
         made.append([np.atleast_1d(np.asarray(numbers, np.float64)), *(own[i].astype(np.float64) for i in written)])
+    return compared(name, made, rtol, atol)
+
+
+def both_of(name: str, *given: tuple[type, dict], written: tuple[str, ...], rtol: float = 1e-4, atol: float = 1e-4):
+    """Call a function of both kernels with records of the given fields, the last of which it writes to."""
+    made = []
+    for kernel in (compiled, plain):
+        own = [{k: v.copy() if isinstance(v, np.ndarray) else v for k, v in fields.items()} for _, fields in given]
+        records = [kernel.record(kind, **fields) for (kind, _), fields in zip(given, own, strict=True)]
+        returned = getattr(kernel, name)(*records)
+        numbers = () if returned is None else returned
+        made.append([np.atleast_1d(np.asarray(numbers, np.float64)), *(own[-1][n].astype(np.float64) for n in written)])
+    return compared(name, made, rtol, atol)
+
+
+def compared(name: str, made: list[list[np.ndarray]], rtol: float, atol: float) -> list[np.ndarray]:
     for found, expected in zip(*made, strict=True):
         assert np.isfinite(expected).all()
         scale = max(1.0, np.abs(expected).max(initial=0.0))
@@ -232,11 +248,11 @@ def test_samples_are_normalised_as_the_reference_says(n, k, seed):
     usable, own = (rng.random(n) > 0.3).astype(np.float32), floats(rng, n * k) + 5
     usable[0] = 1.0
     scales = np.array([0.0, 1.0, 0.0, 0.5, 1.0])  # of derivatives that have a gain of a half
-    _, scales = both("normalisation", rows, values, metric, usable, own, scales, written=[5])
+    work = {"rows": rows, "values": values, "metric": metric, "usable": usable, "scales": scales}
+    _, scales = both_of("normalisation", (Template, {"own": own}), (Work, work), written=("scales",))
     image_slopes = floats(rng, 2 * n * k)
-    _, scales, projected, steeper = both(
-        "project", values, metric, scales, single(n * k), image_slopes, written=[2, 3, 4]
-    )
+    work |= {"scales": scales, "residual": single(n * k), "image_slopes": image_slopes}
+    _, scales, projected, steeper = both_of("project", (Work, work), written=("scales", "residual", "image_slopes"))
     np.testing.assert_allclose(steeper, 2 * scales[1] * image_slopes, rtol=1e-4, atol=1e-5)
     assert scales[3] == scales[1]
     shown = values.reshape(n, 8) @ metric.reshape(k, 8).T
@@ -250,13 +266,16 @@ def test_normalised_samples_have_the_mean_and_deviation_of_the_model(kernel, rng
     metric, usable = np.zeros(8, np.float32), (rng.random(500) > 0.3).astype(np.float32)
     metric[:3] = [0.2, 0.7, 0.1]  # luminance: constants pass
     scales, seen, ones = np.array([np.nan, 1.0, 0.0, 1.0, 1.0]), usable > 0, np.ones(500, np.float32)
-    kernel.normalisation(rows, values.ravel(), metric, usable, ones, scales)
-    projected = single(500)
-    kernel.project(values.ravel(), metric, scales, projected, np.zeros(1000, np.float32))
+    projected, template = single(500), kernel.record(Template, own=ones)
+    work = {"rows": rows, "values": values.ravel(), "metric": metric, "usable": usable, "scales": scales}
+    work |= {"residual": projected, "image_slopes": np.zeros(1000, np.float32)}
+    kernel.normalisation(template, kernel.record(Work, **work))
+    kernel.project(kernel.record(Work, **work))
     assert projected[seen].mean() == pytest.approx(rows[0, seen].mean(), abs=1e-5)
     assert projected[seen].std() == pytest.approx(rows[0, seen].std(), rel=1e-4)
     # A flat picture has no deviation to be brought to another one.
-    kernel.normalisation(rows, np.full(8 * 500, 0.25, np.float32), metric, usable, ones, scales)
+    work["values"] = np.full(8 * 500, 0.25, np.float32)
+    kernel.normalisation(template, kernel.record(Work, **work))
     np.testing.assert_allclose(scales[1:3], [1.0, rows[0, seen].mean() - 0.25], atol=1e-5)
 
 
@@ -319,12 +338,12 @@ class Pixels:
         self.span, self.kept, self.errors = np.array(LOGS), np.array([0.3, 0.1]), rng.uniform(0.0, 2.0, n)
 
     @property
-    def seen(self):
-        return self.values, self.residual, self.usable, self.own, self.metric
+    def work(self) -> dict:
+        return {"values": self.values, "residual": self.residual, "usable": self.usable, "metric": self.metric}
 
     @property
-    def noise(self):
-        return self.table, self.span, self.kept
+    def picture(self) -> dict:
+        return {"noise": self.table, "span": self.span, "kept": self.kept, "correlated": 4.0}
 
 
 counts = st.sampled_from([1, 2, 30, PLANE - 1, PLANE, PLANE + 1, 2 * PLANE + 1])
@@ -341,20 +360,22 @@ def test_squares_are_summed_as_the_reference_says(n, k, rows, seed):
 def test_variances_of_rows_are_what_the_reference_says(n, k, colours, seed):
     rng = np.random.default_rng(seed)
     given = Pixels(rng, n, k, "soft")
-    room = single(10, PLANE), single(n * k), single(n), np.full((k, 3), np.nan)
-    _, variance, known, sums = both(
-        "row_variances", *given.seen, *given.noise, colours, *room, written=[10, 11, 12], rtol=2e-4, atol=2e-7
+    template, picture = (Template, {"own": given.own, "colours": colours}), (Picture, given.picture)
+    work = given.work | {"planes": single(10, PLANE), "variance": single(n * k), "known_now": single(n)}
+    work["row_sums"], names = np.full((k, 3), np.nan), ("variance", "known_now", "row_sums")
+    _, variance, known, sums = both_of(
+        "row_variances", template, picture, (Work, work), written=names, rtol=2e-4, atol=2e-7
     )
     assert (variance >= 0).all()
     assert known.any() <= colours
     # Rows of directions know nothing of colours.
     if k > 2:
         assert sums[0, 0] == ((given.usable * given.own.reshape(n, k)[:, 0]) > 0).sum()
-    unexplained = np.ones((2, 2))
-    unexplained = both("unexplained_by", sums, unexplained, written=[1])[1]
+    work |= {"row_sums": sums, "unexplained": np.ones((2, 2))}
+    unexplained = both_of("unexplained_by", (Work, work), written=("unexplained",))[1]
     np.testing.assert_array_equal(unexplained[0], 1.0)  # what was before
-    arguments = variance.astype(np.float32), unexplained, 4.0, given.own, given.usable
-    unit, weighed = both("weigh_by_rows", *arguments, single(n * k), written=[5])
+    work |= {"variance": variance.astype(np.float32), "unexplained": unexplained, "weighed": single(n * k)}
+    unit, weighed = both_of("weigh_by_rows", template, picture, (Work, work), written=("weighed",))
     counted = given.usable * given.own[::k] > 0
     shares = weighed.reshape(n, k)[counted] / given.own.reshape(n, k)[counted]
     assert np.square(shares).mean() == pytest.approx(1.0, rel=1e-3)
@@ -366,13 +387,18 @@ def test_weights_by_noise_are_what_the_reference_says(n, k, free, learnt, seed):
     rng = np.random.default_rng(seed)
     given = Pixels(rng, n, k)
     errors = given.errors if learnt else np.zeros(n)
-    made = np.zeros(8 * n, np.float32), np.full(n, np.nan), single(n * k)
-    unit, noise, by_model, _ = both(
-        "weigh_by_noise", *given.seen, *given.noise, errors, *made, written=[9, 10, 11], rtol=2e-4, atol=1e-7
+    work = given.work | {"noise": np.zeros(8 * n, np.float32), "by_model": np.full(n, np.nan)}
+    work |= {"variance": single(n * k), "weighed": single(n * k), "scales": np.ones(7)}
+    records = (Template, {"own": given.own, "errors": errors}), (Picture, given.picture), (Row, {}), (Work, work)
+    names = ("noise", "by_model", "variance", "weighed", "scales")
+    weighs, noise, by_model, _, weighed, scales = both_of(
+        "weigh_by_noise", *records, written=names, rtol=2e-4, atol=1e-7
     )
-    own_derivative, slope = single(n * k if free else 0), floats(rng, 8 * k)
-    own = given.own, given.metric, slope, noise.astype(np.float32), by_model, float(unit[0])
-    both("root_by_noise", *own, single(n * k), own_derivative, written=[6, 7], rtol=2e-4, atol=1e-6)
+    assert weighs
+    np.testing.assert_array_equal(weighed, given.own)
+    work |= {"noise": noise.astype(np.float32), "by_model": by_model, "weighed": given.own, "scales": scales}
+    work |= {"slope": floats(rng, 8 * k), "own": single(n * k), "own_derivative": single(n * k if free else 0)}
+    both_of("whiten", (Work, work), written=("own", "own_derivative"), rtol=2e-4, atol=1e-6)
     assert learnt or not by_model.any()
 
 
@@ -384,16 +410,18 @@ def test_robust_weights_are_what_the_reference_says(n, k, loss, varies, seed):
     given = Pixels(rng, n, k)
     given.residual[rng.random(n * k) < 0.1] *= 1e4
     variance = rng.uniform(0.5, 2.0, n * k).astype(np.float32) if varies and LOSSES[loss] != "learnt" else single(0)
-    arguments = loss, gaussian_median(k), given.residual, given.usable, given.own, variance, given.errors
-    both("weigh_by_loss", *arguments, np.empty((2, n)), given.own, written=[8], atol=1e-6)
+    template, row = {"own": given.own, "errors": given.errors}, {"loss": loss, "median": gaussian_median(k)}
+    work = given.work | {"variance": variance, "sizes": np.empty((2, n)), "weighed": given.own}
+    both_of("weigh_by_loss", (Template, template), (Row, row), (Work, work), written=("weighed",), atol=1e-6)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_residuals_that_are_no_numbers_weigh_nothing_and_harm_no_others(rng, bad):
     given = Pixels(rng, 30, 1)
     given.residual[3] = bad
-    arguments = 0, gaussian_median(1), given.residual, given.usable, given.own, single(0), given.errors
-    weighed = both("weigh_by_loss", *arguments, np.empty((2, 30)), np.ones(30, np.float32), written=[8])[1]
+    template, row = {"own": given.own, "errors": given.errors}, {"loss": 0, "median": gaussian_median(1)}
+    work = given.work | {"sizes": np.empty((2, 30)), "weighed": np.ones(30, np.float32)}
+    weighed = both_of("weigh_by_loss", (Template, template), (Row, row), (Work, work), written=("weighed",))[1]
     assert weighed[3] == 0
     assert (weighed[[i for i in range(30) if i != 3]] > 0).all()
 

@@ -1,6 +1,6 @@
 """Evaluation of a state: residual (paper eq 9), weights, lambda, and derivatives (eq 10) with lambda eliminated (eq 5).
 
-A method's :class:`liaam.fitting.level.Row` lists the functions below that it uses.
+A method's :class:`liaam.fitting.level.Row` lists the functions that it uses.
 """
 
 from liaam.fitting.equations import copy, eliminate, length, multiply, solve
@@ -13,7 +13,7 @@ from liaam.fitting.jacobian import (
     pull,
     weigh_columns,
 )
-from liaam.fitting.level import SHOWN, UNIT, Picture, Row, Template, Work
+from liaam.fitting.level import SHOWN, Picture, Row, Template, Work
 from liaam.fitting.residual import (
     factorise,
     mask,
@@ -29,18 +29,7 @@ from liaam.fitting.residual import (
     weighted_gram,
     with_modes,
 )
-from liaam.fitting.weights import (
-    BY_NOISE,
-    any_of,
-    changed,
-    normalisation,
-    root_by_noise,
-    row_variances,
-    unexplained_by,
-    weigh_by_loss,
-    weigh_by_noise,
-    weigh_by_rows,
-)
+from liaam.fitting.weights import BY_NOISE
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Single1
 
@@ -80,71 +69,17 @@ def turn_model(template: Template, work: Work) -> None:
 
 
 @compiled
-def by_model(template: Template, _picture: Picture, row: Row, work: Work) -> bool:
-    """Use the model's weights and, if asked, normalise the samples; return False if no pixel is usable."""
-    if not any_of(work.usable):
-        return False
-    copy(template.own, work.weighed)
-    if row.normalise:
-        normalisation(work.rows, work.values, work.metric, work.usable, template.own, work.scales)
-    return True
-
-
-@compiled
-def by_noise(template: Template, picture: Picture, _row: Row, work: Work) -> bool:
-    """Compute the factors of noise weights that do not depend on theta_2; return False if no pixel is usable."""
-    if not any_of(work.usable):
-        return False
-    copy(template.own, work.weighed)
-    values, residual, usable, own = work.values, work.residual, work.usable, template.own
-    table, span, kept, errors = picture.noise, picture.span, picture.kept, template.errors
-    work.scales[UNIT] = weigh_by_noise(
-        values, residual, usable, own, work.metric, table, span, kept, errors, work.noise, work.by_model, work.variance
-    )
-    return True
-
-
-@compiled
-def by_rows(template: Template, picture: Picture, row: Row, work: Work) -> bool:
-    """Weigh each row by noise and by the current unexplained variance; return whether the weights changed."""
-    values, residual, usable, own = work.values, work.residual, work.usable, template.own
-    table, span, kept, colours = picture.noise, picture.span, picture.kept, template.colours
-    planes, variance, known, sums = work.planes, work.variance, work.known_now, work.row_sums
-    row_variances(values, residual, usable, own, work.metric, table, span, kept, colours, planes, variance, known, sums)
-    counted = unexplained_by(sums, work.unexplained)
-    if not counted > 0.0 or not (row.loss >= 0 or changed(known, work.known, work.unexplained)):
-        return False
-    copy(known, work.known)
-    work.scales[UNIT] = weigh_by_rows(variance, work.unexplained, picture.correlated, own, usable, work.weighed)
-    return True
-
-
-@compiled
-def by_loss(template: Template, row: Row, work: Work) -> None:
-    """Multiply the weights by those of a robust loss."""
-    residual, usable, own, errors = work.residual, work.usable, template.own, template.errors
-    weigh_by_loss(row.loss, row.median, residual, usable, own, work.variance, errors, work.sizes, work.weighed)
-
-
-@compiled
-def normalise_samples(row: Row, work: Work) -> None:
+def normalise_samples(work: Work) -> None:
     """Compute the residual of the normalised samples, gain * E(I) + offset minus the appearance."""
-    project(work.values, work.metric, work.scales, work.residual, work.image_slopes)
+    project(work)
     take_off(work.residual, work.rows, work.lam)
-
-
-@compiled
-def whiten(work: Work) -> None:
-    """Compute noise weights at theta_2."""
-    metric, slope, noise, by_errors = work.metric, work.slope, work.noise, work.by_model
-    root_by_noise(work.weighed, metric, slope, noise, by_errors, work.scales[UNIT], work.own, work.own_derivative)
 
 
 @compiled
 def solve_lambda(template: Template, row: Row, work: Work, weighed: bool, solves: bool) -> None:
     """Sum squared residuals under the weights, after solving for lambda (A'A + ridge) dl = A'r if ``solves``."""
     if row.normalise:
-        row.normalise_samples(row, work)
+        row.normalise_samples(work)
     if row.weights == BY_NOISE:
         row.whiten(work)
     elif weighed:

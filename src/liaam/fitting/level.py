@@ -123,18 +123,18 @@ class Row(NamedTuple):
     normalise: bool
     """Bring samples to the mean and standard deviation of the mean appearance."""
     evaluate_residual: Callable[["Template", Picture, "Row", "Work", bool], None]
-    """This and the functions below are those of :mod:`liaam.fitting.evaluate`; :func:`without` if not used."""
+    """This and the functions below are those of :mod:`liaam.fitting.evaluate`, ``weights`` and ``steps``;
+    :func:`without` if not used."""
     turn: Callable[["Template", "Work"], None]
     weigh: Callable[["Template", Picture, "Row", "Work"], bool]
     weigh_by_loss: Callable[["Template", "Row", "Work"], None]
     solve_lambda: Callable[["Template", "Row", "Work", bool, bool], None]
-    normalise_samples: Callable[["Row", "Work"], None]
+    normalise_samples: Callable[["Work"], None]
     whiten: Callable[["Work"], None]
     expect: Callable[["Template", "Work"], None]
     differentiate: Callable[["Template", "Row", "Work", Single1, Single1], None]
     add_angles: Callable[["Template", "Row", "Work"], None]
     damped: Callable[["Work", float], bool]
-    """This and the next are of :mod:`liaam.fitting.steps`."""
     raised: Callable[["Work", float], bool]
 
 

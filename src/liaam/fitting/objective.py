@@ -110,7 +110,7 @@ class Objective:
         """The method as arrays, numbers and functions."""
         method, kernel = self.method, get_kernel(self.kernel)
         loss = LOSSES.index(method.loss) if method.loss in LOSSES else -1
-        noisy, weigh = method.weights == "noise", {"noise": kernel.by_noise, "rows": kernel.by_rows}
+        weigh = {"model": kernel.weigh_by_model, "noise": kernel.weigh_by_noise, "rows": kernel.weigh_rows}
         return Row(
             metric=method.metric_parts.astype(np.float32).reshape(3, -1),
             directions=np.ascontiguousarray(method.angle_directions, dtype=np.float64),
@@ -120,11 +120,11 @@ class Objective:
             normalise=method.normalise,
             evaluate_residual=kernel.evaluate_residual,
             turn=kernel.turn_model if self._turns else without,
-            weigh=weigh.get(method.weights, kernel.by_model) if method.reweighs else without,
-            weigh_by_loss=kernel.by_loss if loss >= 0 else without,
+            weigh=weigh[method.weights] if method.reweighs else without,
+            weigh_by_loss=kernel.weigh_by_loss if loss >= 0 else without,
             solve_lambda=kernel.solve_lambda,
             normalise_samples=kernel.normalise_samples if method.normalise else without,
-            whiten=kernel.whiten if noisy else without,
+            whiten=kernel.whiten if method.weights == "noise" else without,
             expect=kernel.expect if method.expects else without,
             differentiate=kernel.differentiate,
             add_angles=kernel.add_angles if method.free_angles != "none" else without,

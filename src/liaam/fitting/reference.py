@@ -7,7 +7,7 @@ double precision. :attr:`liaam.fitting.level.Template.warp` may be any :class:`l
 
 import numpy as np
 
-from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, Picture, Template, Work
+from liaam.fitting.level import COLOUR, CORRELATED, GAIN, GRADIENTS, OFFSET, SHOWN, UNIT, Picture, Row, Template, Work
 from liaam.fitting.weights import FACTORS, LEARNT, MOST_DIRECTION_NOISE, UNKNOWN
 from liaam.kernels.reference import sample
 from liaam.model.warp import Warp
@@ -45,15 +45,14 @@ def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
     lines.reshape(rows.shape[1], -1)[:, : len(rows) - 1] = rows[1:].T
 
 
-def project(
-    values: np.ndarray, metric: np.ndarray, scales: np.ndarray, projected: np.ndarray, image_slopes: np.ndarray
-) -> None:
+def project(work: Work) -> None:
     """Project gain * E(I) + offset."""
-    metric = metric.reshape(-1, 8)[:, :7].astype(np.float64)
-    shown = values.reshape(-1, 8)[:, :7] @ metric.T
-    projected[:] = (scales[1] * shown + scales[2] * metric.sum(axis=1)).ravel()
-    image_slopes *= np.float32(scales[1] / scales[3])
-    scales[3] = scales[1]
+    scales = work.scales
+    metric = work.metric.reshape(-1, 8)[:, :7].astype(np.float64)
+    shown = work.values.reshape(-1, 8)[:, :7] @ metric.T
+    work.residual[:] = (scales[GAIN] * shown + scales[OFFSET] * metric.sum(axis=1)).ravel()
+    work.image_slopes[:] *= np.float32(scales[GAIN] / scales[SHOWN])
+    scales[SHOWN] = scales[GAIN]
 
 
 def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
@@ -233,105 +232,69 @@ def log_noise(logs: np.ndarray, table: np.ndarray, span: np.ndarray) -> np.ndarr
     return np.interp(np.nan_to_num(logs, nan=span[0]), np.linspace(span[0], span[1], len(table)), table)
 
 
-def row_variances(
-    values: np.ndarray,
-    residual: np.ndarray,
-    usable: np.ndarray,
-    own: np.ndarray,
-    metric: np.ndarray,
-    table: np.ndarray,
-    span: np.ndarray,
-    kept: np.ndarray,
-    colours: bool,
-    planes: np.ndarray,
-    variance: np.ndarray,
-    known: np.ndarray,
-    sums: np.ndarray,
-) -> None:
+def row_variances(template: Template, picture: Picture, work: Work) -> None:
     """Compute variances of the rows of ``soft`` due to noise, usable colours, and sums of squares."""
-    n, values = len(usable), values.reshape(-1, 8).astype(np.float64)
+    usable, own, kept = work.usable, template.own, picture.kept
+    n, values = len(usable), work.values.reshape(-1, 8).astype(np.float64)
     direction, logs = values[:, :2], values[:, 2:5]
-    known[:] = (values[:, 5] >= 0.99) & colours
-    deviation, light = log_noise(logs, table, span), np.exp(logs) * BRIGHTNESS
+    work.known_now[:] = known = (values[:, 5] >= 0.99) & template.colours
+    deviation, light = log_noise(logs, picture.noise, picture.span), np.exp(logs) * BRIGHTNESS
     slope = np.square(kept[1] * deviation * light).sum(axis=1) / np.square(light.sum(axis=1) + LOG_FLOOR)
     rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)
     noise = np.zeros((n, 8))
     by_direction = (slope * rest / SOFTNESS**2)[:, None] * (1.0 - np.square(direction) * (1.0 + rest)[:, None])
     noise[:, :2] = np.minimum(by_direction, MOST_DIRECTION_NOISE)
     of_logs = np.square(kept[0] * deviation) + np.square(0.5 * np.square(deviation))
-    noise[:, 2:5] = np.where(known[:, None] > 0, of_logs, UNKNOWN)
-    by_noise = noise @ np.square(metric.reshape(-1, 8).astype(np.float64)).T
+    noise[:, 2:5] = np.where(known[:, None], of_logs, UNKNOWN)
+    by_noise = noise @ np.square(work.metric.reshape(-1, 8).astype(np.float64)).T
     counts = (usable * own.reshape(n, -1)[:, 0] > 0)[:, None] & (by_noise < 0.5 * UNKNOWN)
-    squares = np.square(residual.reshape(n, -1).astype(np.float64))
-    sums[:] = np.stack([(counts * part).sum(axis=0) for part in (1.0, squares, squares - by_noise)], axis=1)
-    variance[:] = by_noise.ravel()
+    squares = np.square(work.residual.reshape(n, -1).astype(np.float64))
+    work.row_sums[:] = np.stack([(counts * part).sum(axis=0) for part in (1.0, squares, squares - by_noise)], axis=1)
+    work.variance[:] = by_noise.ravel()
 
 
-def weigh_by_rows(
-    variance: np.ndarray,
-    unexplained: np.ndarray,
-    correlated: float,
-    own: np.ndarray,
-    usable: np.ndarray,
-    out: np.ndarray,
-) -> float:
+def weigh_by_rows(template: Template, picture: Picture, work: Work) -> float:
     """Compute square roots of inverse variances, scaled to mean weight 1."""
-    rows = variance.reshape(len(usable), -1)
+    own, usable = template.own, work.usable
+    rows = work.variance.reshape(len(usable), -1)
     groups = np.where(np.arange(rows.shape[1]) >= 2, COLOUR, GRADIENTS)
-    by_model = np.array(CORRELATED)[groups] * unexplained[1, groups]
-    rows[:] = correlated * (rows + by_model)
+    by_model = np.array(CORRELATED)[groups] * work.unexplained[1, groups]
+    rows[:] = picture.correlated * (rows + by_model)
     precision = 1.0 / rows.astype(np.float64)
     unit = 1.0 / precision[usable * own.reshape(rows.shape)[:, 0] > 0].mean()
-    out[:] = own * np.sqrt(unit * precision).ravel()
+    work.weighed[:] = own * np.sqrt(unit * precision).ravel()
     return float(unit)
 
 
-def weigh_by_noise(
-    values: np.ndarray,
-    residual: np.ndarray,
-    usable: np.ndarray,
-    own: np.ndarray,
-    metric: np.ndarray,
-    table: np.ndarray,
-    span: np.ndarray,
-    kept: np.ndarray,
-    errors: np.ndarray,
-    noise: np.ndarray,
-    by_model: np.ndarray,
-    variance: np.ndarray,
-) -> float:
+def weigh_by_noise(template: Template, picture: Picture, _row: Row, work: Work) -> bool:
     """Compute variances due to noise and due to the model's errors."""
+    usable, own, kept, errors = work.usable, template.own, picture.kept, template.errors
+    if not usable.any():
+        return False
+    work.weighed[:] = own
     n = len(usable)
-    deviation = log_noise(values.reshape(n, 8)[:, :3], table, span)
-    channels = noise.reshape(n, 8)
+    deviation = log_noise(work.values.reshape(n, 8)[:, :3], picture.noise, picture.span)
+    channels = work.noise.reshape(n, 8)
     channels[:, :3] = np.square(kept[0] * deviation) + np.square(0.5 * np.square(deviation))
-    by_noise = channels.astype(np.float64) @ np.square(metric.reshape(-1, 8)).T
+    by_noise = channels.astype(np.float64) @ np.square(work.metric.reshape(-1, 8)).T
     counts = usable * own.reshape(n, -1)[:, 0] > 0
-    squares, on_average = np.square(residual.reshape(n, -1)).mean(axis=1)[counts], by_noise.mean(axis=1)[counts]
+    squares, on_average = np.square(work.residual.reshape(n, -1)).mean(axis=1)[counts], by_noise.mean(axis=1)[counts]
     expected = on_average + FACTORS[:, None] * errors[counts] + 1e-300
     factor = FACTORS[(np.log(expected) + squares / expected).sum(axis=1).argmin()]
-    by_model[:] = factor * errors
-    variance[:] = (by_noise + by_model[:, None]).ravel()
-    return float(1.0 / np.mean(1.0 / (on_average + by_model[counts])))
+    work.by_model[:] = factor * errors
+    work.variance[:] = (by_noise + work.by_model[:, None]).ravel()
+    work.scales[UNIT] = 1.0 / np.mean(1.0 / (on_average + work.by_model[counts]))
+    return True
 
 
-def root_by_noise(
-    weighed: np.ndarray,
-    metric: np.ndarray,
-    slope: np.ndarray,
-    noise: np.ndarray,
-    by_model: np.ndarray,
-    unit: float,
-    own: np.ndarray,
-    own_derivative: np.ndarray,
-) -> None:
+def whiten(work: Work) -> None:
     """Compute the square root of noise weights at an angle, and its relative derivative."""
-    at_angle, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (metric, slope))
-    channels = noise.reshape(len(by_model), 8).astype(np.float64)
-    variance = channels @ np.square(at_angle).T + by_model[:, None]
-    own[:] = weighed * np.sqrt(unit / variance).ravel()
-    if len(own_derivative):
-        own_derivative[:] = (-(channels @ (at_angle * by_angle).T) / variance).ravel()
+    at_angle, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (work.metric, work.slope))
+    channels = work.noise.reshape(len(work.by_model), 8).astype(np.float64)
+    variance = channels @ np.square(at_angle).T + work.by_model[:, None]
+    work.own[:] = work.weighed * np.sqrt(work.scales[UNIT] / variance).ravel()
+    if len(work.own_derivative):
+        work.own_derivative[:] = (-(channels @ (at_angle * by_angle).T) / variance).ravel()
 
 
 def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
@@ -347,41 +310,30 @@ def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
     return of_each[loss]()
 
 
-def weigh_by_loss(
-    loss: int,
-    gaussian_median: float,
-    residual: np.ndarray,
-    usable: np.ndarray,
-    own: np.ndarray,
-    variance: np.ndarray,
-    errors: np.ndarray,
-    sizes: np.ndarray,
-    weighed: np.ndarray,
-) -> None:
+def weigh_by_loss(template: Template, row: Row, work: Work) -> None:
     """Multiply the weights by those of a robust loss."""
-    n, learnt = len(usable), loss == LEARNT
-    squares = np.square(residual.reshape(n, -1).astype(np.float64))
+    usable, own, variance, errors = work.usable, template.own, work.variance, template.errors
+    n, learnt = len(usable), row.loss == LEARNT
+    squares = np.square(work.residual.reshape(n, -1).astype(np.float64))
     by = errors[:, None] + 1e-12 if learnt else variance.reshape(n, -1) if len(variance) else 1.0
     sizes = np.sqrt((squares / by).mean(axis=1))
     counts = usable * own.reshape(n, -1)[:, 0] > 0
     some = np.sort(sizes[counts & np.isfinite(sizes)])
     middle = some[len(some) // 2] if len(some) else 0.0
-    scale = max(middle / gaussian_median, 1.0 if learnt else 1e-9)
+    scale = max(middle / row.median, 1.0 if learnt else 1e-9)
     finite = np.isfinite(sizes)
-    robust = np.where(finite, loss_weights(loss, np.where(finite, sizes, 0.0) / scale), 0.0)
+    robust = np.where(finite, loss_weights(row.loss, np.where(finite, sizes, 0.0) / scale), 0.0)
     if learnt:
         robust = robust / np.sqrt(errors + 1e-12)
         robust = robust / robust[counts].mean()
-    weighed *= np.repeat(np.sqrt(robust), len(weighed) // n).astype(np.float32)
+    work.weighed[:] *= np.repeat(np.sqrt(robust), len(work.weighed) // n).astype(np.float32)
 
 
-def normalisation(
-    rows: np.ndarray, values: np.ndarray, metric: np.ndarray, usable: np.ndarray, own: np.ndarray, scales: np.ndarray
-) -> None:
+def normalisation(template: Template, work: Work) -> None:
     """Compute the gain and offset that match the mean and standard deviation of the mean appearance."""
-    n = len(usable)
-    counts = usable * own.reshape(n, -1)[:, 0] > 0
-    model = rows[0].reshape(n, -1)[counts].astype(np.float64)
-    seen = values.reshape(n, 8)[counts, :7].astype(np.float64) @ metric.reshape(-1, 8)[:, :7].T
+    n = len(work.usable)
+    counts = work.usable * template.own.reshape(n, -1)[:, 0] > 0
+    model = work.rows[0].reshape(n, -1)[counts].astype(np.float64)
+    seen = work.values.reshape(n, 8)[counts, :7].astype(np.float64) @ work.metric.reshape(-1, 8)[:, :7].T
     gain = model.std() / seen.std() if seen.std() > 1e-6 else 1.0
-    scales[1:3] = gain, model.mean() - gain * seen.mean()
+    work.scales[[GAIN, OFFSET]] = gain, model.mean() - gain * seen.mean()

@@ -9,7 +9,7 @@ the result of each function.
 import numpy as np
 
 from liaam.fitting.equations import cholesky, clear
-from liaam.fitting.level import BLOCK
+from liaam.fitting.level import BLOCK, GAIN, OFFSET, SHOWN, Work
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, F, Int1, Long1, Long2, Single1, Single2, Single3
 from liaam.kernels.vectors import SIZE, lane, load, store, total
@@ -158,21 +158,20 @@ def sample(
 
 
 @compiled
-def project(values: Single1, metric: Single1, scales: Double1, projected: Single1, image_slopes: Single1) -> None:
-    """Project samples (8 n,) as gain * E(I) + offset, and scale their derivatives by the gain.
-
-    Gain, offset and the current gain of the derivatives are in ``scales`` (:attr:`liaam.fitting.level.Work.scales`).
-    """
-    k, gain, more = len(metric) // SIZE, F(scales[1]), F(scales[1] / scales[3])
+def project(work: Work) -> None:
+    """Project samples (8 n,) as gain * E(I) + offset, and scale their derivatives by the gain."""
+    values, metric, scales = work.values, work.metric, work.scales
+    projected, image_slopes = work.residual, work.image_slopes
+    k, gain, more = len(metric) // SIZE, F(scales[GAIN]), F(scales[GAIN] / scales[SHOWN])
     for e in range(len(projected)):
         i, r, shown, shift = e // k, e % k, F(0.0), F(0.0)
         for c in range(SIZE - 1):
             shown += metric[SIZE * r + c] * values[SIZE * i + c]
             shift += metric[SIZE * r + c]
-        projected[e] = gain * shown + F(scales[2]) * shift
+        projected[e] = gain * shown + F(scales[OFFSET]) * shift
         image_slopes[2 * e] *= more
         image_slopes[2 * e + 1] *= more
-    scales[3] = scales[1]
+    scales[SHOWN] = scales[GAIN]
 
 
 @compiled

@@ -6,10 +6,10 @@ row r of pixel i. :mod:`liaam.fitting.reference` defines the result of each func
 
 import numpy as np
 
-from liaam.fitting.equations import clear
-from liaam.fitting.level import COLOUR, CORRELATED, GRADIENTS, PLANE
+from liaam.fitting.equations import clear, copy
+from liaam.fitting.level import COLOUR, CORRELATED, GAIN, GRADIENTS, OFFSET, PLANE, UNIT, Picture, Row, Template, Work
 from liaam.kernels.compiled import compiled, inlined
-from liaam.kernels.fields import Double1, Double2, F, Single1, Single2
+from liaam.kernels.fields import Double1, F, Single1
 from liaam.kernels.vectors import SIZE
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 
@@ -66,43 +66,15 @@ def log_noise(log: np.float32, table: np.ndarray, first: np.float32, steps: np.f
 
 
 @compiled
-def row_variances(
-    values: Single1,
-    residual: Single1,
-    usable: Single1,
-    own: Single1,
-    metric: Single1,
-    table: Single1,
-    span: Double1,
-    kept: Double1,
-    colours: bool,
-    planes: Single2,
-    variance: Single1,
-    known: Single1,
-    sums: Double2,
-) -> None:
+def row_variances(template: Template, picture: Picture, work: Work) -> None:
     """Compute the variance of the rows of ``soft`` due to noise, to first order, and sums of squared residuals.
 
     With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the square root follows from |o|.
-
-    Parameters
-    ----------
-    values, residual, usable : (8 n,), (n k,), (n,) float32
-    own : (n k,) float32
-        Square root of the model's weights.
-    metric : (8 k,) float32
-    table, span, kept
-        Noise (fields of :class:`liaam.fitting.level.Picture`).
-    colours : bool
-        Whether the model was trained on colour images.
-    planes : (10, 512) float32
-        Scratch.
-    variance : (n k,) float32
-    known : (n,) float32
-        1 where the logarithms of all colours are usable, else 0.
-    sums : (k, 3) float64
-        For each row: number of pixels that count, sum of squared residuals, and that sum minus the noise variance.
+    Writes ``work.variance``, ``known_now`` and ``row_sums``.
     """
+    values, residual, usable, own, metric = work.values, work.residual, work.usable, template.own, work.metric
+    table, span, kept, planes = picture.noise, picture.span, picture.kept, work.planes
+    variance, known, sums, colours = work.variance, work.known_now, work.row_sums, template.colours
     n, k = len(usable), len(sums)
     first, steps = F(span[0]), F((len(table) - 1) / (span[1] - span[0]))
     keep, slope = F(kept[0] * kept[0]), F((kept[1] / SOFTNESS) ** 2)
@@ -158,13 +130,14 @@ def row_variances(
 
 
 @compiled
-def unexplained_by(sums: Double2, out: Double2) -> float:
-    """Compute the unexplained variance of both groups of rows, from sums (k, 3), and return the number of residuals.
+def unexplained_by(work: Work) -> float:
+    """Compute the unexplained variance of both groups of rows from ``work.row_sums``; return the number of residuals.
 
     It is the residual's variance minus that of noise, one number for the gradient's rows and one for the invariant.
     Under the light of training the invariant gets the larger weight. Under another light, or with JPEG's errors of
-    colour, the gradient does. The result is written to the second row of ``out`` (2, 2).
+    colour, the gradient does. The result is written to the second row of ``work.unexplained``.
     """
+    sums, out = work.row_sums, work.unexplained
     counted = 0.0
     for group in range(2):
         count, squares, beyond = 0.0, 0.0, 0.0
@@ -179,11 +152,12 @@ def unexplained_by(sums: Double2, out: Double2) -> float:
 
 
 @compiled
-def changed(known: Single1, before: Single1, unexplained: Double2) -> bool:
+def changed(work: Work) -> bool:
     """Return whether weights by rows need an update, and if so keep the current unexplained variance as the last one.
 
-    They do if ``unexplained``, (2, 2) last and current, or the set of pixels with usable colour has changed.
+    They do if the unexplained variance or the set of pixels with usable colour has changed.
     """
+    known, before, unexplained = work.known_now, work.known, work.unexplained
     for group in range(2):
         change = np.log(unexplained[1, group] / unexplained[0, group])
         if not (change < ALIKE and change > -ALIKE):  # NaN is not alike
@@ -199,34 +173,14 @@ def changed(known: Single1, before: Single1, unexplained: Double2) -> bool:
 
 
 @compiled
-def weigh_by_rows(
-    variance: Single1,
-    unexplained: Double2,
-    correlated: float,
-    own: Single1,
-    usable: Single1,
-    out: Single1,
-) -> float:
+def weigh_by_rows(template: Template, picture: Picture, work: Work) -> float:
     """Compute square roots of inverse variances (noise plus model), scaled to mean weight 1 over the pixels that count.
 
-    Parameters
-    ----------
-    variance : (n k,) float32
-        Variance due to noise; replaced by that of the residual, including correlation.
-    unexplained : (2, 2) float64
-        Unexplained variance by group of rows; the second row is current.
-    correlated : float
-        Number of pixels per independent residual.
-    own : (n k,) float32
-        Square root of the model's weights.
-    usable : (n,) float32
-    out : (n k,) float32
-
-    Returns
-    -------
-    float
-        Variance at weight 1.
+    Writes ``work.weighed``, adds the model's variance and the correlation to ``work.variance``, and returns the
+    variance at weight 1.
     """
+    variance, unexplained, own, usable, out = work.variance, work.unexplained, template.own, work.usable, work.weighed
+    correlated = picture.correlated
     n, mass, count = len(usable), 0.0, 0
     k = len(own) // n
     for r in range(k):
@@ -253,40 +207,18 @@ def weigh_by_rows(
 
 
 @compiled
-def weigh_by_noise(
-    values: Single1,
-    residual: Single1,
-    usable: Single1,
-    own: Single1,
-    metric: Single1,
-    table: Single1,
-    span: Double1,
-    kept: Double1,
-    errors: Double1,
-    noise: Single1,
-    by_model: Double1,
-    variance: Single1,
-) -> float:
+def weigh_by_noise(template: Template, picture: Picture, _row: Row, work: Work) -> bool:
     """Compute variances due to noise and due to the model's errors, the latter scaled by its most likely factor.
 
-    Parameters
-    ----------
-    values, residual, usable, own, metric, table, span, kept
-        See :func:`row_variances`; the image's first three channels are logarithms.
-    errors : (n,) float64
-        Learnt variance of the model's errors.
-    noise : (8 n,) float32
-        Output: variance of the channels due to noise.
-    by_model : (n,) float64
-        Output: variance due to the model's errors.
-    variance : (n k,) float32
-        Output: variance of the residual due to both.
-
-    Returns
-    -------
-    float
-        Variance at weight 1.
+    The image's first three channels are logarithms. Writes ``work.noise``, ``by_model``, ``variance`` and the variance
+    at weight 1, all that does not depend on theta_2; returns False if no pixel is usable.
     """
+    if not any_of(work.usable):
+        return False
+    copy(template.own, work.weighed)
+    values, residual, usable, own, metric = work.values, work.residual, work.usable, template.own, work.metric
+    table, span, kept, errors = picture.noise, picture.span, picture.kept, template.errors
+    noise, by_model, variance = work.noise, work.by_model, work.variance
     n = len(usable)
     k, steps = len(residual) // n, (len(table) - 1) / (span[1] - span[0])
     for i in range(n):
@@ -319,25 +251,19 @@ def weigh_by_noise(
             mean += variance[e] / k
         if usable[i] * own[i * k] > F(0.0):
             precision, count = precision + 1.0 / mean, count + 1
-    return count / precision if count else 1.0
+    work.scales[UNIT] = count / precision if count else 1.0
+    return True
 
 
 @compiled
-def root_by_noise(
-    weighed: Single1,
-    metric: Single1,
-    slope: Single1,
-    noise: Single1,
-    by_model: Double1,
-    unit: float,
-    own: Single1,
-    own_derivative: Single1,
-) -> None:
+def whiten(work: Work) -> None:
     """Compute the square root of noise weights at theta_2 and its relative derivative (empty to skip).
 
     The derivative of the weights is part of eq 10 here, because var L(theta) depends on the angle. With weights fixed
     at the last angle, the sum of squares is biased towards angles of low noise.
     """
+    weighed, metric, slope, noise, by_model = work.weighed, work.metric, work.slope, work.noise, work.by_model
+    unit, own, own_derivative = work.scales[UNIT], work.own, work.own_derivative
     k = len(metric) // SIZE
     for i in range(len(by_model)):
         for r in range(k):
@@ -391,35 +317,11 @@ def median(numbers: Double1) -> float:
 
 
 @compiled
-def weigh_by_loss(
-    loss: int,
-    gaussian_median: float,
-    residual: Single1,
-    usable: Single1,
-    own: Single1,
-    variance: Single1,
-    errors: Double1,
-    sizes: Double2,
-    weighed: Single1,
-) -> None:
-    """Multiply square roots of weights (n k,) float32, in place, by those of a robust loss.
-
-    Parameters
-    ----------
-    loss : int
-        Index in :data:`liaam.fitting.losses.LOSSES`.
-    gaussian_median : float
-        Median magnitude of Gaussian residuals (:attr:`liaam.fitting.level.Row.median`).
-    residual, usable, own : (n k,), (n,), (n k,) float32
-    variance : (n k,) float32
-        Variance of the residuals; empty if unknown.
-    errors : (n,) float64
-        Learnt variance of the model's errors.
-    sizes : (2, n) float64
-        Scratch.
-    weighed : (n k,) float32
-    """
-    n, count, learnt, room, sizes = len(usable), 0, loss == LEARNT, sizes[1], sizes[0]
+def weigh_by_loss(template: Template, row: Row, work: Work) -> None:
+    """Multiply square roots of weights, in place, by those of a robust loss."""
+    loss, gaussian_median, residual, usable, own = row.loss, row.median, work.residual, work.usable, template.own
+    variance, errors, weighed = work.variance, template.errors, work.weighed
+    n, count, learnt, room, sizes = len(usable), 0, loss == LEARNT, work.sizes[1], work.sizes[0]
     k = len(residual) // n
     for i in range(n):
         square = 0.0
@@ -444,10 +346,9 @@ def weigh_by_loss(
 
 
 @compiled
-def normalisation(
-    rows: Single2, values: Single1, metric: Single1, usable: Single1, own: Single1, scales: Double1
-) -> None:
+def normalisation(template: Template, work: Work) -> None:
     """Write to ``scales`` the gain and offset that match mean and deviation of the mean appearance (the first row)."""
+    rows, values, metric, usable, own = work.rows, work.values, work.metric, work.usable, template.own
     k, mean = len(metric) // SIZE, rows[0]
     centre, middle, spread, deviation, count = 0.0, 0.0, 0.0, 0.0, 0
     for about_mean in range(2):  # two passes, to limit rounding errors
@@ -465,7 +366,7 @@ def normalisation(
             centre, middle = centre / count if count else 0.0, middle / count if count else 0.0
     spread, deviation = (np.sqrt(spread / count), np.sqrt(deviation / count)) if count else (0.0, 0.0)
     gain = spread / deviation if deviation > 1e-6 else 1.0
-    scales[1], scales[2] = gain, centre - gain * middle
+    work.scales[GAIN], work.scales[OFFSET] = gain, centre - gain * middle
 
 
 @compiled
@@ -475,3 +376,26 @@ def any_of(usable: Single1) -> bool:
         if usable[i] > F(0.0):
             return True
     return False
+
+
+@compiled
+def weigh_by_model(template: Template, _picture: Picture, row: Row, work: Work) -> bool:
+    """Use the model's weights and, if asked, normalise the samples; return False if no pixel is usable."""
+    if not any_of(work.usable):
+        return False
+    copy(template.own, work.weighed)
+    if row.normalise:
+        normalisation(template, work)
+    return True
+
+
+@compiled
+def weigh_rows(template: Template, picture: Picture, row: Row, work: Work) -> bool:
+    """Weigh each row by noise and by the current unexplained variance; return whether the weights changed."""
+    row_variances(template, picture, work)
+    counted = unexplained_by(work)
+    if not counted > 0.0 or not (row.loss >= 0 or changed(work)):
+        return False
+    copy(work.known_now, work.known)
+    work.scales[UNIT] = weigh_by_rows(template, picture, work)
+    return True
