@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from liaam.fitting.kernel import KERNELS
-from liaam.fitting.level import BLOCK, RIDGE, Work
+from liaam.fitting.level import BLOCK, RIDGE, Template, Work
 from setups import Kernel
 
 seeds = st.integers(0, 999)
@@ -61,8 +61,9 @@ class Dense:
     def eliminated(self, kernel) -> tuple[np.ndarray, np.ndarray]:
         hessian, gradient = self.J.T @ self.J, self.J.T @ self.r
         m, n_q = self.aj.shape
-        room = np.empty((m, n_q)), np.empty((m, 1)), np.empty((n_q, n_q))
-        kernel.eliminate(self.factor, self.aj, self.ar, hessian, gradient, *room)
+        room = {"eliminated": np.empty((m, n_q)), "along": np.empty((m, 1)), "small": np.empty((1, n_q, n_q))}
+        given = {"factor": self.factor, "aj": self.aj, "ar": self.ar, "hessian": hessian, "gradient": gradient}
+        kernel.eliminate(kernel.record(Work, **given, **room))
         return hessian, gradient
 
 
@@ -101,7 +102,7 @@ def test_products_are_those_of_float64(kernel, n, m, seed):
     kernel.with_modes(rows, root, residual, line, out)
     np.testing.assert_allclose(out, exact @ (weights * residual), rtol=1e-5)
     lam, left, sums = rng.normal(size=m), residual.copy(), np.empty(2)
-    kernel.subtract(left, rows, lam, root, sums)
+    kernel.subtract(kernel.record(Work, residual=left, rows=rows, lam_step=lam, root=root, sums=sums))
     np.testing.assert_allclose(left, residual - lam @ exact, atol=1e-5)
     np.testing.assert_allclose(sums, [weights @ np.square(left.astype(np.float64)), weights.sum()], rtol=1e-5)
 
@@ -112,7 +113,7 @@ def test_sums_keep_what_float32_would_lose(kernel):
     total, one, sums, out = BLOCK * 2**14 + 9 * BLOCK + 1, np.ones_like(row[0]), np.empty(2), np.empty(1)
     assert gram_of(kernel, row, one)[0, 0] == total
     kernel.with_modes(np.concatenate([row, row]), one, row[0], np.empty(BLOCK, np.float32), out)
-    kernel.subtract(row[0].copy(), row, np.empty(0), one, sums)
+    kernel.subtract(kernel.record(Work, residual=row[0].copy(), rows=row, root=one, sums=sums))
     assert out[0] == sums[0] == total
     assert sums[1] == row.size
 
@@ -132,7 +133,8 @@ class Seen:
         np.testing.assert_array_equal(self.root, np.repeat(usable, k))
         self.gram, self.factor, self.lam = gram_of(kernel, self.modes, own), np.full((m, m), np.nan), np.empty(m)
         self.ridge = np.maximum(RIDGE * np.square(self.modes, dtype=np.float64).sum(axis=1), 1e-12)
-        kernel.factorise(self.gram, self.ridge, lines.ravel(), own, usable, unseen, self.factor)
+        given = {"gram": self.gram, "lines": lines.ravel(), "own": own, "usable": usable, "factor": self.factor}
+        kernel.factorise(kernel.record(Template, ridge=self.ridge), kernel.record(Work, **given), unseen)
         rows = np.concatenate([np.zeros((1, e), np.float32), self.modes])
         kernel.with_modes(rows, self.root, self.residual, np.empty(BLOCK, np.float32), self.lam)
         kernel.solve(self.factor, self.lam)

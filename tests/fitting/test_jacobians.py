@@ -76,10 +76,10 @@ class Setting:
 
     def angle_columns(self, work: Work) -> np.ndarray:
         """Columns of the free angles, (n k, n_free)."""
-        columns, template = np.empty_like(work.columns), self.objective.template
-        for column, (by_model, by_image) in zip(columns, self.objective.row.directions.T, strict=True):
-            seen = work.slope, work.values, work.own_derivative, work.residual
-            self.kernel.angle_column(by_model, by_image, *seen, template.parts, work.angles[0], work.lam, column)
+        columns = np.empty_like(work.columns)
+        record = self.kernel.by_reference(work._replace(columns=columns))
+        for f in range(len(columns)):
+            self.kernel.angle_column(*self.objective.given, record, f)
         return columns.T.astype(np.float64)
 
     def cells(self, p: np.ndarray) -> np.ndarray:

@@ -58,11 +58,16 @@ def sampled(channels: np.ndarray, points: np.ndarray, similarity: np.ndarray, me
     # Each pixel lies at the first corner of a triangle of its own.
     beta = np.tile(np.array([1.0, 0.0, 0.0], np.float32), (n, 1))
     triangles, corner, between = np.repeat(np.arange(n), 3).reshape(n, 3), np.zeros(n, np.int32), single(3 * n)
-    compiled.place(beta, np.arange(n + 1), triangles, points, similarity, *size, corner, between)
-    seen = single(8 * n), single(n * k), single(2 * n * k), single(n)
-    flat = metric.astype(np.float32).ravel()
-    compiled.sample(channels.ravel(), size[1], corner, between, similarity, flat, *seen)
-    return seen[0].reshape(n, 8), seen[1].reshape(n, k), seen[2].reshape(n, k, 2), seen[3]
+    mesh = Mesh(beta, np.arange(n + 1), triangles, np.zeros((0, 2)), np.zeros((0, 0)), 0.0)
+    seen = {"values": single(8 * n), "residual": single(n * k), "image_slopes": single(2 * n * k), "usable": single(n)}
+    at = {"points": points, "corner": corner, "between": between, "metric": metric.astype(np.float32).ravel()}
+    template, work = compiled.record(Template, warp=mesh), compiled.record(Work, **at, **seen)
+    shown = {"pixels": channels.ravel(), "height": size[0], "width": size[1], "similarity": similarity}
+    picture = compiled.record(Picture, **shown)
+    compiled.place(template, picture, work)
+    compiled.sample(picture, work)
+    values, projected, image_slopes, usable = seen.values()
+    return values.reshape(n, 8), projected.reshape(n, k), image_slopes.reshape(n, k, 2), usable
 
 
 def sampled_plainly(channels: np.ndarray, points: np.ndarray, similarity: np.ndarray, metric: np.ndarray):
@@ -157,13 +162,14 @@ def both(name: str, *arguments, written=(), rtol: float = 1e-4, atol: float = 1e
     return compared(name, made, rtol, atol)
 
 
-def both_of(name: str, *given: tuple[type, dict], written: tuple[str, ...], rtol: float = 1e-4, atol: float = 1e-4):
-    """Call a function of both kernels with records of the given fields, the last of which it writes to."""
+def both_of(name: str, *given, written: tuple[str, ...], rtol: float = 1e-4, atol: float = 1e-4):
+    """Call a function of both kernels with records of given fields, the last of which it writes to, then numbers."""
+    given, rest = [each for each in given if isinstance(each, tuple)], [n for n in given if not isinstance(n, tuple)]
     made = []
     for kernel in (compiled, plain):
         own = [{k: v.copy() if isinstance(v, np.ndarray) else v for k, v in fields.items()} for _, fields in given]
         records = [kernel.record(kind, **fields) for (kind, _), fields in zip(given, own, strict=True)]
-        returned = getattr(kernel, name)(*records)
+        returned = getattr(kernel, name)(*records, *rest)
         numbers = () if returned is None else returned
         made.append([np.atleast_1d(np.asarray(numbers, np.float64)), *(own[-1][n].astype(np.float64) for n in written)])
     return compared(name, made, rtol, atol)
@@ -190,8 +196,9 @@ def test_appearances_are_weighed_and_taken_off_as_the_reference_says(n, k, m, se
     root, line, block = root.astype(np.float32), single(BLOCK), single(m, BLOCK)
     both("with_modes", rows, root, residual, line, np.full(m, np.nan), written=[4])
     lam = np.where(rng.random(m) < 0.3, 0.0, rng.normal(size=m))
-    both("take_off", residual, rows, lam, written=[0])
-    both("subtract", residual, rows, lam, root, np.full(2, np.nan), written=[0, 4])
+    work = {"residual": residual, "rows": rows, "lam": lam, "lam_step": lam, "root": root, "sums": np.full(2, np.nan)}
+    both_of("take_off", (Work, work), written=("residual",))
+    both_of("subtract", (Work, work), written=("residual", "sums"))
     gram = both("weighted_gram", rows, own, block, np.full((m, m), np.nan), written=[3])[1]
     if m < e:  # else only rounding and the ridge hold it up
         lines = np.zeros((e, wide), np.float32)
@@ -199,7 +206,8 @@ def test_appearances_are_weighed_and_taken_off_as_the_reference_says(n, k, m, se
         found = np.full((m, m), np.nan)
         unseen = int((usable == 0).sum())
         ridge = rng.uniform(1e-6, 1e-2, m)
-        compiled.factorise(gram, ridge, lines.ravel(), own, usable, unseen, found)
+        work = {"gram": gram, "lines": lines.ravel(), "own": own, "usable": usable, "factor": found}
+        compiled.factorise(compiled.record(Template, ridge=ridge), compiled.record(Work, **work), unseen)
         lower = np.tril(found)
         seen = rows[1:].astype(np.float64) * root
         exact = seen @ seen.T + np.diag(ridge)
@@ -211,7 +219,8 @@ def test_metrics_are_those_of_the_row(method):
     row = METHODS[method]
     parts, theta, step = row.metric_parts.astype(np.float32).reshape(3, -1), 1.9, 1e-4
     metric, slope = single(8 * row.n_rows), single(8 * row.n_rows)
-    compiled.set_metric(parts, theta, metric, slope)
+    work = compiled.record(Work, angles=np.array([0.0, theta]), metric=metric, slope=slope)
+    compiled.set_metric(compiled.record(Row, metric=parts), work)
     expected, ahead, behind = (row.image_metric(theta + by) for by in (0.0, step, -step))
     c = expected.shape[1]
     np.testing.assert_allclose(metric.reshape(-1, 8)[:, :c], expected, atol=1e-6)
@@ -236,8 +245,10 @@ def test_columns_of_angles_are_what_the_reference_says(n, k, free, grows, m, see
     rng = np.random.default_rng(seed)
     own_derivative = floats(rng, n * k) if grows else single(0)
     parts = floats(rng, 3, 1 + m, n * k) if free else np.zeros((0, 0, 0), np.float32)
-    seen = floats(rng, 8 * k), floats(rng, 8 * n), own_derivative, floats(rng, n * k), parts
-    both("angle_column", 0.7, -0.4, *seen, 1.3, rng.normal(size=m), single(n * k), written=[9], atol=1e-5)
+    work = {"slope": floats(rng, 8 * k), "values": floats(rng, 8 * n), "own_derivative": own_derivative}
+    work |= {"residual": floats(rng, n * k), "angles": np.array([1.3, 0.0]), "lam": rng.normal(size=m)}
+    work["columns"], row = single(1, n * k), {"directions": np.array([[0.7], [-0.4]])}
+    both_of("angle_column", (Template, {"parts": parts}), (Row, row), (Work, work), 0, written=("columns",), atol=1e-5)
 
 
 @given(n=st.integers(1, 40), k=st.integers(1, 3), seed=seeds)
@@ -284,8 +295,9 @@ def test_products_of_the_angles_columns(n_free, n_p, e, m, seed):
     rng = np.random.default_rng(seed)
     columns, residual, root = floats(rng, n_free, e), floats(rng, e), rng.random(e).astype(np.float32)
     hessian, gradient = np.zeros((n_p + n_free, n_p + n_free)), np.zeros(n_p + n_free)
+    work = {"columns": columns, "residual": residual, "root": root, "hessian": hessian, "gradient": gradient}
     for f in range(n_free):
-        compiled.dots(columns, columns[f], residual, root, hessian, gradient, f)
+        compiled.dots(compiled.record(Work, **work), f)
     weighted = columns.astype(np.float64) * root
     np.testing.assert_allclose(hessian[n_p:, n_p:], weighted @ weighted.T, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(gradient[n_p:], weighted @ (root * residual), rtol=1e-5, atol=1e-5)
@@ -352,8 +364,12 @@ counts = st.sampled_from([1, 2, 30, PLANE - 1, PLANE, PLANE + 1, 2 * PLANE + 1])
 @given(n=counts, k=st.integers(1, 3), rows=st.integers(1, 3), seed=seeds)
 def test_squares_are_summed_as_the_reference_says(n, k, rows, seed):
     given = Pixels(np.random.default_rng(seed), n, k)
-    pixels = given.values, given.residual, given.metric, given.own, given.usable
-    both("sum_squares", *pixels, 1.7, np.full((min(rows, k), 4), np.nan), written=[6])
+    made, scales = [], np.full(7, 1.7)
+    for kernel in (compiled, plain):
+        sums = np.full((min(rows, k), 4), np.nan)
+        kernel.sum_squares(kernel.record(Work, **given.work, scales=scales), given.own, sums)
+        made.append([sums])
+    compared("sum_squares", made, 1e-4, 1e-4)
 
 
 @given(n=counts, k=st.integers(1, 3), colours=st.booleans(), seed=seeds)

@@ -13,7 +13,7 @@ from liaam.errors import MethodError
 from liaam.fitting.methods import Method, get_method
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
-from liaam.fitting.reference import angle_column, jacobian
+from liaam.fitting.reference import jacobian
 from liaam.fitting.solver import SolverOptions
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
@@ -156,10 +156,8 @@ def _covariance(
     scale = np.square(J).sum(axis=1)
     if scale[n_p:].size:
         # One angle for both cameras: its column depends on the change of light and may be rounding error only.
-        by_image, none = np.empty((1, len(work.residual))), np.zeros(0)
-        seen = work.values, none, work.residual
-        angle_column(0.0, 1.0, work.slope, *seen, none, float(angles[0]), work.lam, by_image[0])
-        least = np.square(method.angle_directions[1]) * np.square(whitened(by_image)).sum()
+        by_image = (work.values.reshape(n, -1)[:, :7] @ work.slope.reshape(-1, 8)[:, :7].T).astype(np.float64)
+        least = np.square(method.angle_directions[1]) * np.square(whitened(by_image.reshape(1, -1))).sum()
         scale[n_p:] = np.maximum(scale[n_p:], least)
     return _inverse(_information(J, whitened(work.rows[1:])), scale)
 

@@ -13,6 +13,7 @@ Compiled loops write to arrays passed to them: allocating inside them takes long
 
 import numpy as np
 
+from liaam.fitting.level import Work
 from liaam.kernels.compiled import compiled, inlined
 from liaam.kernels.fields import Double1, Double2
 from liaam.kernels.vectors import SIZE, every, load, store
@@ -230,28 +231,10 @@ def solve_raised(matrix: Double2, least: float, lines: Double2, rotations: Doubl
 
 
 @compiled
-def eliminate(
-    factor: Double2,
-    aj: Double2,
-    ar: Double1,
-    hessian: Double2,
-    gradient: Double1,
-    whitened: Double2,
-    along: Double2,
-    room: Double2,
-) -> None:
-    """Replace J'J (n_q, n_q) and J'r (n_q,) by the symmetrised Hessian J'QJ and the gradient J'Qr (eq 5), in place.
-
-    Parameters
-    ----------
-    factor : (m, m) float64
-        Cholesky factor of A'A.
-    aj, ar : (m, n_q), (m,) float64
-        A'J and A'r.
-    hessian, gradient : (n_q, n_q), (n_q,) float64
-    whitened, along, room : (m, n_q), (m, 1), (n_q, n_q) float64
-        Scratch: L^-1 A'J, L^-1 A'r, and the product of the first with itself.
-    """
+def eliminate(work: Work) -> None:
+    """Replace J'J and J'r by the symmetrised Hessian J'QJ and the gradient J'Qr (eq 5), in place."""
+    factor, aj, ar, hessian, gradient = work.factor, work.aj, work.ar, work.hessian, work.gradient
+    whitened, along, room = work.eliminated, work.along, work.small[0]  # L^-1 A'J, L^-1 A'r, and a product
     n = len(gradient)
     for i in range(len(ar)):
         along[i, 0] = ar[i]

@@ -4,15 +4,7 @@ A method's :class:`liaam.fitting.level.Row` lists the functions that it uses.
 """
 
 from liaam.fitting.equations import copy, eliminate, length, multiply, solve
-from liaam.fitting.jacobian import (
-    add_modes,
-    add_squares,
-    angle_column,
-    combine,
-    dots,
-    pull,
-    weigh_columns,
-)
+from liaam.fitting.jacobian import add_modes, add_squares, angle_column, combine, dots, pull, weigh_columns
 from liaam.fitting.level import SHOWN, Picture, Row, Template, Work
 from liaam.fitting.residual import (
     factorise,
@@ -37,7 +29,7 @@ from liaam.kernels.fields import Single1
 @compiled
 def evaluate_residual(template: Template, picture: Picture, row: Row, work: Work, solves: bool) -> None:
     """Compute the residual of a state (eq 9), with the mean appearance only if lambda is to be solved for."""
-    set_metric(row.metric, work.angles[1], work.metric, work.slope)
+    set_metric(row, work)
     if len(template.parts):
         row.turn(template, work)
     sample_picture(template, picture, work)
@@ -45,19 +37,15 @@ def evaluate_residual(template: Template, picture: Picture, row: Row, work: Work
     for j in range(len(work.lam)):
         work.lam[j] = 0.0 if solves else work.lam[j]
     if not row.normalise:
-        take_off(work.residual, work.rows, work.lam)
+        take_off(work)
 
 
 @compiled
 def sample_picture(template: Template, picture: Picture, work: Work) -> None:
     """Sample the image term of eq 9, P(theta_2) E(I(W(x; p))), and its spatial gradient."""
-    mesh = template.warp
-    vertices_at(mesh.rest, mesh.basis, work.p, work.points)
-    similarity, corner, between = picture.similarity, work.corner, work.between
-    height, width, metric = picture.height, picture.width, work.metric
-    place(mesh.beta, mesh.starts, mesh.triangles, work.points, similarity, height, width, corner, between)
-    values, residual, image_slopes = work.values, work.residual, work.image_slopes
-    sample(picture.pixels, width, corner, between, similarity, metric, values, residual, image_slopes, work.usable)
+    vertices_at(template, work)
+    place(template, picture, work)
+    sample(picture, work)
 
 
 @compiled
@@ -72,7 +60,7 @@ def turn_model(template: Template, work: Work) -> None:
 def normalise_samples(work: Work) -> None:
     """Compute the residual of the normalised samples, gain * E(I) + offset minus the appearance."""
     project(work)
-    take_off(work.residual, work.rows, work.lam)
+    take_off(work)
 
 
 @compiled
@@ -87,7 +75,7 @@ def solve_lambda(template: Template, row: Row, work: Work, weighed: bool, solves
     if weighed or row.weights == BY_NOISE or len(template.parts):
         weighted_gram(work.rows, work.own, work.block, work.gram)
     unseen = mask(work.own, work.usable, work.root)
-    factorise(work.gram, template.ridge, work.lines, work.own, work.usable, unseen, work.factor)
+    factorise(template, work, unseen)
     with_modes(work.rows, work.root, work.residual, work.line, work.ar)
     for j in range(len(work.lam)):
         work.ar[j] -= template.ridge[j] * work.lam[j]
@@ -97,32 +85,30 @@ def solve_lambda(template: Template, row: Row, work: Work, weighed: bool, solves
         for j in range(len(work.lam)):
             work.lam[j] += work.lam_step[j]
             work.ar[j] = 0.0
-    subtract(work.residual, work.rows, work.lam_step, work.root, work.sums)
+    subtract(work)
 
 
 @compiled
 def expect(template: Template, work: Work) -> None:
     """Compute the expected spatial gradient of the residual: that of the fitted appearance (eq 4)."""
     combine(work.slopes, work.lam, work.appearance_slopes)
-    mesh = template.warp
-    vertices_at(mesh.rest, mesh.basis, work.p, work.points)
-    pull(mesh.starts, mesh.triangles, mesh.rest, work.points, work.appearance_slopes, work.expected)
+    vertices_at(template, work)
+    pull(template, work)
 
 
 @compiled
 def sum_products(template: Template, work: Work, image_slopes: Single1, expected: Single1) -> None:
     """Sum the products E'J, A'J and E'r of the derivatives by p, and those of E with the columns of the angles."""
-    mesh, n_p, n_free = template.warp, len(work.p), len(work.columns)
-    wide = mesh.basis.shape[1]
-    fours, room = work.fours, work.room
+    basis, n_p, n_free = template.warp.basis, len(work.p), len(work.columns)
+    wide = basis.shape[1]
     for f in range(n_free if n_free else 1):
-        weigh_columns(image_slopes, work.root, work.residual, work.columns, f, fours)
-        add_squares(mesh.beta, mesh.starts, mesh.triangles, mesh.basis, fours, expected, room, work.squares)
-        multiply(mesh.basis, work.squares, work.carried_squares)  # to the warp's parameters
+        weigh_columns(work, image_slopes, f)
+        add_squares(template, work, expected)
+        multiply(basis, work.squares, work.carried_squares)  # to the warp's parameters
         for i in range(n_p if n_free else 0):
             work.hessian[i, n_p + f] = work.hessian[n_p + f, i] = work.carried_squares[i, wide + 1]
-    add_modes(mesh.beta, mesh.starts, mesh.triangles, fours, work.lines, room, work.products)
-    multiply(mesh.basis, work.products, work.carried_products)
+    add_modes(template, work)
+    multiply(basis, work.products, work.carried_products)
     for i in range(n_p):
         work.gradient[i] = work.carried_squares[i, wide]
         for j in range(n_p):
@@ -141,32 +127,20 @@ def differentiate(template: Template, row: Row, work: Work, image_slopes: Single
     if len(work.columns):
         row.add_angles(template, row, work)
     sum_products(template, work, image_slopes, expected)
-    eliminate(work.factor, work.aj, work.ar, work.hessian, work.gradient, work.eliminated, work.along, work.small[0])
+    eliminate(work)
 
 
 @compiled
 def add_angles(template: Template, row: Row, work: Work) -> None:
     """Differentiate the residual by the free angles (eq 10), and sum the products of these columns."""
-    n_p, by = len(work.p), row.directions
+    n_p = len(work.p)
     for f in range(len(work.columns)):
-        column, values, own_derivative, residual = work.columns[f], work.values, work.own_derivative, work.residual
-        angle_column(
-            by[0, f],
-            by[1, f],
-            work.slope,
-            values,
-            own_derivative,
-            residual,
-            template.parts,
-            work.angles[0],
-            work.lam,
-            column,
-        )
-        with_modes(work.rows, work.root, column, work.line, work.lam_step)
+        angle_column(template, row, work, f)
+        with_modes(work.rows, work.root, work.columns[f], work.line, work.lam_step)
         for j in range(len(work.lam)):
             work.aj[j, n_p + f] = work.lam_step[j]
     for f in range(len(work.columns)):
-        dots(work.columns, work.columns[f], work.residual, work.root, work.hessian, work.gradient, f)
+        dots(work, f)
 
 
 @compiled

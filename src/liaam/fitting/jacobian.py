@@ -13,8 +13,9 @@ the result of each function.
 import numpy as np
 
 from liaam.fitting.equations import clear
+from liaam.fitting.level import Row, Template, Work
 from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Double1, Double2, F, Long1, Long2, Single1, Single2, Single3
+from liaam.kernels.fields import Double1, F, Single1, Single2
 from liaam.kernels.vectors import SIZE, every, halves, load, store
 
 FLAT = 0.05
@@ -37,20 +38,14 @@ def combine(rows: Single2, lam: Double1, out: Single1) -> None:
 
 
 @compiled
-def pull(starts: Long1, triangles: Long2, rest: Double2, points: Double2, slopes: Single1, out: Single1) -> None:
+def pull(template: Template, work: Work) -> None:
     """Transform gradients from the reference frame to the image: if V(W(x; p)) = A(x), grad V = (dW/dx)^-T grad A.
 
-    Parameters
-    ----------
-    starts, triangles
-        Fields of :class:`liaam.model.warp.Mesh`.
-    rest, points : (v, 2) float64
-        Vertices of the mean shape and of the current shape.
-    slopes : (2 n k,) float32
-        For each pixel, k derivatives by x and k by y.
-    out : (2 n k,) float32
-        For each residual, its derivatives by x and y, model pixels.
+    Reads ``work.appearance_slopes``, for each pixel k derivatives by x and k by y, and writes ``work.expected``, for
+    each residual its derivatives by x and y.
     """
+    starts, triangles, rest = template.warp.starts, template.warp.triangles, template.warp.rest
+    points, slopes, out = work.points, work.appearance_slopes, work.expected
     n_pixels = starts[len(starts) - 1]
     k = len(slopes) // (2 * n_pixels) if n_pixels else 0
     for t in range(len(triangles)):
@@ -70,37 +65,14 @@ def pull(starts: Long1, triangles: Long2, rest: Double2, points: Double2, slopes
 
 
 @compiled
-def angle_column(
-    by_model: float,
-    by_image: float,
-    slope: Single1,
-    values: Single1,
-    own_derivative: Single1,
-    residual: Single1,
-    parts: Single3,
-    theta: float,
-    lam: Double1,
-    out: Single1,
-) -> None:
-    """Derivative of the weighted residual by a free angle, divided by the square root of the weight (eq 10).
+def angle_column(template: Template, row: Row, work: Work, f: int) -> None:
+    """Derivative of the weighted residual by free angle f, divided by the square root of the weight (eq 10).
 
     The columns are L'(theta_2) log I and -L'(theta_1) A.
-
-    Parameters
-    ----------
-    by_model, by_image : float
-        Derivatives of theta_1 and theta_2 by the free angle.
-    slope : (8 k,) float32
-        dP/dtheta_2.
-    values, own_derivative, residual : (8 n,), (n k,) or empty, (n k,) float32
-        See :class:`liaam.fitting.level.Work`.
-    parts : (3, 1 + m, n k) float32
-        See :attr:`liaam.fitting.level.Template.parts`.
-    theta : float
-        theta_1, radians.
-    lam : (m,) float64
-    out : (n k,) float32
     """
+    slope, values, own_derivative, residual = work.slope, work.values, work.own_derivative, work.residual
+    by_model, by_image, theta = row.directions[0, f], row.directions[1, f], work.angles[0]
+    parts, lam, out = template.parts, work.lam, work.columns[f]
     k = len(slope) // SIZE
     for e in range(len(out)):
         i, r, change = e // k, e % k, F(0.0)
@@ -118,10 +90,9 @@ def angle_column(
 
 
 @compiled
-def weigh_columns(
-    image_slopes: Single1, root: Single1, residual: Single1, columns: Single2, f: int, fours: Single1
-) -> None:
-    """Write w^2 (slope by x, by y, residual, angle column f or 0) for each residual, (4 n k + 8,) float32."""
+def weigh_columns(work: Work, image_slopes: Single1, f: int) -> None:
+    """Write w^2 (slope by x, by y, residual, angle column f or 0) for each residual to ``work.fours``."""
+    root, residual, columns, fours = work.root, work.residual, work.columns, work.fours
     for e in range(len(root)):
         square = root[e] * root[e]
         fours[4 * e], fours[4 * e + 1] = square * image_slopes[2 * e], square * image_slopes[2 * e + 1]
@@ -130,16 +101,10 @@ def weigh_columns(
 
 
 @compiled
-def dots(
-    columns: Single2,
-    column: Single1,
-    residual: Single1,
-    root: Single1,
-    hessian: Double2,
-    gradient: Double1,
-    f: int,
-) -> None:
+def dots(work: Work, f: int) -> None:
     """Write the weighted products of angle column f with all angle columns to E'J, and with the residual to E'r."""
+    columns, column, residual, root = work.columns, work.columns[f], work.residual, work.root
+    hessian, gradient = work.hessian, work.gradient
     n_p = len(gradient) - len(columns)
     for g in range(len(columns) + 1):
         product, other = 0.0, columns[g] if g < len(columns) else residual
@@ -152,31 +117,14 @@ def dots(
 
 
 @compiled
-def add_squares(
-    beta: Single2,
-    starts: Long1,
-    triangles: Long2,
-    basis: Double2,
-    fours: Single1,
-    expected: Single1,
-    room: Single1,
-    lines: Double2,
-) -> None:
-    """Sum E'J, E'r and E' times an angle column by vertex.
+def add_squares(template: Template, work: Work, expected: Single1) -> None:
+    """Sum E'J, E'r and E' times an angle column by vertex, from the output of :func:`weigh_columns`.
 
-    Parameters
-    ----------
-    beta, starts, triangles, basis
-        Fields of :class:`liaam.model.warp.Mesh`.
-    fours : (4 n k + 8,) float32
-        Output of :func:`weigh_columns`.
-    expected : (2 n k,) float32
-        Expected spatial gradients of the residuals.
-    room : (48,) float32
-        Scratch.
-    lines : (2 v, w + 8) float64, with w columns in ``basis``
-        For x and y of each vertex: E'J by the warp's parameters, E'r, and E' times the angle column.
+    ``expected`` (2 n k,) float32 is the expected spatial gradient. The sums are for x and y of each vertex: E'J by the
+    warp's parameters, E'r, and E' times the angle column.
     """
+    beta, starts, triangles = template.warp.beta, template.warp.starts, template.warp.triangles
+    basis, fours, room, lines = template.warp.basis, work.fours, work.room, work.squares
     clear(lines)
     wide, n = basis.shape[1], starts[len(starts) - 1]
     k = len(expected) // (2 * n) if n else 0
@@ -219,30 +167,10 @@ def add_squares(
 
 
 @compiled
-def add_modes(
-    beta: Single2,
-    starts: Long1,
-    triangles: Long2,
-    fours: Single1,
-    modes: Single1,
-    room: Single1,
-    lines: Double2,
-) -> None:
-    """Sum J'A by vertex.
-
-    Parameters
-    ----------
-    beta, starts, triangles
-        Fields of :class:`liaam.model.warp.Mesh`.
-    fours : (4 n k + 8,) float32
-        Output of :func:`weigh_columns`.
-    modes : (n k w,) float32
-        Transposed modes, padded to a width w that is a multiple of 8.
-    room : (48,) float32
-        Scratch.
-    lines : (2 v, w) float64
-        Sums for x and y of each vertex.
-    """
+def add_modes(template: Template, work: Work) -> None:
+    """Sum J'A for x and y of each vertex, from the output of :func:`weigh_columns` and the transposed modes."""
+    beta, starts, triangles = template.warp.beta, template.warp.starts, template.warp.triangles
+    fours, modes, room, lines = work.fours, work.lines, work.room, work.products
     clear(lines)
     n = starts[len(starts) - 1]
     k, wide = (len(fours) - SIZE) // (4 * n) if n else 0, lines.shape[1]

@@ -55,9 +55,9 @@ def project(work: Work) -> None:
     scales[SHOWN] = scales[GAIN]
 
 
-def take_off(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray) -> None:
+def take_off(work: Work) -> None:
     """Subtract the appearance (eq 4) from samples."""
-    residual -= np.concatenate([[1.0], lam]) @ rows.astype(np.float64)
+    work.residual[:] -= np.concatenate([[1.0], work.lam]) @ work.rows.astype(np.float64)
 
 
 def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
@@ -66,20 +66,12 @@ def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
     return int((usable == 0).sum())
 
 
-def sum_squares(
-    values: np.ndarray,
-    residual: np.ndarray,
-    metric: np.ndarray,
-    own: np.ndarray,
-    usable: np.ndarray,
-    gain: float,
-    sums: np.ndarray,
-) -> None:
+def sum_squares(work: Work, own: np.ndarray, sums: np.ndarray) -> None:
     """Sum weights, weighted samples and their squares, and weighted squares of the residual."""
-    n, rows = len(usable), len(sums)
-    weights = usable[:, None] * np.square(own.reshape(n, -1)[:, :rows], dtype=np.float64)
-    samples = gain * (values.reshape(n, 8) @ metric.reshape(-1, 8)[:rows].T).astype(np.float64)
-    left = residual.reshape(n, -1)[:, :rows].astype(np.float64)
+    n, rows = len(work.usable), len(sums)
+    weights = work.usable[:, None] * np.square(own.reshape(n, -1)[:, :rows], dtype=np.float64)
+    samples = work.scales[GAIN] * (work.values.reshape(n, 8) @ work.metric.reshape(-1, 8)[:rows].T).astype(np.float64)
+    left = work.residual.reshape(n, -1)[:, :rows].astype(np.float64)
     parts = weights, weights * samples, weights * np.square(samples), weights * np.square(left)
     sums[:] = np.stack([part.sum(axis=0) for part in parts], axis=1)
 
@@ -89,11 +81,11 @@ def with_modes(rows: np.ndarray, root: np.ndarray, column: np.ndarray, line: np.
     out[: len(rows) - 1] = rows[1:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)
 
 
-def subtract(residual: np.ndarray, rows: np.ndarray, lam: np.ndarray, root: np.ndarray, sums: np.ndarray) -> None:
+def subtract(work: Work) -> None:
     """Subtract modes from the residual, and sum its weighted squares."""
-    residual -= lam @ rows[1:].astype(np.float64)
-    weights = np.square(root.astype(np.float64))
-    sums[:] = weights @ np.square(residual.astype(np.float64)), weights.sum()
+    work.residual[:] -= work.lam_step @ work.rows[1:].astype(np.float64)
+    weights = np.square(work.root.astype(np.float64))
+    work.sums[:] = weights @ np.square(work.residual.astype(np.float64)), weights.sum()
 
 
 def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: np.ndarray) -> None:
@@ -102,19 +94,12 @@ def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: n
     gram[:] = weighted @ weighted.T
 
 
-def factorise(
-    gram: np.ndarray,
-    ridge: np.ndarray,
-    lines: np.ndarray,
-    own: np.ndarray,
-    usable: np.ndarray,
-    unseen: int,
-    factor: np.ndarray,
-) -> None:
+def factorise(template: Template, work: Work, _unseen: int) -> None:
     """Compute the Cholesky factor of A'A + ridge over the usable pixels."""
-    blind = own * np.repeat(usable == 0, len(own) // len(usable))
-    unseen_modes = (lines.reshape(len(own), -1)[:, : len(gram)] * blind[:, None]).astype(np.float64)
-    factor[:] = np.linalg.cholesky(gram - unseen_modes.T @ unseen_modes + np.diag(ridge))
+    own, m = work.own, len(work.gram)
+    blind = own * np.repeat(work.usable == 0, len(own) // len(work.usable))
+    unseen_modes = (work.lines.reshape(len(own), -1)[:, :m] * blind[:, None]).astype(np.float64)
+    work.factor[:] = np.linalg.cholesky(work.gram - unseen_modes.T @ unseen_modes + np.diag(template.ridge))
 
 
 def expect(template: Template, work: Work) -> None:
@@ -143,37 +128,23 @@ def sum_products(template: Template, work: Work, image_slopes: np.ndarray, expec
     work.aj[:, :n_p] = (work.rows[1:] * root[:, 0]) @ J
 
 
-def dots(
-    columns: np.ndarray,
-    column: np.ndarray,
-    residual: np.ndarray,
-    root: np.ndarray,
-    hessian: np.ndarray,
-    gradient: np.ndarray,
-    f: int,
-) -> None:
+def dots(work: Work, f: int) -> None:
     """Compute weighted products of an angle column with all angle columns and with the residual."""
-    weighted, n_p = np.square(root.astype(np.float64)) * column, len(gradient) - len(columns)
-    hessian[n_p + f, n_p:], gradient[n_p + f] = columns @ weighted, residual @ weighted
+    columns, n_p = work.columns, len(work.p)
+    weighted = np.square(work.root.astype(np.float64)) * columns[f]
+    work.hessian[n_p + f, n_p:], work.gradient[n_p + f] = columns @ weighted, work.residual @ weighted
 
 
-def angle_column(
-    by_model: float,
-    by_image: float,
-    slope: np.ndarray,
-    values: np.ndarray,
-    own_derivative: np.ndarray,
-    residual: np.ndarray,
-    parts: np.ndarray,
-    theta: float,
-    lam: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Differentiate the weighted residual by an angle, divided by the square root of the weight."""
-    change = (values.reshape(-1, 8)[:, :7] @ slope.reshape(-1, 8)[:, :7].T).ravel()
-    out[:] = by_image * (change + (own_derivative * residual if len(own_derivative) else 0.0))
+def angle_column(template: Template, row: Row, work: Work, f: int) -> None:
+    """Differentiate the weighted residual by a free angle, divided by the square root of the weight."""
+    (by_model, by_image), theta, parts = row.directions[:, f], work.angles[0], template.parts
+    change = (work.values.reshape(-1, 8)[:, :7] @ work.slope.reshape(-1, 8)[:, :7].T).ravel()
+    own_change = work.own_derivative * work.residual if len(work.own_derivative) else 0.0
+    work.columns[f] = by_image * (change + own_change)
     if len(parts):
-        out -= by_model * (np.concatenate([[1.0], lam]) @ (np.cos(theta) * parts[2] - np.sin(theta) * parts[1]))
+        work.columns[f] -= by_model * (
+            np.concatenate([[1.0], work.lam]) @ (np.cos(theta) * parts[2] - np.sin(theta) * parts[1])
+        )
 
 
 def movement(template: Template, work: Work) -> float:
@@ -210,21 +181,13 @@ def solve_raised(matrix: np.ndarray, least: float, lines: np.ndarray, rotations:
     return True
 
 
-def eliminate(
-    factor: np.ndarray,
-    aj: np.ndarray,
-    ar: np.ndarray,
-    hessian: np.ndarray,
-    gradient: np.ndarray,
-    whitened: np.ndarray,
-    along: np.ndarray,
-    room: np.ndarray,
-) -> None:
+def eliminate(work: Work) -> None:
     """Compute the symmetrised J'QJ, and J'Qr (eq 5)."""
-    inverse = np.linalg.inv(np.tril(factor) @ np.tril(factor).T) if len(ar) else np.zeros((0, 0))
-    hessian -= aj.T @ inverse @ aj
+    factor, aj, hessian = work.factor, work.aj, work.hessian
+    inverse = np.linalg.inv(np.tril(factor) @ np.tril(factor).T) if len(aj) else np.zeros((0, 0))
+    hessian[:] -= aj.T @ inverse @ aj
     hessian[:] = 0.5 * (hessian + hessian.T)
-    gradient -= aj.T @ inverse @ ar
+    work.gradient[:] -= aj.T @ inverse @ work.ar
 
 
 def log_noise(logs: np.ndarray, table: np.ndarray, span: np.ndarray) -> np.ndarray:

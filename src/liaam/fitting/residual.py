@@ -9,15 +9,16 @@ the result of each function.
 import numpy as np
 
 from liaam.fitting.equations import cholesky, clear
-from liaam.fitting.level import BLOCK, GAIN, OFFSET, SHOWN, Work
+from liaam.fitting.level import BLOCK, GAIN, OFFSET, SHOWN, Picture, Row, Template, Work
 from liaam.kernels.compiled import compiled
-from liaam.kernels.fields import Double1, Double2, F, Int1, Long1, Long2, Single1, Single2, Single3
+from liaam.kernels.fields import Double1, Double2, F, Single1, Single2, Single3
 from liaam.kernels.vectors import SIZE, lane, load, store, total
 
 
 @compiled
-def set_metric(parts: Single2, theta: float, metric: Single1, slope: Single1) -> None:
-    """Compute P(theta) on the image's channels and its derivative, both (8 k,) float32, from its parts (3, 8 k)."""
+def set_metric(row: Row, work: Work) -> None:
+    """Compute P(theta_2) on the image's channels and its derivative."""
+    parts, metric, slope, theta = row.metric, work.metric, work.slope, work.angles[1]
     along, across = F(np.cos(theta)), F(np.sin(theta))
     for c in range(len(metric)):
         metric[c] = parts[0, c] + along * parts[1, c] + across * parts[2, c]
@@ -44,8 +45,9 @@ def transpose(rows: Single2, lines: Single1) -> None:
 
 
 @compiled
-def vertices_at(rest: Double2, basis: Double2, p: Double1, points: Double2) -> None:
-    """Compute the vertices (v, 2) float64, model pixels, from those at rest and the shape basis (2 v, n_p) (eq 1)."""
+def vertices_at(template: Template, work: Work) -> None:
+    """Compute the mesh's vertices in model pixels from those at rest and the shape basis (eq 1)."""
+    rest, basis, p, points = template.warp.rest, template.warp.basis, work.p, work.points
     for v in range(len(points)):
         xs, ys, x, y = basis[2 * v], basis[2 * v + 1], rest[v, 0], rest[v, 1]
         for j in range(len(p)):
@@ -55,37 +57,17 @@ def vertices_at(rest: Double2, basis: Double2, p: Double1, points: Double2) -> N
 
 
 @compiled
-def place(
-    beta: Single2,
-    starts: Long1,
-    triangles: Long2,
-    points: Double2,
-    similarity: Double2,
-    height: int,
-    width: int,
-    corner: Int1,
-    between: Single1,
-) -> None:
+def place(template: Template, picture: Picture, work: Work) -> None:
     """Map the model's pixels to the image by the piecewise affine warp (eq 3).
 
-    Parameters
-    ----------
-    beta, starts, triangles
-        Fields of :class:`liaam.model.warp.Mesh`.
-    points : (v, 2) float64
-        Vertices of the mesh, model pixels.
-    similarity : (2, 3) float64
-        Model pixels to image pixels.
-    height, width : int
-        Size of the image.
-    corner : (n,) int32
-        Output: index of the upper left of the four pixels around each point.
-    between : (3 n,) float32
-        Output: offset (x, y) from that pixel, and 1 if the point is inside the image, else 0.
+    Writes the index of the upper left of the four image pixels around each point to ``work.corner``, and the offset
+    (x, y) from that pixel, and 1 if the point is inside the image, else 0, to ``work.between``.
     """
+    beta, starts, triangles = template.warp.beta, template.warp.starts, template.warp.triangles
+    points, similarity, corner, between = work.points, picture.similarity, work.corner, work.between
     a00, a01, a02 = similarity[0, 0], similarity[0, 1], similarity[0, 2]
     a10, a11, a12 = similarity[1, 0], similarity[1, 1], similarity[1, 2]
-    right, bottom = float(width), float(height)
+    right, bottom = float(picture.width), float(picture.height)
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
@@ -109,33 +91,14 @@ def place(
 
 
 @compiled
-def sample(
-    pixels: Single1,
-    width: int,
-    corner: Int1,
-    between: Single1,
-    similarity: Double2,
-    metric: Single1,
-    values: Single1,
-    projected: Single1,
-    image_slopes: Single1,
-    usable: Single1,
-) -> None:
+def sample(picture: Picture, work: Work) -> None:
     """Sample an image bilinearly at the points of :func:`place`, and project samples and gradients by P(theta_2).
 
-    Parameters
-    ----------
-    pixels : (8 h w,) float32
-        Channels of an encoded image.
-    width, corner, between, similarity
-        See :func:`place`.
-    metric : (8 k,) float32
-    values : (8 n,) float32
-    projected : (n k,) float32
-    image_slopes : (2 n k,) float32
-        Derivatives of ``projected`` by x and y, model pixels.
-    usable : (n,) float32
+    Writes ``work.values``, ``residual`` (the projected samples), ``image_slopes`` and ``usable``.
     """
+    pixels, width, similarity = picture.pixels, picture.width, picture.similarity
+    corner, between, metric, values = work.corner, work.between, work.metric, work.values
+    projected, image_slopes, usable = work.residual, work.image_slopes, work.usable
     k, below = len(metric) // SIZE, SIZE * width
     xx, xy, yx, yy = F(similarity[0, 0]), F(similarity[0, 1]), F(similarity[1, 0]), F(similarity[1, 1])
     for i in range(len(usable)):
@@ -175,8 +138,9 @@ def project(work: Work) -> None:
 
 
 @compiled
-def take_off(residual: Single1, rows: Single2, lam: Double1) -> None:
-    """Subtract the appearance (eq 4), the first of rows (1 + m, e) plus lambda times the others, in place."""
+def take_off(work: Work) -> None:
+    """Subtract the appearance (eq 4), the first of rows (1 + m, e) plus lambda times the others, from the residual."""
+    residual, rows, lam = work.residual, work.rows, work.lam
     for j in range(len(lam) + 1):
         scale, row = F(1.0) if j == 0 else F(lam[j - 1]), rows[j]
         if scale != F(0.0):
@@ -197,22 +161,13 @@ def mask(own: Single1, usable: Single1, root: Single1) -> int:
 
 
 @compiled
-def sum_squares(
-    values: Single1, residual: Single1, metric: Single1, own: Single1, usable: Single1, gain: float, sums: Double2
-) -> None:
-    """Sum weights, weighted samples and their squares, and weighted squares of the residual, over the pixels.
+def sum_squares(work: Work, own: Single1, sums: Double2) -> None:
+    """Sum weights, weighted samples and their squares, and weighted squares of the residual, over the usable pixels.
 
-    Parameters
-    ----------
-    values, residual, metric
-        See :func:`sample`.
-    own, usable : (n k,), (n,) float32
-        Square root of the weights, and 0 at unusable pixels.
-    gain : float
-        Factor on the samples.
-    sums : (rows, 4) float64
-        Output, for the first rows of the metric.
+    ``own`` (n k,) is the square root of the weights; ``sums`` (rows, 4) float64 is the output, for the first rows of
+    the metric.
     """
+    values, residual, metric, usable, gain = work.values, work.residual, work.metric, work.usable, work.scales[GAIN]
     k = len(own) // len(usable)
     clear(sums)
     for i in range(len(usable)):
@@ -245,8 +200,9 @@ def with_modes(rows: Single2, root: Single1, column: Single1, line: Single1, out
 
 
 @compiled
-def subtract(residual: Single1, rows: Single2, lam: Double1, root: Single1, sums: Double1) -> None:
-    """Subtract modes (all rows but the first) from the residual, in place; write r'r and the sum of the weights."""
+def subtract(work: Work) -> None:
+    """Subtract the step of lambda times the modes from the residual; write r'r and the sum of the weights."""
+    residual, rows, lam, root, sums = work.residual, work.rows, work.lam_step, work.root, work.sums
     sums[0] = sums[1] = 0.0
     for begin in range(0, len(residual), BLOCK):
         size = BLOCK if begin + BLOCK < len(residual) else len(residual) - begin
@@ -301,19 +257,10 @@ def weighted_gram(rows: Single2, root: Single1, block: Single2, gram: Double2) -
 
 
 @compiled
-def factorise(
-    gram: Double2,
-    ridge: Double1,
-    lines: Single1,
-    own: Single1,
-    usable: Single1,
-    unseen: int,
-    factor: Double2,
-) -> None:
-    """Compute the Cholesky factor (m, m) of A'A over the usable pixels, with a ridge (m,) on its diagonal.
-
-    ``gram`` is A'A over all pixels, ``own`` the square root of their weights, ``unseen`` the number of unusable pixels.
-    """
+def factorise(template: Template, work: Work, unseen: int) -> None:
+    """Compute the Cholesky factor of A'A over the usable pixels (all but ``unseen``), with a ridge on its diagonal."""
+    gram, ridge, lines, own, usable = work.gram, template.ridge, work.lines, work.own, work.usable
+    factor = work.factor
     m, k = len(gram), len(own) // len(usable)
     wide = len(lines) // len(own)
     for a in range(m):

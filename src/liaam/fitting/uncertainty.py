@@ -3,7 +3,6 @@
 import numpy as np
 
 from liaam.fitting.kernel import get_kernel
-from liaam.fitting.level import GAIN
 from liaam.fitting.levels import Stage
 from liaam.fitting.objective import Objective
 from liaam.model import Reliability
@@ -64,10 +63,9 @@ def _contrast(stage: Stage, own: np.ndarray) -> tuple[float, float]:
 
     ``own`` (n k,) is the square root of the weights. Values and logarithms count relative to their mean.
     """
-    objective, work = stage.objective, stage.solution.work
-    sums = np.empty((_rows_shown(objective), 4))
-    kernel, gain = get_kernel(objective.kernel), float(work.scales[GAIN])
-    kernel.sum_squares(work.values, work.residual, work.metric, own, work.usable, gain, sums)
+    objective, solution = stage.objective, stage.solution
+    sums, kernel = np.empty((_rows_shown(objective), 4)), get_kernel(objective.kernel)
+    kernel.sum_squares(kernel.by_reference(solution.work) if solution.given is None else solution.given, own, sums)
     weight, total, squares, left = sums.T
     if objective.method.encoding in ("value", "log"):
         about_mean = squares - total**2 / np.maximum(weight, 1e-300)
