@@ -265,22 +265,10 @@ METHODS: dict[str, Method] = {
             view=SURROUNDINGS,
         ),
         Method(
-            "grey",
-            "luminance; drifts when the light changes",
-            "value",
-            "value",
-            "luminance",
-            gain=True,
-            bias="common",
+            "grey", "luminance; drifts when the light changes", "value", "value", "luminance", gain=True, bias="common"
         ),
         Method(
-            "rgb",
-            "colour values; drifts when the light changes",
-            "value",
-            "value",
-            "rgb",
-            gain=True,
-            bias="common",
+            "rgb", "colour values; drifts when the light changes", "value", "value", "rgb", gain=True, bias="common"
         ),
         Method(
             "li",

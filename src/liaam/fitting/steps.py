@@ -9,7 +9,7 @@ its symmetric part, raised to a fraction of E'E in directions in which it is sma
 
 import numpy as np
 
-from liaam.fitting.equations import cholesky, copy, solve, solve_lower, solve_raised
+from liaam.fitting.equations import cholesky, solve, solve_lower, solve_raised
 from liaam.fitting.level import LEAST, PULL, SCALE, Picture, Row, Template, Work
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Bool1, Double1, Double2
@@ -332,5 +332,6 @@ def go_back(work: Work) -> None:
 def record(n: int, work: Work) -> None:
     """Record cost, parameters and angles after n steps."""
     work.costs[n] = work.sums[0] / work.sums[1] if work.sums[1] > 0.0 else np.inf
-    copy(work.p, work.path[n])
-    copy(work.angles, work.turns[n])
+    for i in range(len(work.p)):
+        work.path[n, i] = work.p[i]
+    work.turns[n, 0], work.turns[n, 1] = work.angles[0], work.angles[1]
