@@ -355,10 +355,7 @@ def _blur_row(
 
 
 @compiled
-def _blur(
-    planes: Single1, height: int, width: int, sigma: float, taps: Single1, line: Single1, blurred: Single1
-) -> None:
-    _gaussian(sigma, taps)
+def _blur(planes: Single1, height: int, width: int, taps: Single1, line: Single1, blurred: Single1) -> None:
     for row in range((len(planes) - ROOM) // width):
         y = row % height
         _blur_row(planes, (row - y) * width, height, width, y, taps, line, blurred, row * width)
@@ -368,30 +365,20 @@ REACH = 3.0
 """Standard deviations at which a blur kernel is truncated."""
 
 
-@compiled
-def _gaussian(sigma: float, taps: Single1) -> None:
-    """Half of a blur kernel, from the centre on."""
-    total = -0.5
-    for k in range(len(taps)):
-        share = np.exp(-0.5 * (k / sigma) ** 2) if k > 0 else 1.0
-        total += share
-        taps[k] = share
-    for k in range(len(taps)):
-        taps[k] = taps[k] / (2.0 * total)
-
-
-def _buffers(sigma: float, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate half of a blur kernel, with an even number of taps beside the centre, and a row to blur."""
+def _blur_buffers(sigma: float, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return half of a blur kernel, with an even number of taps beside the centre, and room for a row to blur."""
     reach = int(np.ceil(REACH * sigma))
     reach += reach % 2
-    return np.empty(reach + 1, np.float32), np.empty(width + 2 * (reach + SIZE), np.float32)
+    taps = np.exp(-0.5 * np.square(np.arange(reach + 1) / max(sigma, 1e-9)))
+    taps /= 2.0 * taps.sum() - 1.0
+    return taps.astype(np.float32), np.empty(width + 2 * (reach + SIZE), np.float32)
 
 
 def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
     """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
     given, blurred = with_room(planes.shape), with_room(planes.shape)
     given[...] = planes
-    _blur(given.base, *planes.shape[1:], sigma, *_buffers(sigma, planes.shape[2]), blurred.base)
+    _blur(given.base, *planes.shape[1:], *_blur_buffers(sigma, planes.shape[2]), blurred.base)
     return blurred
 
 
@@ -404,11 +391,10 @@ def _divide(line: Single1, weights: Single1, least: float, n: int) -> None:
 @compiled
 def _lay_out(
     planes: Single1, height: int, width: int, soft: bool, by_usable: bool, by_known: bool, least: float, turn: Single2,
-    softness: float, sigma: float, taps: Single1, line: Single1, bright: Single1, lines: Single1, channels: Single1,
+    softness: float, taps: Single1, line: Single1, bright: Single1, lines: Single1, channels: Single1,
 ) -> None:  # fmt: skip
     n, stride, colours, room = height * width, len(lines) // 9, 2 if soft else 0, F(least)
     known, usable, weights = lines[5 * stride :], lines[7 * stride :], lines[8 * stride :]
-    _gaussian(sigma, taps)
     for x in range(n):  # pixels count in the blur by their weight, but for a little
         if soft and by_usable:
             planes[x] *= planes[5 * n + x] + room
@@ -459,6 +445,6 @@ def lay_out(
     height, width = planes.shape[1:]
     channels, switches = with_room((height, width, 8)), (soft, *(each and sigma > 0.0 for each in weighed))
     bright, lines = np.empty(height * width + ROOM, np.float32), np.zeros(9 * (width + -width % (2 * SIZE)), np.float32)
-    blur, turn = (sigma, *_buffers(sigma, width)), np.ascontiguousarray(turn, np.float32)
+    blur, turn = _blur_buffers(sigma, width), np.ascontiguousarray(turn, np.float32)
     _lay_out(planes.base, height, width, *switches, unusable, turn, softness, *blur, bright, lines, channels.base)
     return channels
