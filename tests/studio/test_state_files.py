@@ -90,10 +90,14 @@ def test_a_state_folder_that_leads_out_is_not_used(small, tmp_path):
     (small.root / STATE).symlink_to(outside)
     project = Project(small.root)
     assert project.template is None
-    assert any("remove it" in problem for problem in project.problems)
+    (problem,) = project.problems
+    assert "remove it" in problem
     assert refused(project.save_template, TRIANGLE).status == 409
     assert refused(project.state.path, "model.liaam").status == 409
     assert [path.name for path in outside.iterdir()] == ["template.json"]
+    (small.root / STATE).unlink()
+    project.save_template(TRIANGLE)
+    assert not project.problems
 
 
 def test_a_state_file_that_leads_out_is_not_used(small, tmp_path):

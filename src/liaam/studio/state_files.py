@@ -69,6 +69,7 @@ class StateFiles:
             409 if it is a link that leads out of the studio's subfolder.
         """
         path = self._folder() / name
+        self.note(STATE, None)
         if not real_path(path).is_relative_to(self.folder.root / STATE):
             raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
         try:
@@ -90,16 +91,8 @@ class StateFiles:
     def read(self, name: str, check: Callable[[Any], bool]) -> Any:
         """Read a JSON file. Return None if it does not exist or is damaged; damage is noted in ``faults``."""
         with self._lock:
-            self.note(name, None)
             try:
-                path = self._folder() / name
-            except Refusal as refusal:
-                self.note(STATE, str(refusal))
-                return None
-            try:
-                if not path.is_file():
-                    return None
-                return _checked(self.path(name).read_bytes(), check)
+                return _checked(self.path(name).read_bytes(), check) if self._has(name) else None
             except _DAMAGE as fault:
                 self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is ignored: remove it, or fix it")
                 return None
@@ -124,10 +117,8 @@ class StateFiles:
     def read_lines(self, name: str, check: Callable[[Any], bool]) -> list[Any]:
         """Read a file of JSON lines. Damaged lines are skipped, and noted in ``faults`` if not cut short by a kill."""
         with self._lock:
-            self.note(name, None)
             try:
-                path = self._folder() / name
-                lines = self.path(name).read_bytes().split(b"\n")[:-1] if path.is_file() else []
+                lines = self.path(name).read_bytes().split(b"\n")[:-1] if self._has(name) else []
             except _DAMAGE as fault:
                 self.note(name, f"{STATE}/{name} cannot be read ({fault}), so it is ignored: remove it, or fix it")
                 return []
@@ -162,6 +153,16 @@ class StateFiles:
         with self._lock, suppress(LiaamError):
             for folder in (self.folder.root, self._folder(), self._folder() / "kept"):
                 sweep(folder)
+
+    def _has(self, name: str) -> bool:
+        """Return whether a file exists, and clear its error. A subfolder that cannot be used is noted once."""
+        self.note(name, None)
+        try:
+            folder = self._folder()
+        except Refusal as refusal:
+            self.note(STATE, str(refusal))
+            return False
+        return (folder / name).is_file()
 
     def _folder(self) -> Path:
         folder = self.folder.root / STATE
