@@ -191,9 +191,11 @@ def test_a_death_is_noticed_at_once_if_the_others_need_not_finish():
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals of POSIX")
 def test_a_ctrl_c_while_processes_start_is_not_lost():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
     with pytest.raises(KeyboardInterrupt):
         with deaf_to_interrupts():
             signal.raise_signal(signal.SIGINT)
             reached = True
         time.sleep(1)
+    signal.signal(signal.SIGINT, before)
     assert reached
