@@ -77,7 +77,7 @@ def row_variances(template: Template, picture: Picture, work: Work) -> None:
     variance, known, sums, colours = work.variance, work.known_now, work.row_sums, template.colours
     n, k = len(usable), len(sums)
     first, steps = F(span[0]), F((len(table) - 1) / (span[1] - span[0]))
-    keep, slope = F(kept[0] * kept[0]), F((kept[1] / SOFTNESS) ** 2)
+    keep, slope, most = F(kept[0] * kept[0]), F((kept[1] / SOFTNESS) ** 2), F(MOST_DIRECTION_NOISE)
     logs, deviation, light, spread, counts = planes[0], planes[1], planes[2], planes[3], planes[4]
     clear(sums)
     for begin in range(0, n, PLANE):
@@ -102,11 +102,7 @@ def row_variances(template: Template, picture: Picture, work: Work) -> None:
             x, y = values[SIZE * (begin + i)], values[SIZE * (begin + i) + 1]
             rest = F(1.0) - x * x - y * y
             rest = rest if rest > F(0.0) else F(0.0)
-            of_slope, bend, most = (
-                slope * spread[i] * rest / (light[i] * light[i]),
-                F(1.0) + rest,
-                F(MOST_DIRECTION_NOISE),
-            )
+            of_slope, bend = slope * spread[i] * rest / (light[i] * light[i]), F(1.0) + rest
             across, down = of_slope * (F(1.0) - x * x * bend), of_slope * (F(1.0) - y * y * bend)
             planes[5, i], planes[6, i] = across if across < most else most, down if down < most else most
         for r in range(k):
@@ -184,14 +180,8 @@ def weigh_by_rows(template: Template, picture: Picture, work: Work) -> float:
     n, mass, count = len(usable), 0.0, 0
     k = len(own) // n
     for r in range(k):
-        tied, by_model = (
-            F(correlated),
-            F(
-                correlated
-                * CORRELATED[COLOUR if r >= 2 else GRADIENTS]
-                * unexplained[1, COLOUR if r >= 2 else GRADIENTS]
-            ),
-        )
+        group = COLOUR if r >= 2 else GRADIENTS
+        tied, by_model = F(correlated), F(correlated * CORRELATED[group] * unexplained[1, group])
         precision = F(0.0)
         for i in range(n):
             e = i * k + r
