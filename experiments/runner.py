@@ -27,6 +27,7 @@ import liaam
 from liaam import __version__
 from liaam.errors import LiaamError
 from liaam.io import make_folder, write_text_atomically
+from liaam.io.files import some_names
 from liaam.plotting import save_figure
 from liaam.progress import Progress
 from liaam.workers import WorkerDied, all_cores, in_workers, one_thread
@@ -341,7 +342,7 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
     rows = [row for outcome in outcomes for row in outcome.rows]
     left_out = [*experiment.left_out, *(outcome.fault for outcome in outcomes if outcome.fault)]
     if not rows:
-        raise LiaamError(f"experiment {experiment.name} has no result; {'; '.join(left_out)}")
+        raise LiaamError(f"experiment {experiment.name} has no result; {some_names(left_out, 3, '; ')}")
     summary = {
         "experiment": experiment.name,
         "fingerprint": experiment.fingerprint,
