@@ -222,6 +222,17 @@ def test_a_fault_of_the_program_is_told_without_its_insides(folder, serve, monke
     assert "inner secret" in caplog.text  # the terminal tells
 
 
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+def test_a_file_that_cannot_be_read_is_no_refused_write(folder, serve, monkeypatch, method):
+    running = serve(folder(1))
+
+    def fail(name):
+        raise LiaamError("p1.png cannot be read") from PermissionError(13, "denied")
+
+    monkeypatch.setattr(running.studio.project, "marks", fail)
+    assert running.client.request(method, "/api/pictures/p1.png/landmarks").status_code == 422
+
+
 def test_a_folder_that_goes_away_is_told(folder, serve):
     home = folder(1)
     running = serve(home)

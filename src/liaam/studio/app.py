@@ -366,7 +366,7 @@ class _Handlers:
         text = self.studio.project.plain(fault)
         if isinstance(fault, Refusal):
             return JSONResponse({"error": text, **fault.details}, fault.status)
-        refused_write = isinstance(fault.__cause__, OSError) and request.method != "GET"
+        refused_write = isinstance(fault.__cause__, OSError) and request.method not in ("GET", "HEAD")
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
 
 
