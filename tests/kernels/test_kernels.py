@@ -391,7 +391,7 @@ def test_variances_of_rows_are_what_the_reference_says(n, k, colours, seed):
     unexplained = both_of("unexplained_by", (Work, work), written=("unexplained",))[1]
     np.testing.assert_array_equal(unexplained[0], 1.0)  # what was before
     work |= {"variance": variance.astype(np.float32), "unexplained": unexplained, "weighed": single(n * k)}
-    unit, weighed = both_of("weigh_by_rows", template, picture, (Work, work), written=("weighed",))
+    unit, weighed = both_of("root_by_rows", template, picture, (Work, work), written=("weighed",))
     counted = given.usable * given.own[::k] > 0
     shares = weighed.reshape(n, k)[counted] / given.own.reshape(n, k)[counted]
     assert np.square(shares).mean() == pytest.approx(1.0, rel=1e-3)

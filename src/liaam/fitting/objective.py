@@ -110,7 +110,7 @@ class Objective:
         """The method as arrays, numbers and functions."""
         method, kernel = self.method, get_kernel(self.kernel)
         loss = LOSSES.index(method.loss) if method.loss in LOSSES else -1
-        weigh = {"model": kernel.weigh_by_model, "noise": kernel.weigh_by_noise, "rows": kernel.weigh_rows}
+        weigh = {"model": kernel.weigh_by_model, "noise": kernel.weigh_by_noise, "rows": kernel.weigh_by_rows}
         return Row(
             metric=method.metric_parts.astype(np.float32).reshape(3, -1),
             directions=np.ascontiguousarray(method.angle_directions, dtype=np.float64),

@@ -216,7 +216,7 @@ def row_variances(template: Template, picture: Picture, work: Work) -> None:
     work.variance[:] = by_noise.ravel()
 
 
-def weigh_by_rows(template: Template, picture: Picture, work: Work) -> float:
+def root_by_rows(template: Template, picture: Picture, work: Work) -> float:
     """Compute square roots of inverse variances, scaled to mean weight 1."""
     own, usable = template.own, work.usable
     rows = work.variance.reshape(len(usable), -1)

@@ -169,7 +169,7 @@ def changed(work: Work) -> bool:
 
 
 @compiled
-def weigh_by_rows(template: Template, picture: Picture, work: Work) -> float:
+def root_by_rows(template: Template, picture: Picture, work: Work) -> float:
     """Compute square roots of inverse variances (noise plus model), scaled to mean weight 1 over the pixels that count.
 
     Writes ``work.weighed``, adds the model's variance and the correlation to ``work.variance``, and returns the
@@ -380,12 +380,12 @@ def weigh_by_model(template: Template, _picture: Picture, row: Row, work: Work) 
 
 
 @compiled
-def weigh_rows(template: Template, picture: Picture, row: Row, work: Work) -> bool:
+def weigh_by_rows(template: Template, picture: Picture, row: Row, work: Work) -> bool:
     """Weigh each row by noise and by the current unexplained variance; return whether the weights changed."""
     row_variances(template, picture, work)
     counted = unexplained_by(work)
     if not counted > 0.0 or not (row.loss >= 0 or changed(work)):
         return False
     copy(work.known_now, work.known)
-    work.scales[UNIT] = weigh_by_rows(template, picture, work)
+    work.scales[UNIT] = root_by_rows(template, picture, work)
     return True
