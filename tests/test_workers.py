@@ -33,16 +33,23 @@ WHILE_OPENCV_IS_IMPORTED = """
 import sys, threading, time
 from liaam.workers import fresh_interpreters
 
-def linger(event, args):
-    if event == "import" and args[0] == "cv2" and any(entry.endswith("cv2") for entry in sys.path):
-        reached.set()  # OpenCV imports its extension
+def trace(frame, event, argument):
+    if not frame.f_code.co_filename.endswith("cv2/__init__.py"):
+        return None
+    if sys.argv[1] in frame.f_locals and not reached.is_set():
+        reached.set()
         time.sleep(0.5)
+    return trace
+
+def import_opencv():
+    sys.settrace(trace)
+    import cv2
 
 if __name__ == "__main__":
     reached = threading.Event()
-    sys.addaudithook(linger)
-    threading.Thread(target=lambda: __import__("cv2")).start()
+    threading.Thread(target=import_opencv).start()
     assert reached.wait(20)
+    assert any(entry.endswith("cv2") for entry in sys.path)
     process = fresh_interpreters().Process(target=print, args=("alive",))
     process.start()
     process.join()
@@ -50,10 +57,11 @@ if __name__ == "__main__":
 """
 
 
-def test_a_process_can_start_while_a_thread_imports_opencv(tmp_path):
+@pytest.mark.parametrize("known", ["py_module", "native_module"])  # before and after OpenCV's extension is loaded
+def test_a_process_can_start_while_a_thread_imports_opencv(tmp_path, known):
     script = tmp_path / "script.py"
     script.write_text(WHILE_OPENCV_IS_IMPORTED)
-    ran = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    ran = subprocess.run([sys.executable, script, known], capture_output=True, text=True)
     assert ran.returncode == 0 and ran.stdout == "alive\n", ran.stderr
 
 

@@ -4,13 +4,16 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
+from importlib import import_module
 from itertools import islice
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
@@ -48,9 +51,14 @@ def fresh_interpreters() -> SpawnContext:
     """Return the context that starts processes as fresh interpreters; a fork would copy threads' locks in any state.
 
     OpenCV is imported first. A process gets the module path of its parent, and while a thread of the parent imports
-    OpenCV, that path has a folder whose ``typing`` hides Python's: the process would end at once.
+    OpenCV, that path has a folder whose ``typing`` hides Python's: the process would end at once. An ``import`` may
+    return while another thread is at the end of importing it, so that OpenCV's own mark of its loader decides.
     """
     import cv2  # noqa: F401
+
+    while hasattr(sys, "OpenCV_LOADER"):
+        time.sleep(0.001)
+        import_module("cv2")  # raises where the other thread could not import it
 
     return multiprocessing.get_context("spawn")
 
