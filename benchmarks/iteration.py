@@ -132,7 +132,12 @@ def make_loops(objective: Objective, problem: FitProblem) -> Parts:
             max_iterations=n, tolerance=0.0, early_tolerance=0.0, relative_tolerance=0.0, damping=damping
         )
         controls = options.controls(expected=method.step == "expected", reweigh=method.reweighs, evaluate_last=False)
-        call = lambda: objective.solve(problem, objective.work(start, n), controls).n_taken  # noqa: E731
+
+        def call() -> int:
+            work = objective.work(start, n)
+            objective.solve(problem, work, controls)
+            return int(work.outcome[0])  # accepted steps
+
         assert call() == n, "a step was refused: the loop's time is not that of its iterations"
         return call
 

@@ -197,7 +197,7 @@ def test_scoring_steps_that_leave_more_are_not_taken(fine_model, lit_scene, monk
     monkeypatch.setattr(solver, "SCORING_STEPS", 0)
     plain = solver.solve(objective, problem, objective.start(p), SolverOptions(early_tolerance=0.0))
     monkeypatch.undo()
-    monkeypatch.setattr(solver, "EXPECTED_RISE", 0.0)
+    monkeypatch.setattr(solver, "SCORING_RISE", 0.0)
     kept = solver.solve(objective, problem, objective.start(p), SolverOptions(early_tolerance=0.0))
     np.testing.assert_array_equal(kept.path, plain.path)
     np.testing.assert_array_equal(kept.costs, plain.costs)

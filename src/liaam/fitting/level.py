@@ -1,19 +1,19 @@
 """Inputs and outputs of a level's loop: named tuples of arrays that compiled code reads by field name
 (:mod:`liaam.kernels.compiled`).
 
-Sizes: n pixels of the model, k rows of the metric P, n_p parameters of the warp, n_q = n_p + the number of free angles,
-m appearance modes (extra modes, such as gain and bias, last). A pixel of an encoded image has 8 channels, the last its
-weight. Arrays of pixels are flat: residual e = i k + r is row r of pixel i.
+Sizes: n pixels of the model, k rows of the metric P, v vertices of the mesh, n_p parameters of the warp, n_free free
+angles, n_q = n_p + n_free, m appearance modes (extra modes, such as gain and bias, last); w_p and w_m are n_p and m
+rounded up to multiples of 8. n_noise, n_turned, n_known and n_expected are n, or 0 for methods without such arrays. A
+pixel of an encoded image has 8 channels, the last its weight. Arrays of pixels are flat: residual e = i k + r is row r
+of pixel i.
 """
 
-from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Callable, Mapping
+from math import prod
+from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
 
 from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Int1, Single1, Single2, Single3
 from liaam.model.warp import Mesh
-
-WIDE = 8
-"""Vector width of compiled loops (:data:`liaam.kernels.vectors.SIZE`), and number of channels of an encoded image."""
 
 BLOCK = 2048
 """Number of residuals whose products are summed in float32 before they are added in float64."""
@@ -163,150 +163,136 @@ class Controls(NamedTuple):
 
 
 class Work(NamedTuple):
-    """State of a fit, its residual, weights and derivatives there, and scratch arrays: all that the loop writes."""
+    """State of a fit, its residual, weights and derivatives there, and scratch arrays: all that the loop writes.
 
-    p: Double1
-    """(n_p,) float64: parameters of the warp."""
-    angles: Double1
-    """(2,) float64: theta_1 (model) and theta_2 (image), radians."""
-    lam: Double1
-    """(m,) float64: lambda, coordinates of the appearance, extra modes last."""
-    before: Double1
-    """(n_p + 2 + m,) float64: p, angles and lambda before the last step."""
-    metric: Single1
-    """(8 k,) float32: P(theta_2)."""
-    slope: Single1
-    """(8 k,) float32: dP/dtheta_2."""
+    The annotations declare the shapes (:func:`work_shapes`), except those of arrays that may be the template's, and
+    those of arrays for i steps.
+    """
+
+    p: Annotated[Double1, "n_p"]
+    """Parameters of the warp."""
+    angles: Annotated[Double1, "2"]
+    """theta_1 (model) and theta_2 (image), radians."""
+    lam: Annotated[Double1, "m"]
+    """lambda, coordinates of the appearance, extra modes last."""
+    before: Annotated[Double1, "n_p + 2 + m"]
+    """p, angles and lambda before the last step."""
+    metric: Annotated[Single1, "8 k"]
+    """P(theta_2)."""
+    slope: Annotated[Single1, "8 k"]
+    """dP/dtheta_2."""
     rows: Single2
     """This, ``lines`` and ``slopes``: the template's at the current theta_1 (the same arrays if theta_1 is fixed)."""
     lines: Single1
     slopes: Single2
-    points: Double2
-    """(v, 2) float64: vertices of the mesh, model pixels."""
-    corner: Int1
-    """(n,) int32: this and the next are outputs of :func:`liaam.fitting.residual.place`."""
-    between: Single1
-    """(3 n,) float32."""
-    values: Single1
-    """(8 n,) float32: samples of the image's channels."""
-    residual: Single1
-    """(n k,) float32."""
-    image_slopes: Single1
-    """(2 n k,) float32: spatial gradient of the residual, model pixels."""
-    usable: Single1
-    """(n,) float32: the image's weight, 0 or 1."""
-    weighed: Single1
-    """(n k,) float32: square root of the weights without noise weights, which depend on theta_2."""
-    own: Single1
-    """(n k,) float32: square root of the weights, before unusable pixels are set to 0."""
-    own_derivative: Single1
-    """(n k,) float32: relative derivative of ``own`` by theta_2; empty if it does not depend on theta_2."""
-    root: Single1
-    """(n k,) float32: square root of the weights, 0 at unusable pixels."""
-    noise: Single1
-    """(8 n,) float32: variance of the channels due to noise, for noise weights."""
-    by_model: Double1
-    """(n,) float64: variance due to the model's errors, for noise weights."""
-    variance: Single1
-    """(n k,) float32: variance of the residuals, for weights that use it."""
-    known: Single1
-    """(n,) float32: 1 where colours were usable when weights by rows were last computed, else 0; NaN before."""
-    known_now: Single1
-    """(n,) float32: the same at the current state."""
-    unexplained: Double2
-    """(2, 2) float64: unexplained variance of gradients and colour, when weights were last computed and now."""
-    scales: Double1
-    """(7,) float64: variance at weight 1 (NaN if the weights define none), gain and offset of the samples, gain in
-    ``image_slopes``, scale of the prior, lower bound on the curvature (:data:`LEAST_CURVATURE`), and the factor that
-    converts ``Picture.pull`` to units of squared residuals."""
-    gram: Double2
-    """(m, m) float64: A'A under ``own``."""
-    factor: Double2
-    """(m, m) float64: Cholesky factor of A'A under ``root``, with a ridge."""
-    ar: Double1
-    """(m,) float64: A'r - ridge * lambda."""
-    sums: Double1
-    """(2,) float64: r'r and the sum of the weights."""
-    expected: Single1
-    """(2 n k,) float32: expected spatial gradient of the residual, model pixels."""
-    appearance_slopes: Single1
-    """(2 n k,) float32: spatial gradient of the fitted appearance, in the reference frame."""
-    columns: Single2
-    """(n_free, n k) float32: derivatives by the free angles."""
-    aj: Double2
-    """(m, n_q) float64: A'J."""
-    hessian: Double2
-    """(n_q, n_q) float64: E'QJ, with E the expected derivatives or J."""
-    gradient: Double1
-    """(n_q,) float64: E'Qr."""
-    base: Double2
-    """(n_q, n_q) float64: expected curvature, E'QE."""
-    step: Double1
-    """(n_q,) float64."""
-    last_step: Double1
-    """(n_q,) float64: the last accepted step; zero before."""
-    lam_step: Double1
-    """(m,) float64."""
-    free: Bool1
-    """(n_q,) bool: entries of q that may move."""
-    precision: Double1
-    """(n_p,) float64: precision of the prior on p, in units of squared residuals."""
-    fours: Single1
-    """(4 n k + 8,) float32: this and the arrays below down to ``along``, but for ``damper``, are scratch."""
-    room: Single1
-    """(48,) float32."""
-    squares: Double2
-    """(2 v, w + 8) float64, with w columns in the mesh's basis."""
-    products: Double2
-    """(2 v, w) float64."""
-    carried_squares: Double2
-    """(n_p, w + 8) float64."""
-    carried_products: Double2
-    """(n_p, w) float64."""
-    line: Single1
-    """(2048,) float32."""
-    block: Single2
-    """(m, 2048) float32."""
-    planes: Single2
-    """(10, 512) float32."""
-    sizes: Double2
-    """(2, n) float64."""
-    row_sums: Double2
-    """(k, 3) float64."""
-    damper: Double2
-    """(n_q, n_q) float64: ``base`` plus the prior; damping is relative to it."""
-    small: Double3
-    """(2, n_q, n_q) float64."""
-    spectrum: Double2
-    """(4, n_q) float64; see :func:`liaam.fitting.equations.tridiagonalise`."""
-    rotations: Double2
-    """(3 n_q^2, 3) float64."""
-    eliminated: Double2
-    """(m, n_q) float64."""
-    along: Double2
-    """(m, 1) float64."""
+    points: Annotated[Double2, "v, 2"]
+    """Vertices of the mesh, model pixels."""
+    corner: Annotated[Int1, "n"]
+    """This and the next are outputs of :func:`liaam.fitting.residual.place`."""
+    between: Annotated[Single1, "3 n"]
+    values: Annotated[Single1, "8 n"]
+    """Samples of the image's channels."""
+    residual: Annotated[Single1, "n k"]
+    image_slopes: Annotated[Single1, "2 n k"]
+    """Spatial gradient of the residual, model pixels."""
+    usable: Annotated[Single1, "n"]
+    """The image's weight, 0 or 1."""
+    weighed: Annotated[Single1, "n k"]
+    """Square root of the weights without noise weights, which depend on theta_2."""
+    own: Annotated[Single1, "n k"]
+    """Square root of the weights, before unusable pixels are set to 0."""
+    own_derivative: Annotated[Single1, "n_turned k"]
+    """Relative derivative of ``own`` by theta_2; empty if it does not depend on theta_2."""
+    root: Annotated[Single1, "n k"]
+    """Square root of the weights, 0 at unusable pixels."""
+    noise: Annotated[Single1, "8 n_noise"]
+    """Variance of the channels due to noise, for noise weights."""
+    by_model: Annotated[Double1, "n_noise"]
+    """Variance due to the model's errors, for noise weights."""
+    variance: Annotated[Single1, "n_known k"]
+    """Variance of the residuals, for weights that use it."""
+    known: Annotated[Single1, "n_known"]
+    """1 where colours were usable when weights by rows were last computed, else 0; NaN before."""
+    known_now: Annotated[Single1, "n_known"]
+    """The same at the current state."""
+    unexplained: Annotated[Double2, "2, 2"]
+    """Unexplained variance of gradients and colour, when weights were last computed and now."""
+    scales: Annotated[Double1, "7"]
+    """Variance at weight 1 (NaN if the weights define none), gain and offset of the samples, gain in ``image_slopes``,
+    scale of the prior, lower bound on the curvature (:data:`LEAST_CURVATURE`), and the factor that converts
+    ``Picture.pull`` to units of squared residuals."""
+    gram: Annotated[Double2, "m, m"]
+    """A'A under ``own``."""
+    factor: Annotated[Double2, "m, m"]
+    """Cholesky factor of A'A under ``root``, with a ridge."""
+    ar: Annotated[Double1, "m"]
+    """A'r - ridge * lambda."""
+    sums: Annotated[Double1, "2"]
+    """r'r and the sum of the weights."""
+    expected: Annotated[Single1, "2 n_expected k"]
+    """Expected spatial gradient of the residual, model pixels."""
+    appearance_slopes: Annotated[Single1, "2 n_expected k"]
+    """Spatial gradient of the fitted appearance, in the reference frame."""
+    columns: Annotated[Single2, "n_free, n k"]
+    """Derivatives by the free angles."""
+    aj: Annotated[Double2, "m, n_q"]
+    """A'J."""
+    hessian: Annotated[Double2, "n_q, n_q"]
+    """E'QJ, with E the expected derivatives or J."""
+    gradient: Annotated[Double1, "n_q"]
+    """E'Qr."""
+    base: Annotated[Double2, "n_q, n_q"]
+    """Expected curvature, E'QE."""
+    step: Annotated[Double1, "n_q"]
+    last_step: Annotated[Double1, "n_q"]
+    """The last accepted step; zero before."""
+    lam_step: Annotated[Double1, "m"]
+    free: Annotated[Bool1, "n_q"]
+    """Entries of q that may move."""
+    precision: Annotated[Double1, "n_p"]
+    """Precision of the prior on p, in units of squared residuals."""
+    fours: Annotated[Single1, "4 n k + 8"]
+    """This and the arrays below down to ``along``, but for ``damper``, are scratch."""
+    room: Annotated[Single1, "48"]
+    squares: Annotated[Double2, "2 v, w_p + 8"]
+    products: Annotated[Double2, "2 v, w_m"]
+    carried_squares: Annotated[Double2, "n_p, w_p + 8"]
+    carried_products: Annotated[Double2, "n_p, w_m"]
+    line: Annotated[Single1, "BLOCK"]
+    block: Annotated[Single2, "m, BLOCK"]
+    planes: Annotated[Single2, "10, PLANE"]
+    sizes: Annotated[Double2, "2, n"]
+    row_sums: Annotated[Double2, "k, 3"]
+    damper: Annotated[Double2, "n_q, n_q"]
+    """``base`` plus the prior; damping is relative to it."""
+    small: Annotated[Double3, "2, n_q, n_q"]
+    spectrum: Annotated[Double2, "4, n_q"]
+    """See :func:`liaam.fitting.equations.tridiagonalise`."""
+    rotations: Annotated[Double2, "ROTATIONS n_q n_q, 3"]
+    eliminated: Annotated[Double2, "m, n_q"]
+    along: Annotated[Double2, "m, 1"]
     costs: Double1
     """(i + 1,) float64: mean squared residual at the start and after every accepted step."""
     path: Double2
     """(i + 1, n_p) float64: p there."""
     turns: Double2
     """(i + 1, 2) float64: the angles there."""
-    outcome: Double1
-    """(6,) float64: the numbers of :class:`Outcome`."""
+    outcome: Annotated[Double1, "5"]
+    """Number of accepted steps and of all, and ``converged``, ``held`` and ``flat`` as in
+    :class:`liaam.fitting.solver.Solution`."""
 
 
-class Outcome(NamedTuple):
-    """How a level's loop ended; the solution is in :class:`Work`."""
+def work_shapes(sizes: Mapping[str, int]) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Return type and shape of each array of :class:`Work` whose annotation declares its shape."""
+    sizes = {"BLOCK": BLOCK, "PLANE": PLANE, "ROTATIONS": ROTATIONS, **sizes}
+    found = {}
+    for name, hint in get_type_hints(Work, include_extras=True).items():
+        _, dtype, _, *shape = get_args(hint)
+        if shape:
+            found[name] = dtype, tuple(_size(axis, sizes) for axis in shape[0].split(", "))
+    return found
 
-    n_taken: int
-    """Accepted steps."""
-    n_tried: int
-    """Accepted and refused steps."""
-    moved: float
-    """Root mean square movement of the landmarks by the last accepted step, model pixels."""
-    converged: bool
-    """The loop converged: the last step was too small to matter."""
-    held: bool
-    """An angle, or the common turn of both, was unobservable at the end and kept fixed."""
-    flat: bool
-    """The image has no texture to descend on."""
+
+def _size(text: str, sizes: Mapping[str, int]) -> int:
+    """Return a size such as ``4 n k + 8``, a sum of products of numbers and names."""
+    return sum(prod(sizes[name] if name in sizes else int(name) for name in term.split()) for term in text.split("+"))

@@ -42,7 +42,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
     again = ROUNDS if row.loss >= 0 else 1
     # Twice at first if each pixel's weight depends on its own residual, and so on the weights before.
     rounds = (1 if averages else max(again, 2)) if controls.reweigh else 0
-    damping, least, length, moved, n_taken, n_tried = controls.damping, np.inf, 0.0, 0.0, 0, 0
+    damping, least, n_taken, n_tried = controls.damping, np.inf, 0, 0
     solves, fresh, tried, small, converged, held, flat = controls.solve, True, False, False, False, False, False
     while True:
         row.evaluate_residual(template, picture, row, work, solves)  # eq 9
@@ -54,7 +54,7 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
             tried, rounds = False, 0
             continue
         if tried:
-            n_taken, moved, damping = n_taken + 1, length, eased_damping(damping, controls.expected, controls.damping)
+            n_taken, damping = n_taken + 1, eased_damping(damping, controls.expected, controls.damping)
             copy(work.step, work.last_step)
             least = merit if merit < least else least
             converged = small and damping <= TRUSTED_DAMPING  # else damping may be what makes the step small
@@ -83,9 +83,9 @@ def solve_level(template: Template, picture: Picture, row: Row, controls: Contro
         n_tried += 1
         move(row, work)
         if small and not controls.evaluate_last and damping <= TRUSTED_DAMPING:  # skip the last evaluation
-            converged, moved, n_taken = True, length, n_taken + 1
+            converged, n_taken = True, n_taken + 1
             record(n_taken, work)
             break
         rounds = again if controls.reweigh and not small and not (averages and length < STILL) else 0
     out = work.outcome
-    out[0], out[1], out[2], out[3], out[4], out[5] = n_taken, n_tried, moved, converged, held, flat
+    out[0], out[1], out[2], out[3], out[4] = n_taken, n_tried, converged, held, flat

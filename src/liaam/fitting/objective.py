@@ -9,23 +9,19 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.fitting.kernel import get_kernel
 from liaam.fitting.level import (
-    BLOCK,
     COLOUR,
     CORRELATED,
     GRADIENTS,
     LEAST_CURVATURE,
-    PLANE,
     RIDGE,
-    ROTATIONS,
     UNIT,
-    WIDE,
     Controls,
-    Outcome,
     Picture,
     Row,
     Template,
     Work,
     without,
+    work_shapes,
 )
 from liaam.fitting.losses import LOSSES, gaussian_median
 from liaam.fitting.methods import WEIGHTS, Method
@@ -197,95 +193,43 @@ class Objective:
 
     def _begin(self, work: Work, state: State) -> Work:
         """Set the arrays of a fit to a state, to the model's weights, and to what is unknown before the first step."""
-        own, gram = self.template.own, self.template.gram
-        begins = [state.p, state.angles, state.lam, own, own, gram, np.nan, np.nan, 0.0, 0.0, 0.0, 1.0]
-        fields = [work.p, work.angles, work.lam, work.own, work.weighed, work.gram, work.known, work.unexplained]
-        for field, value in zip([*fields, work.last_step, work.base, work.noise, work.by_model], begins, strict=True):
-            field[:] = value
+        work.p[:], work.angles[:], work.lam[:] = state
+        work.own[:] = work.weighed[:] = self.template.own
+        work.gram[:] = self.template.gram
+        work.known[:] = work.unexplained[:] = np.nan
+        work.last_step[:] = work.base[:] = work.noise[:] = 0.0
+        work.by_model[:] = 1.0
         unit = 1.0 if self.method.weights == "noise" else np.nan
         work.scales[:] = unit, 1.0, 0.0, 1.0, 1.0, LEAST_CURVATURE, 0.0
         return work
 
     def work(self, state: State, max_iterations: int = 0) -> Work:
         """Allocate the arrays of a fit, at a state and with the model's weights."""
-        template, n, k = self.template, len(self.appearance.mean), self.method.n_rows
-        n_p, n_free, m = self.warp.n_parameters, self.n_q - self.warp.n_parameters, self.n_lambda
-        n_q, e = n_p + n_free, n * k
-        lines = len(template.lines) // e
-        n_lines = 2 * len(template.warp.rest)
-        noisy = n if self.method.weights == "noise" else 0
-        known = self.method.weights != "model"
+        names, template = ("rows", "lines", "slopes"), self.template
+        turned = {name: getattr(template, name).copy() if self._turns else getattr(template, name) for name in names}
+        arrays = {name: np.zeros(shape, dtype) for name, (dtype, shape) in self._shapes.items()}
+        return self._begin(Work(**arrays, **turned, **self.trace(max_iterations)), state)
 
-        def single(*shape: int) -> np.ndarray:
-            return np.empty(shape, np.float32)
+    def trace(self, n_steps: int) -> dict[str, np.ndarray]:
+        """Allocate the arrays of :class:`Work` for costs, parameters and angles of so many steps."""
+        n = n_steps + 1
+        return {"costs": np.empty(n), "path": np.empty((n, self.warp.n_parameters)), "turns": np.empty((n, 2))}
 
-        work = Work(
-            p=np.empty(n_p),
-            angles=np.empty(2),
-            lam=np.empty(m),
-            before=np.empty(n_p + 2 + m),
-            metric=single(WIDE * k),
-            slope=single(WIDE * k),
-            rows=template.rows.copy() if self._turns else template.rows,
-            lines=template.lines.copy() if self._turns else template.lines,
-            slopes=template.slopes.copy() if self._turns else template.slopes,
-            points=np.empty((n_lines // 2, 2)),
-            corner=np.empty(n, np.int32),
-            between=single(3 * n),
-            values=single(WIDE * n),
-            residual=single(e),
-            image_slopes=single(2 * e),
-            usable=single(n),
-            weighed=single(e),
-            own=single(e),
-            own_derivative=single(e if noisy and n_free else 0),
-            root=single(e),
-            noise=single(WIDE * noisy),
-            by_model=np.empty(noisy),
-            variance=single(e if known else 0),
-            known=single(n if known else 0),
-            known_now=single(n if known else 0),
-            unexplained=np.empty((2, 2)),
-            scales=np.empty(7),
-            gram=np.empty((m, m)),
-            factor=np.empty((m, m)),
-            ar=np.empty(m),
-            sums=np.zeros(2),
-            expected=single(2 * e if self.method.expects else 0),
-            appearance_slopes=single(2 * e if self.method.expects else 0),
-            columns=single(n_free, e),
-            aj=np.zeros((m, n_q)),
-            hessian=np.zeros((n_q, n_q)),
-            gradient=np.zeros(n_q),
-            base=np.empty((n_q, n_q)),
-            step=np.zeros(n_q),
-            last_step=np.empty(n_q),
-            lam_step=np.zeros(m),
-            free=np.ones(n_q, np.bool_),
-            precision=np.zeros(n_p),
-            fours=np.zeros(4 * e + WIDE, np.float32),
-            room=single(6 * WIDE),
-            squares=np.empty((n_lines, padded(n_p) + WIDE)),
-            products=np.empty((n_lines, lines)),
-            carried_squares=np.empty((n_p, padded(n_p) + WIDE)),
-            carried_products=np.empty((n_p, lines)),
-            line=single(BLOCK),
-            block=single(m, BLOCK),
-            planes=single(10, PLANE),
-            sizes=np.empty((2, n)),
-            row_sums=np.zeros((k, 3)),
-            damper=np.zeros((n_q, n_q)),
-            small=np.empty((2, n_q, n_q)),
-            spectrum=np.empty((4, n_q)),
-            rotations=np.empty((ROTATIONS * n_q**2, 3)),
-            eliminated=np.empty((m, n_q)),
-            along=np.empty((m, 1)),
-            costs=np.empty(max_iterations + 1),
-            path=np.empty((max_iterations + 1, n_p)),
-            turns=np.empty((max_iterations + 1, 2)),
-            outcome=np.zeros(6),
-        )
-        return self._begin(work, state)
+    @cached_property
+    def _shapes(self) -> dict[str, tuple[str, tuple[int, ...]]]:
+        """Type and shape of the arrays of a fit."""
+        method, n, n_p, n_q, m = self.method, len(self.appearance.mean), self.warp.n_parameters, self.n_q, self.n_lambda
+        by_noise = method.weights == "noise"
+        pixels = {
+            "n_noise": by_noise,
+            "n_turned": by_noise and n_q > n_p,
+            "n_known": method.weighs_noise,
+            "n_expected": method.expects,
+        }
+        sizes = {"n": n, "k": method.n_rows, "v": len(self.template.warp.rest), "n_p": n_p, "n_free": n_q - n_p}
+        sizes |= {"n_q": n_q, "m": m, "w_p": padded(n_p), "w_m": padded(m)}
+        sizes |= {name: n if used else 0 for name, used in pixels.items()}
+        return work_shapes(sizes)
 
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
@@ -405,7 +349,7 @@ class Objective:
             return float(work.scales[UNIT])
         return float(self.correlated * work.sums[0] / work.sums[1]) if work.sums[1] > 0 else 0.0
 
-    def solve(self, problem: FitProblem, work: Work, controls: Controls, given: Any = None) -> Outcome:
+    def solve(self, problem: FitProblem, work: Work, controls: Controls, given: Any = None) -> None:
         """Minimise the cost over one image from the state in ``work``: one call of the loop.
 
         ``given`` is the form of ``work`` that the kernel takes, if known (:meth:`borrow`).
@@ -419,8 +363,6 @@ class Objective:
         template, row = self.given
         picture, controls = map(kernel.by_reference, (self.picture(problem), controls))
         kernel.solve_level(template, picture, row, controls, kernel.by_reference(work) if given is None else given)
-        n_taken, n_tried, moved, converged, held, flat = work.outcome.tolist()
-        return Outcome(int(n_taken), int(n_tried), moved, bool(converged), bool(held), bool(flat))
 
 
 MOST_IDLE = 8

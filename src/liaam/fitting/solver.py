@@ -120,7 +120,7 @@ Measured with ``li`` on IMM: 4.48 instead of 4.62 % on the spot protocol, and 19
 under the spot light. ``li`` loses more persons if all its steps use it; ``grey`` and ``rgb`` end 0.3 to 0.8 % worse
 with it under another light."""
 
-EXPECTED_RISE = 1.25
+SCORING_RISE = 1.25
 """Largest ratio of the cost after these steps to the cost before them."""
 
 
@@ -140,8 +140,6 @@ class Solution:
         theta_1 and theta_2 there.
     n_iterations : int
         Number of steps, refused ones included.
-    moved : float
-        Root mean square movement of the landmarks by the last accepted step, model pixels.
     converged : bool
         The loop converged: the last step was too small to matter.
     held : bool
@@ -158,7 +156,6 @@ class Solution:
     path: np.ndarray
     angles: np.ndarray
     n_iterations: int
-    moved: float
     converged: bool
     held: bool
     flat: bool
@@ -208,14 +205,13 @@ def solve(
     # With fixed weights, unless ``scoring`` was set.
     reweighs = method.reweighs and options.scoring is not None
     controls = options.controls(True, reweighs, evaluate_last, max_iterations=most)._replace(damping=0.0)
-    work = solution.work._replace(
-        **{name: getattr(solution.work, name).copy() for name in _KEPT}, **_trace(most, start)
-    )
+    kept = {name: getattr(solution.work, name).copy() for name in _KEPT}
+    work = solution.work._replace(**kept, **objective.trace(most))
     ended = _run(objective, problem, work, None, controls)
-    if not ended.costs[-1] <= EXPECTED_RISE * solution.costs[-1]:
+    if not ended.costs[-1] <= SCORING_RISE * solution.costs[-1]:
         # The steps raised the cost: restore the solution before them, whose residual was overwritten.
         controls = options.controls(False, False, True, max_iterations=0)
-        objective.solve(problem, solution.work._replace(**_trace(0, start)), controls)
+        objective.solve(problem, solution.work._replace(**objective.trace(0)), controls)
         return solution
     return replace(
         ended,
@@ -253,18 +249,12 @@ _KEPT = (
 """Fields of :class:`Work` that the loop continues from; it overwrites the others."""
 
 
-def _trace(n: int, start: State) -> dict[str, np.ndarray]:
-    """Allocate arrays for costs, parameters and angles of n steps."""
-    return {"costs": np.empty(n + 1), "path": np.empty((n + 1, len(start.p))), "turns": np.empty((n + 1, 2))}
-
-
 def _run(objective: Objective, problem: FitProblem, work: Work, given: Any, controls: Controls) -> Solution:
     """Run the loop and collect its solution."""
-    outcome = objective.solve(problem, work, controls, given)
-    n = outcome.n_taken + 1
-    seen = work.costs[:n], work.path[:n], work.turns[:n]
-    ended = outcome.moved, outcome.converged, outcome.held, outcome.flat
-    return Solution(work, *seen, outcome.n_tried, *ended, given=given)
+    objective.solve(problem, work, controls, given)
+    n_taken, n_tried, converged, held, flat = map(int, work.outcome)
+    seen = work.costs[: n_taken + 1], work.path[: n_taken + 1], work.turns[: n_taken + 1]
+    return Solution(work, *seen, n_tried, bool(converged), bool(held), bool(flat), given)
 
 
 def solve_at(objective: Objective, problem: FitProblem, state: State, options: SolverOptions) -> Solution:

@@ -66,7 +66,7 @@ def kind_of(annotation: Any) -> Any:
     """Return the kind of an annotated field, argument or result; a tuple of kinds for a tuple."""
     origin, given = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return Span(*given[1:]) if len(given) == 3 else RecordOf(given[1])
+        return RecordOf(given[1]) if len(given) == 2 else Span(*given[1:3])  # more may say what the sizes are
     if origin is tuple:
         return tuple(map(kind_of, given))
     if origin is not None:
