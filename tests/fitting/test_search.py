@@ -17,11 +17,7 @@ from liaam.fitting.search import (
     SMALLEST,
     SPECTRA_KEPT,
     STEP,
-    TEMPLATE,
-    make_templates,
     search_sizes,
-    shrink,
-    soft_directions,
 )
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
@@ -171,13 +167,6 @@ def test_a_picture_that_shows_nothing_is_looked_at_once(finder, monkeypatch):
     (found,) = finder.find(np.zeros((240, 320, 3), np.uint8))
     assert found.score == 0
     assert len(set(sizes)) == len(sizes)
-
-
-def test_grey_of_integers_is_that_of_floats(rng):
-    image = rng.integers(0, 256, (120, 160, 3), dtype=np.uint8)
-    whole, shares = (search.Grey.of(given, "srgb", 3.4) for given in (image, (image / 255).astype(np.float32)))
-    assert (whole.reduce, whole.values.shape) == (3, (40, 53))
-    np.testing.assert_allclose(whole.values, shares.values, atol=1e-5)
 
 
 def test_one_thread_finds_what_several_find(finder):
@@ -363,34 +352,6 @@ def without_orientations(model: AAM) -> AAM:
         for level in model.levels
     )
     return model.with_view(MESH, levels=levels)
-
-
-def test_the_small_model_is_the_model_made_small(model):
-    small = shrink(model)
-    assert small.diagonal == pytest.approx(TEMPLATE)
-    appearance = small.levels[0].appearances["orientation"]
-    assert appearance.mean.shape == (small.n_pixels, 2)
-    assert np.linalg.norm(appearance.mean, axis=1).max() <= 1.001
-    assert shrink(model, diagonal=1000.0).diagonal == model.diagonal
-
-
-def test_templates_turn_with_their_directions(model):
-    small = shrink(model)
-    templates = make_templates(small)
-    straight = {round(np.rad2deg(t.turn)): t for t in templates if not t.p.any()}
-    assert sorted(straight) == [-20, -10, 0, 10, 20]
-    # The sum of all vectors turns with the object.
-    sums = {turn: complex(template.field.sum()) for turn, template in straight.items()}
-    for turn, total in sums.items():
-        # Pixels in and out of the mesh at its border change the sum a little.
-        assert abs(total * np.exp(-1j * np.deg2rad(turn)) - sums[0]) < 0.03 * np.abs(straight[0].field).sum()
-
-
-def test_soft_directions_fade_in_flat_regions():
-    x = np.tile(np.arange(40, dtype=np.float32), (30, 1))
-    image_slopes, flat = soft_directions(0.5 * x, 0.0), soft_directions(1e-4 * x, 0.0)
-    assert np.abs(image_slopes[5:-5, 5:-5] - 1).max() < 0.01
-    assert np.abs(flat).max() < 0.01
 
 
 def test_sizes_cover_the_range():

@@ -299,7 +299,7 @@ Seen = tuple[VideoFrame, "TrackedFrame", "FitResult | None"]
 
 def stretches_of(task: Task) -> "list[Stretch]":
     """Cut a video into parts to track in parallel; empty unless it is a long file that can be read from its middle."""
-    from liaam.fitting.search import is_searchable
+    from liaam.fitting.templates import is_searchable
     from liaam.tracking.stretches import cut
 
     reader = task.reader

@@ -1,12 +1,11 @@
 """Detection of the object, for fits without a given start.
 
-Templates of gradient orientations are made from a reduced model, in several rotations and with the strongest shape mode
-at both ends. They are correlated with the orientations in the image at many sizes. The best places are fitted with the
-reduced model by method ``igo``, and scored by how well it explains the orientations there. Orientations hardly depend
-on the light, and every model has them, also one of grey images. If one object is wanted, small ones are searched for
-only if no large one is certain.
+Templates of gradient orientations (:mod:`liaam.fitting.templates`) are correlated with the orientations in the image at
+many sizes. The best places are fitted with the reduced model by method ``igo``, and scored by how well it explains the
+orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -20,21 +19,13 @@ from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, shrink, spectra
 from liaam.kernels.fast import best_peaks, correlate
-from liaam.model import AAM, MESH, Level, View
-from liaam.model.appearance import AppearanceModel
-from liaam.model.mesh import ReferenceFrame, signed_areas
+from liaam.model import AAM
 from liaam.model.sampling import within
-from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of, rotation
-from liaam.model.warp import PiecewiseAffineWarp
+from liaam.model.shape import Similarity, align, diagonal_of, rotation
 from liaam.photometry import Response
-from liaam.photometry.averaging import area_means
-from liaam.photometry.encoding import value_luminance
 from liaam.workers import in_threads
-
-TEMPLATE = 40.0
-"""Diagonal of the reduced model, pixels. Measured on ``imm``: 48 finds no more faces and takes 1.5 times as long, 32
-misses turned faces."""
 
 SMALLEST, LARGEST = 0.15, 1.25
 """Range of the diagonals searched, as fractions of the image's shorter side."""
@@ -45,38 +36,8 @@ STEP = 1.2
 LEAST_PIXELS = 20.0
 """Smallest diagonal searched, pixels of the image."""
 
-TURNS: dict[str, tuple[float, ...]] = {
-    "upright": (-20.0, -10.0, 0.0, 10.0, 20.0),
-    "all": tuple(np.arange(-180.0, 180.0, 15.0).tolist()),
-}
-"""Rotations of the mean shape, degrees: for objects about as in training, and for any rotation."""
-
-BENT_TURNS: dict[str, tuple[float, ...]] = {
-    "upright": (-10.0, 0.0, 10.0),
-    "all": tuple(np.arange(-180.0, 180.0, 30.0).tolist()),
-}
-"""Rotations of the deformed shapes, degrees."""
-
 FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
 """Rotations of objects that fill the frame, degrees: a subset of those of the mean shape."""
-
-BEND = 1.5
-"""Deformation along the strongest shape mode, standard deviations. In sets of faces this mode is the turn of the head;
-without it, one face in sixty of ``imm`` is missed, a turned one."""
-
-BEND_WORTH = 0.4
-"""Root mean square movement of the landmarks, pixels of the reduced model, that needs deformed templates."""
-
-SOFTNESS = 0.02
-"""Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
-0.7 of their full length. It suppresses noise in flat regions and smooth shading. With models of three sets of faces,
-the scores of faces and of other objects hardly overlap with it; with unweighted orientations they do."""
-
-SAMPLES = 20_000
-"""Approximate number of pixels from which an image's contrast is measured."""
-
-CONTRASTS = (0.3, 1.0)
-"""Limits on the measured contrast, so that flat images are not amplified further."""
 
 LARGE = 0.3
 """Diagonal of a large object, as a fraction of the image's shorter side. If one object is wanted, small ones are
@@ -88,9 +49,6 @@ LARGE_PLACES = 2
 
 PADDING = 0.25
 """Largest distance that an object may extend beyond the image, as a fraction of its diagonal."""
-
-MODES = 15
-"""Number of appearance modes of the reduced model; with more, it also explains other objects."""
 
 SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)
 """Solver options for the fits of places."""
@@ -128,6 +86,9 @@ SIZE_WORTH = 0.05
 
 APART = 0.1
 """Mean distance of two shapes' landmarks, as a fraction of their size, beyond which they are different places."""
+
+OVERLAP = 0.3
+"""Fraction of an object's box that may lie in another's."""
 
 FILLING = (0.95, 1.1)
 """Diagonals of objects that fill the frame, as fractions of its shorter side."""
@@ -175,145 +136,31 @@ class Candidate:
         return self.score < DOUBTFUL
 
 
-@dataclass(frozen=True, eq=False)
-class Template:
-    """Gradient orientations that the reduced model expects.
-
-    Attributes
-    ----------
-    field : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the orientation varies; 0 outside the mesh.
-    origin : (2,) float64
-        Position of the first pixel relative to the shape's centre, pixels.
-    turn : float
-        Rotation, radians.
-    p : (m + 4,) float64
-        Shape parameters of the reduced model.
-    """
-
-    field: np.ndarray
-    origin: np.ndarray
-    turn: float
-    p: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """Gradient orientations of an image at one resolution.
-
-    Attributes
-    ----------
-    values : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the gradient is weak.
-    length : (2,) float64
-        Width and height of a pixel of the field, image pixels.
-    """
-
-    values: np.ndarray
-    length: np.ndarray
-
-    @property
-    def scale(self) -> float:
-        """Image pixels per pixel of the field."""
-        return float(np.sqrt(self.length.prod()))
-
-    def to_image(self, points: np.ndarray) -> np.ndarray:
-        """Convert pixels of the field to image pixels, (k, 2) float64."""
-        return (points + 0.5) * self.length - 0.5
-
-    def strength(self, points: np.ndarray) -> np.ndarray:
-        """Return the weight of the orientation at image points (k, 2), (k,) float32; 0 outside."""
-        import cv2  # heavy: imported when first needed
-
-        x, y = ((points + 0.5) / self.length - 0.5).astype(np.float32).T[:, :, None]
-        return cv2.remap(np.abs(self.values), x, y, cv2.INTER_LINEAR)[:, 0]
-
-
-@dataclass(frozen=True, eq=False)
-class Grey:
-    """Reduced luminance of an image, from which fields are made.
-
-    Attributes
-    ----------
-    values : (h, w) float32
-        From 0 to 1.
-    reduce : int
-        Image pixels per pixel, along each axis.
-    """
-
-    values: np.ndarray
-    reduce: int
-
-    @staticmethod
-    def of(image: np.ndarray, response: Response, factor: float) -> "Grey":
-        """Make the luminance of an image (h, w, 3), reduced by about ``factor`` but at least eight pixels across."""
-        reduce = max(1, min(int(factor), min(image.shape[:2]) // 8))
-        # Sixteen samples of a block suffice, so large images need not be decoded in full.
-        stride = max(1, reduce // 4)
-        reduce //= stride
-        sparse = image[stride // 2 :: stride, stride // 2 :: stride]
-        grey = value_luminance(sparse, response)
-        if reduce > 1:
-            rows, columns = grey.shape[0] // reduce, grey.shape[1] // reduce
-            grey = area_means(grey[: rows * reduce, : columns * reduce], (rows, columns))
-        every = max(1, min(int(np.sqrt(grey.size / SAMPLES)), min(grey.shape) // 4))
-        low, high = np.percentile(grey[::every, ::every], [1, 99])
-        grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
-        return Grey(grey, reduce * stride)
-
-    def field(self, size: float, small: AAM) -> Field:
-        """Compute the orientations at the resolution where objects of ``size`` image pixels match the reduced model."""
-        import cv2  # heavy: imported when first needed
-
-        grey = self.values
-        covered = np.array(grey.shape[::-1]) * self.reduce  # an incomplete block at the border was dropped
-        width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
-        if width <= grey.shape[1] and height <= grey.shape[0]:
-            resized = area_means(grey, (int(height), int(width)))
-        else:
-            resized = cv2.resize(grey, (int(width), int(height)), interpolation=cv2.INTER_LINEAR)
-        return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
-
-
-@dataclass(frozen=True, eq=False)
-class _Peaks:
-    """Local maxima of the templates' responses.
-
-    Attributes
-    ----------
-    centres : (k, 2) float64
-        Centre of the shape, image pixels.
-    scales : (k,) float64
-        Image pixels per pixel of the reduced model.
-    fields : (k,) int
-        Index of the image's field.
-    templates : (k,) int
-        Index of the template.
-    responses : (k,) float64
-        Mean cosine between expected and measured orientation, weighted by the length of both.
-    """
+class _Peaks(NamedTuple):
+    """Local maxima of the templates' responses."""
 
     centres: np.ndarray
+    """(k, 2) float64: centre of the shape, image pixels."""
     scales: np.ndarray
+    """(k,) float64: image pixels per pixel of the reduced model."""
     fields: np.ndarray
+    """(k,) int: index of the image's field."""
     templates: np.ndarray
+    """(k,) int: index of the template."""
     responses: np.ndarray
-
-    @property
-    def columns(self) -> tuple[np.ndarray, ...]:
-        return self.centres, self.scales, self.fields, self.templates, self.responses
+    """(k,) float64: mean cosine between expected and measured orientation, weighted by the length of both."""
 
     def take(self, which: np.ndarray) -> "_Peaks":
-        return _Peaks(*(column[which] for column in self.columns))
+        return _Peaks(*(column[which] for column in self))
 
     def places(self) -> list["_Place"]:
         """Return the places without their responses."""
-        columns = (self.centres.tolist(), self.scales.tolist(), self.fields.tolist(), self.templates.tolist())
+        columns = (column.tolist() for column in self[:-1])
         return [_Place(tuple(centre), *rest) for centre, *rest in zip(*columns, strict=True)]
 
     @staticmethod
     def join(parts: list["_Peaks"]) -> "_Peaks":
-        return _Peaks(*(np.concatenate(column) for column in zip(*(part.columns for part in parts), strict=True)))
+        return _Peaks(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 class _Place(NamedTuple):
@@ -387,7 +234,7 @@ class Finder:
         search = _Search(self, image, response, 6 + 4 * most)
         seen = search.for_one(least) if most == 1 else search.for_all()
         seen = seen or [self._in_the_middle(image)]
-        chosen = _apart(sorted(seen, key=lambda candidate: -candidate.score), most)
+        chosen = _chosen(sorted(seen, key=lambda candidate: -candidate.score), _are_beside, most)
         return [candidate for candidate in chosen if candidate.score >= least]
 
     def others(self, image: np.ndarray, response: Response | None = None, most: int = OTHERS) -> list[Candidate]:
@@ -409,8 +256,8 @@ class Finder:
         """
         search = _Search(self, image, self.model.response if response is None else response, LOOKED * most)
         best = sorted(search.for_all(), key=lambda place: -(place.score + SIZE_WORTH * np.log(place.scale)))
-        mean, places = self.model.shape_model.mean, _different(best)[:most] + search.filling()
-        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in _different(places)]
+        mean, places = self.model.shape_model.mean, _chosen(best, are_apart, most) + search.filling()
+        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in _chosen(places, are_apart)]
 
     def _responses(self, field: Field, which: int, count: int, worth: float) -> _Peaks:
         """Return the strongest local maxima of each template's correlation with a field (of index ``which``).
@@ -423,11 +270,11 @@ class Finder:
         sizes = [(template.field.shape, template.origin) for template in self.templates]
         size = np.maximum(np.array(field.values.shape) + 2 * pad, np.max([shape for shape, _ in sizes], axis=0))
         fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
-        spectra, product, correlated = _spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
+        seen, product, correlated = spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
         places, responses, floor = [], [], LEAST_RESPONSE
-        for (shape, origin), own in zip(sizes, self._spectra_of(fast), strict=True):
+        for (shape, origin), expected in zip(sizes, self._spectra_of(fast), strict=True):
             # The cosine between both orientations times their lengths.
-            cosine = cv2.idft(correlate(spectra, own, product), correlated)
+            cosine = cv2.idft(correlate(seen, expected, product), correlated)
             inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
             best, values = best_peaks(inside, count, floor, SURROUNDINGS)
             floor = max(floor, worth * float(values[0])) if len(values) else floor
@@ -443,7 +290,7 @@ class Finder:
         if known is not None:
             return known
         pixels = size[0] * size[1]  # OpenCV's inverse transform is not normalised
-        made = [_spectra(t.field, size) / (pixels * max(float(np.abs(t.field).sum()), 1e-9)) for t in self.templates]
+        made = [spectra(t.field, size) / (pixels * max(float(np.abs(t.field).sum()), 1e-9)) for t in self.templates]
         kept = [*self._spectra, size]  # a copy: other threads may search at the same time
         while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
             self._spectra.pop(kept.pop(0), None)
@@ -615,137 +462,12 @@ def find(
     return Finder(model).find(image, limit=limit, least=least, response=response)
 
 
-def _spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
-    """Return the Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w) float32, packed."""
-    import cv2  # heavy: imported when first needed
-
-    padded = np.zeros((2, *size), np.float32)
-    inner = padded[:, pad : pad + field.shape[0], pad : pad + field.shape[1]]
-    inner[0], inner[1] = np.real(field), np.imag(field)
-    return np.stack([cv2.dft(part) for part in padded])
-
-
-def is_searchable(model: AAM) -> bool:
-    """Return whether a model has the gradient orientations that the search needs."""
-    return "orientation" in model.levels[0].appearances
-
-
-def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
-    """Reduce a model to the orientations of its coarsest level, on a smaller reference frame.
-
-    Parameters
-    ----------
-    model : AAM
-    diagonal : float
-        Diagonal of the mean shape's bounding box, pixels; a smaller model keeps its size.
-    n_modes : int
-        Largest number of appearance modes.
-
-    Returns
-    -------
-    AAM
-        Model with one level and one appearance, ``orientation``.
-
-    Raises
-    ------
-    MethodError
-        If the model has no orientations.
-    """
-    level = model.levels[0]
-    if not is_searchable(model):
-        raise MethodError(
-            "the model has no gradient orientations, which the search needs; train it again, or give a start (--init)"
-        )
-    own, shapes = level.appearances["orientation"], model.shape_model
-    factor = min(1.0, diagonal / model.diagonal)
-    frame = ReferenceFrame(shapes.mean * factor, model.triangles)
-    at = (frame.pixels[:, ::-1] + frame.origin) / factor
-
-    def reduced(values: np.ndarray) -> np.ndarray:
-        return _read(model.frame, values, at, 1.0 / factor)
-
-    appearance = AppearanceModel(
-        mean=reduced(own.mean),
-        modes=np.array([reduced(mode) for mode in own.modes[:n_modes]], np.float32).reshape(-1, len(at), 2),
-        eigenvalues=own.eigenvalues[:n_modes],
-        usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
-    )
-    small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2)
-    return replace(
-        model,
-        views={
-            MESH: View(PiecewiseAffineWarp(frame, small), (Level(level.blur * factor, {"orientation": appearance}),))
-        },
-    )
-
-
-def _read(frame: ReferenceFrame, values: np.ndarray, at: np.ndarray, width: float) -> np.ndarray:
-    """Interpolate per-pixel values (n_pixels, c) at points (m, 2), averaged over ``width`` pixels, (m, c)."""
-    import cv2  # heavy: imported when first needed
-
-    # The channel of ones measures which fraction of an average lies inside the mesh.
-    picture = frame.picture(np.column_stack([values, np.ones(len(values))]))
-    if width > 1.0:
-        picture = cv2.GaussianBlur(picture, (0, 0), 0.5 * width, borderType=cv2.BORDER_CONSTANT)
-    x, y = (at - frame.origin).astype(np.float32).T[:, :, None]
-    channels = [
-        cv2.remap(np.ascontiguousarray(part), x, y, cv2.INTER_LINEAR)[:, 0] for part in np.moveaxis(picture, 2, 0)
-    ]
-    return (np.stack(channels[:-1], axis=1) / np.maximum(channels[-1], 1e-6)[:, None]).astype(np.float32)
-
-
-def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ...]:
-    """Make the templates of a reduced model: mean and deformed shapes in several rotations."""
-    shapes = small.shape_model
-    straight = np.zeros(len(shapes.basis))
-    templates = [_template(small, np.deg2rad(turn), straight) for turn in TURNS[rotations]]
-    if not len(shapes.eigenvalues) or BEND * np.sqrt(shapes.eigenvalues[0] / shapes.n_points) < BEND_WORTH:
-        return tuple(templates)
-    for bend in (-BEND, BEND):
-        p = straight.copy()
-        p[0] = bend * np.sqrt(shapes.eigenvalues[0])
-        if (signed_areas(shapes.shape(p), small.triangles) > 0).all():
-            templates += [_template(small, np.deg2rad(turn), p) for turn in BENT_TURNS[rotations]]
-    return tuple(templates)
-
-
-def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
-    frame = ReferenceFrame(small.shape_model.shape(p) @ rotation(turn).T, small.triangles)
-    at = np.einsum("nv,nvc->nc", frame.weights, small.shape_model.mean[frame.vertices])
-    mean = _read(small.frame, small.levels[0].appearances["orientation"].mean, at, 0.0)
-    picture = frame.picture(mean)
-    field = (picture[..., 0] + 1j * picture[..., 1]) * np.exp(1j * turn)
-    return Template(field.astype(np.complex64), frame.origin, turn, p)
-
-
 def search_sizes(shorter_side: int) -> np.ndarray:
     """Return the diagonals of objects to search for in an image, pixels, in ratios of :data:`STEP`."""
     low, high = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
     if low >= high:
         return np.array([high])
     return low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
-
-
-def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
-    """Compute softly normalised gradients of an image, g / sqrt(|g|^2 + softness^2).
-
-    Parameters
-    ----------
-    grey : (h, w) float32
-    blur : float
-        Standard deviation of a blur applied first, pixels.
-
-    Returns
-    -------
-    (h, w) complex64
-    """
-    import cv2  # heavy: imported when first needed
-
-    from liaam.photometry import averaging
-
-    if blur > 0.3:
-        grey = cv2.GaussianBlur(grey, (0, 0), float(blur), borderType=cv2.BORDER_REPLICATE)
-    return averaging.soft_directions(grey, np.eye(2), SOFTNESS).view(np.complex64)[..., 0]
 
 
 def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:
@@ -765,15 +487,16 @@ def _strongest(peaks: _Peaks, apart: float, count: int) -> np.ndarray:
 
 def _is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
     """Return whether at least half of the landmarks lie in the image."""
-    inside = within(shape, image)
-    return bool(inside.mean() >= 0.5)
+    return bool(within(shape, image).mean() >= 0.5)
 
 
-def _apart(candidates: list[Candidate], most: int) -> list[Candidate]:
-    """Return the first candidates whose boxes do not overlap those before them."""
+def _chosen(
+    candidates: list[Candidate], differ: Callable[[np.ndarray, np.ndarray], bool], most: int | None = None
+) -> list[Candidate]:
+    """Return the first candidates whose shapes differ from those chosen before them, at most ``most``."""
     chosen: list[Candidate] = []
     for candidate in candidates:
-        if len(chosen) < most and all(_overlap(candidate.landmarks, other.landmarks) < 0.3 for other in chosen):
+        if len(chosen) != most and all(differ(candidate.landmarks, other.landmarks) for other in chosen):
             chosen.append(candidate)
     return chosen
 
@@ -783,17 +506,8 @@ def are_apart(shape: np.ndarray, other: np.ndarray) -> bool:
     return point_error(other, shape) > APART * diagonal_of(shape)
 
 
-def _different(candidates: list[Candidate]) -> list[Candidate]:
-    """Return the candidates that differ from those before them."""
-    chosen: list[Candidate] = []
-    for candidate in candidates:
-        if all(are_apart(candidate.landmarks, other.landmarks) for other in chosen):
-            chosen.append(candidate)
-    return chosen
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the fraction of the smaller of two shapes' boxes that lies in the other."""
-    sides = np.minimum(a.max(axis=0), b.max(axis=0)) - np.maximum(a.min(axis=0), b.min(axis=0))
-    smaller = min(float(np.prod(np.ptp(a, axis=0))), float(np.prod(np.ptp(b, axis=0))))
-    return float(np.prod(np.maximum(sides, 0.0))) / max(smaller, 1e-9)
+def _are_beside(shape: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether less than the fraction :data:`OVERLAP` of the smaller of two shapes' boxes lies in the other."""
+    sides = np.minimum(shape.max(axis=0), other.max(axis=0)) - np.maximum(shape.min(axis=0), other.min(axis=0))
+    smaller = min(float(np.prod(np.ptp(shape, axis=0))), float(np.prod(np.ptp(other, axis=0))))
+    return float(np.prod(np.maximum(sides, 0.0))) / max(smaller, 1e-9) < OVERLAP

@@ -13,8 +13,9 @@ import numpy as np
 from liaam.evaluation import point_error
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.fitting.search import Finder, is_searchable
+from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
+from liaam.fitting.templates import is_searchable
 from liaam.fitting.uncertainty import fitted_covariances
 from liaam.model import AAM, Reliability
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
