@@ -321,7 +321,7 @@ def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: fl
     solution = stage.solution
     if solution.flat:
         return FitStatus.NO_TEXTURE
-    if not is_sane(stage.shape(solution.state), start):
+    if not is_sane(stage.reached, start):
         return FitStatus.DIVERGED
     if inside.mean() < LEAST_OVERLAP:
         return FitStatus.LEFT_IMAGE

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from liaam.fitting.level import RIDGE
 from liaam.fitting.objective import Objective, State
 from liaam.fitting.problem import FitProblem
 
@@ -9,10 +10,6 @@ SEARCH = np.deg2rad(60.0)
 """Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the
 object, the global minimum over the full circle is often an inverted image: most failed fits of ``li`` on the spot
 protocol started near 250 degrees."""
-
-
-RIDGE = 1e-6
-"""As :data:`liaam.fitting.level.RIDGE`."""
 
 
 def best_image_angle(objective: Objective, problem: FitProblem, state: State) -> float:

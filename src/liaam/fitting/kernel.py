@@ -7,7 +7,6 @@ the loops over pixels replaced by the NumPy functions of :mod:`liaam.fitting.ref
 import builtins
 from functools import lru_cache
 from types import FunctionType, SimpleNamespace
-from typing import Any
 
 from liaam.errors import MethodError
 from liaam.fitting import equations, evaluate, jacobian, loop, proposal, reference, residual, steps, weights
@@ -37,10 +36,7 @@ def get_kernel(name: str = "fast") -> SimpleNamespace:
     plain = {key: value for key, value in vars(reference).items() if isinstance(value, FunctionType)}
     names.update(plain, __builtins__=builtins)
     lines = {key: getattr(value, "py_func", value if key in plain else None) for key, value in names.items()}
-    names.update({key: _over(names, value) for key, value in lines.items() if isinstance(value, FunctionType)})
+    for key, line in lines.items():
+        if isinstance(line, FunctionType):  # copied, with ``names`` as its globals
+            names[key] = FunctionType(line.__code__, names, key, line.__defaults__, line.__closure__)
     return SimpleNamespace(**names)
-
-
-def _over(names: dict[str, Any], function: FunctionType) -> FunctionType:
-    """Copy a function, with ``names`` as its globals."""
-    return FunctionType(function.__code__, names, function.__name__, function.__defaults__, function.__closure__)

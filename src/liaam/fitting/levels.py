@@ -38,10 +38,6 @@ class Stage:
         """Let other fits use the arrays of the solution, which is then no longer valid."""
         self.objective.release(self.solution.work, self.solution.given)
 
-    def shape(self, state: State) -> np.ndarray:
-        """Return the shape of a state, (n, 2) float64, image pixels."""
-        return self.pose(self.objective.warp.shape(state.p))
-
     @property
     def path(self) -> list[tuple[float, np.ndarray, float]]:
         """Cost, shape (n, 2) and theta_2 at the start and after every accepted step."""
@@ -52,7 +48,7 @@ class Stage:
     @property
     def reached(self) -> np.ndarray:
         """Shape of the solution, (n, 2) float64, image pixels."""
-        return self.shape(self.solution.state)
+        return self.pose(self.objective.warp.shape(self.solution.state.p))
 
 
 class Target(NamedTuple):

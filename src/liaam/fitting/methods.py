@@ -143,7 +143,7 @@ class Method:
         if self.weights == "noise" and self.encoding != "log":
             raise MethodError(
                 f"method {self.name}: noise weights are for methods that compare logarithms, whose noise depends on "
-                f"brightness; the noise of values is uniform"
+                "brightness; the noise of values is uniform"
             )
         if self.weights != "model" and self.loss == "learnt":
             raise MethodError(

@@ -28,9 +28,11 @@ from liaam.fitting.methods import WEIGHTS, Method
 from liaam.fitting.problem import FitProblem, correlated_pixels
 from liaam.model import AAM, Level
 from liaam.model.appearance import AppearanceModel
-from liaam.model.shape import ShapeModel
 from liaam.model.warp import Mesh, Warp, padded
 from liaam.photometry.features import Encoder, name_of
+
+MOST_IDLE = 8
+"""Number of works kept for later fits; more are in use only while more threads fit at the same time."""
 
 
 class State(NamedTuple):
@@ -365,9 +367,6 @@ class Objective:
         kernel.solve_level(template, picture, row, controls, kernel.by_reference(work) if given is None else given)
 
 
-MOST_IDLE = 8
-"""Number of works kept for later fits; more are in use only while more threads fit at the same time."""
-
 THINNING = 1.5
 """Distance between sampled pixels, in standard deviations of a level's blur. Closer pixels are redundant. On the spot
 protocol ``soft-li`` has a median error of 4.03 % with all pixels, 4.05 with half of the sharpest level's and 4.11 with
@@ -413,7 +412,8 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: 
     warp = model.views[method.view].warp
     # Estimating the prior's scale needs weights that account for correlation.
     freedom = warp.shape_model.freedom if method.weights == "rows" else np.inf
-    prior = _shape_prior(warp.shape_model)
+    # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
+    prior = np.concatenate([1.0 / np.maximum(warp.shape_model.eigenvalues, 1e-12), np.zeros(4)])
 
     def at(kept: np.ndarray, whole: Objective | None = None) -> Objective:
         density = len(kept) / len(appearance.mean)
@@ -468,8 +468,3 @@ def _check_holds(model: AAM, method: Method) -> None:
             raise MethodError(f"method {method.name}: the model has no appearance of this kind; train it again")
         if method.loss == "learnt" and level.appearances[method.appearance].unexplained is None:
             raise MethodError(f"method {method.name}: the model has no variances of its errors; train it again")
-
-
-def _shape_prior(shapes: ShapeModel) -> np.ndarray:
-    """Return the precision of the shape modes' prior N(0, eigenvalue); the four similarity vectors have none."""
-    return np.concatenate([1.0 / np.maximum(shapes.eigenvalues, 1e-12), np.zeros(4)])

@@ -80,14 +80,9 @@ class FitProblem:
     def relative_noise(self) -> np.ndarray:
         """Standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOGS`."""
         if isinstance(self.noise, NoiseModel):
-            return self.relative_noise_of(np.exp(np.linspace(*LOGS, LOG_STEPS)))
-        return self.noise * _slopes_of_logs(self.response)
-
-    def relative_noise_of(self, linear: np.ndarray) -> np.ndarray:
-        """Return the standard deviation of the logarithm of linear light (any shape) due to noise."""
-        if isinstance(self.noise, NoiseModel):
+            linear = np.exp(np.linspace(*LOGS, LOG_STEPS))
             return np.sqrt(self.noise.variance(linear)) / np.maximum(linear, 1e-6)
-        return self.noise * _log_slope_of(linear, self.response)
+        return self.noise * _slopes_of_logs(self.response)
 
     @classmethod
     def at(
@@ -99,7 +94,7 @@ class FitProblem:
         response: Response,
         blur: float,
         noise: NoiseModel | float | None = None,
-        margin: float | None = None,
+        margin: float = MARGIN,
     ) -> "FitProblem":
         """Crop and encode an image around a shape.
 
@@ -117,28 +112,24 @@ class FitProblem:
             Standard deviation of the blur, model pixels.
         noise : NoiseModel or float, optional
             Noise of the image; by default it is measured here.
-        margin : float, optional
-            Margin that the fit may use, as a fraction of the object's diagonal; by default :data:`MARGIN`.
+        margin : float
+            Margin that the fit may use, as a fraction of the object's diagonal.
         """
-        margin = MARGIN if margin is None else margin
         patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=margin)
         to_patch = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
         if not method.weighs_noise:
             return cls(patch, to_patch, response, blur=blur)
-        left, slope_left = _noise_left(to_patch.scale, blur)
+        of_patch = to_patch.scale * blur
+        left = 1.0 / np.sqrt(correlated_pixels(of_patch)), to_patch.scale * slope_left(of_patch)
         picture = image.image if isinstance(image, Light) else image
-        return cls(patch, to_patch, response, _noise(picture, shape, patch, noise), left, slope_left, blur)
+        return cls(patch, to_patch, response, _noise(picture, shape, patch, noise), *left, blur)
 
 
 @lru_cache(maxsize=16)
 def _slopes_of_logs(response: Response) -> np.ndarray:
     """Return the derivative of the logarithm by the stored value, at evenly spaced logarithms over :data:`LOGS`."""
-    return _log_slope_of(np.exp(np.linspace(*LOGS, LOG_STEPS)), response)
-
-
-def _log_slope_of(linear: np.ndarray, response: Response) -> np.ndarray:
-    """Return the derivative of the logarithm of linear light by the stored value."""
-    return log_slope(np.maximum(from_linear(linear, response), 1e-3), response)
+    stored = from_linear(np.exp(np.linspace(*LOGS, LOG_STEPS)), response)
+    return log_slope(np.maximum(stored, 1e-3), response)
 
 
 def correlated_pixels(blur: float) -> float:
@@ -152,11 +143,6 @@ def correlated_pixels(blur: float) -> float:
 def slope_left(blur: float) -> float:
     """Return the standard deviation of central differences of unit white noise after a Gaussian blur (pixels)."""
     return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
-
-
-def _noise_left(scale: float, blur: float) -> tuple[float, float]:
-    """Return the factors of a blur (model pixels of ``scale`` patch pixels) on the noise and on its gradient."""
-    return 1.0 / np.sqrt(correlated_pixels(scale * blur)), scale * slope_left(scale * blur)
 
 
 def _noise(image: np.ndarray, shape: np.ndarray, patch: Patch, known: NoiseModel | float | None) -> float | NoiseModel:

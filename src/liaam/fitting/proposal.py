@@ -4,9 +4,8 @@ import numpy as np
 
 from liaam.fitting.equations import copy_matrix
 from liaam.fitting.evaluate import movement
-from liaam.fitting.level import PULL, SCALE, UNIT, Controls, Picture, Row, Template, Work
+from liaam.fitting.level import LEAST, PULL, SCALE, UNIT, Controls, Picture, Row, Template, Work
 from liaam.fitting.steps import (
-    LEAST,
     add_points,
     add_prior,
     along_with,

@@ -273,8 +273,8 @@ class Finder:
         seen, product, correlated = spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
         places, responses, floor = [], [], LEAST_RESPONSE
         for (shape, origin), expected in zip(sizes, self._spectra_of(fast), strict=True):
-            # The cosine between both orientations times their lengths.
-            cosine = cv2.idft(correlate(seen, expected, product), correlated)
+            correlate(seen, expected, product)
+            cosine = cv2.idft(product, correlated)  # between both orientations, times their lengths
             inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
             best, values = best_peaks(inside, count, floor, SURROUNDINGS)
             floor = max(floor, worth * float(values[0])) if len(values) else floor

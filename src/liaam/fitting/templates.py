@@ -231,12 +231,8 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
         usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
     )
     small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2)
-    return replace(
-        model,
-        views={
-            MESH: View(PiecewiseAffineWarp(frame, small), (Level(level.blur * factor, {"orientation": appearance}),))
-        },
-    )
+    view = View(PiecewiseAffineWarp(frame, small), (Level(level.blur * factor, {"orientation": appearance}),))
+    return replace(model, views={MESH: view})
 
 
 def _read(frame: ReferenceFrame, values: np.ndarray, at: np.ndarray, width: float) -> np.ndarray:

@@ -149,23 +149,16 @@ def unexplained_by(work: Work) -> float:
 
 @compiled
 def changed(work: Work) -> bool:
-    """Return whether weights by rows need an update, and if so keep the current unexplained variance as the last one.
-
-    They do if the unexplained variance or the set of pixels with usable colour has changed.
-    """
+    """Return whether the unexplained variance or the set of pixels with usable colour has changed."""
     known, before, unexplained = work.known_now, work.known, work.unexplained
     for group in range(2):
         change = np.log(unexplained[1, group] / unexplained[0, group])
         if not (change < ALIKE and change > -ALIKE):  # NaN is not alike
-            unexplained[0, 0], unexplained[0, 1] = unexplained[1, 0], unexplained[1, 1]
             return True
     count = 0
     for i in range(len(known)):
         count += 1 if known[i] != before[i] else 0
-    if count > CHANGED * len(known):
-        unexplained[0, 0], unexplained[0, 1] = unexplained[1, 0], unexplained[1, 1]
-        return True
-    return False
+    return count > CHANGED * len(known)
 
 
 @compiled
@@ -386,6 +379,8 @@ def weigh_by_rows(template: Template, picture: Picture, row: Row, work: Work) ->
     counted = unexplained_by(work)
     if not counted > 0.0 or not (row.loss >= 0 or changed(work)):
         return False
+    unexplained = work.unexplained
+    unexplained[0, 0], unexplained[0, 1] = unexplained[1, 0], unexplained[1, 1]
     copy(work.known_now, work.known)
     work.scales[UNIT] = root_by_rows(template, picture, work)
     return True

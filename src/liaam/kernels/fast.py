@@ -8,7 +8,13 @@ from liaam.kernels.reference import ON_EDGE as _ON_EDGE
 
 
 @compiled
-def _correlate(left: Single3, right: Single3, total: Single2) -> None:
+def correlate(left: Single3, right: Single3, total: Single2) -> None:
+    """Compute the spectrum of the correlation of two images (2, h, w), left conj(right), summed over their channels.
+
+    All are Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real
+    and imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
+    ``total`` (h, w) is the output.
+    """
     height, width = total.shape[0], total.shape[1]
     for y in range(height):
         # Slices instead of indices let the compiler see that the inner loop's indices are never negative.
@@ -37,17 +43,6 @@ def _correlate_column(left: Single3, right: Single3, total: Single2, x: int) -> 
             total[y + 1, x] += a[y + 1, x] * b[y, x] - a[y, x] * b[y + 1, x]
         if n % 2 == 0:
             total[n - 1, x] += a[n - 1, x] * b[n - 1, x]
-
-
-def correlate(left: np.ndarray, right: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Compute the spectrum of the correlation of two images (2, h, w), left conj(right), summed over their channels.
-
-    All are Fourier transforms of real channels as packed by OpenCV's ``dft``: in each row a real number, pairs of real
-    and imaginary part, and another real number if w is even. The columns of real numbers are packed in the same way.
-    ``out`` (h, w) is returned.
-    """
-    _correlate(left, right, out)
-    return out
 
 
 @compiled
