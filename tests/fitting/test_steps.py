@@ -104,7 +104,7 @@ def test_a_raised_step_is_nowhere_flatter_than_a_share_of_what_is_expected(
 
 @given(seed=seeds)
 def test_a_step_is_the_same_just_above_and_just_below_the_least_curvature(kernel, seed):
-    """Where all is image_slopes enough the system is solved as it is, else by its axes: one formula."""
+    """Where all is steep enough the system is solved as it is, else by its axes: one formula."""
     rng = np.random.default_rng(seed)
     base, gradient, free = symmetric(rng, np.geomspace(1.0, 50.0, 5)), rng.normal(size=5), np.ones(5, bool)
     root = np.linalg.cholesky(base)

@@ -36,6 +36,6 @@ def test_templates_turn_with_their_directions(model):
 
 def test_soft_directions_fade_in_flat_regions():
     x = np.tile(np.arange(40, dtype=np.float32), (30, 1))
-    image_slopes, flat = soft_directions(0.5 * x, 0.0), soft_directions(1e-4 * x, 0.0)
-    assert np.abs(image_slopes[5:-5, 5:-5] - 1).max() < 0.01
+    steep, flat = soft_directions(0.5 * x, 0.0), soft_directions(1e-4 * x, 0.0)
+    assert np.abs(steep[5:-5, 5:-5] - 1).max() < 0.01
     assert np.abs(flat).max() < 0.01

@@ -34,8 +34,8 @@ def evaluate_residual(template: Template, picture: Picture, row: Row, work: Work
         row.turn(template, work)
     sample_picture(template, picture, work)
     work.scales[SHOWN] = 1.0
-    for j in range(len(work.lam)):
-        work.lam[j] = 0.0 if solves else work.lam[j]
+    for j in range(len(work.lam) if solves else 0):
+        work.lam[j] = 0.0
     if not row.normalise:
         take_off(work)
 

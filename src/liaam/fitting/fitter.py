@@ -378,11 +378,11 @@ class Fitter:
         """Return the objective over all pixels of the sharpest level, its problem, and a result's state (lambda 0)."""
         image, camera = load_picture(image, "image")[0], self._camera
         objective, blur = self.objectives[-1].of_all_pixels, self._levels[-1].blur
-        picture = camera.flatten(image), result.landmarks, result.pose
-        problem = FitProblem.at(*picture, self._method, camera.response, blur, camera.noise)
+        picture, method, response = camera.flatten(image), self._method, camera.response
+        problem = FitProblem.at(picture, result.landmarks, result.pose, method, response, blur, camera.noise)
         # From the shape, because p refers to the shape model of the fit's method, which may be another one.
         state = objective.start(self.shapes.parameters(result.pose.inverse()(result.landmarks)))
-        if self._method.has_angles and np.isfinite(result.theta):
+        if method.has_angles and np.isfinite(result.theta):
             state = state._replace(angles=np.array([result.theta_model, result.theta]))
         return objective, problem, state
 
@@ -411,9 +411,9 @@ class Fitter:
 
     def result_of(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
         """Make the result of a fit from its stages: compute status, quality and covariances."""
-        stage, has_angle = stages[-1], self._method.has_angles
-        solution, history = stage.solution, trace(stages)
-        known = self.reliability
+        stage, known, history = stages[-1], self.reliability, trace(stages)
+        solution = stage.solution
+        theta_model, theta = solution.state.angles.tolist() if self._method.has_angles else (np.nan, np.nan)
         spread = covariance(stage, self.options.shape_prior / solution.scale)
         spread = spread if known is None else known.variance_factor * spread
         seen = evidence(stage)
@@ -426,8 +426,8 @@ class Fitter:
         return FitResult(
             landmarks=history[-1].landmarks,
             status=status,
-            theta=float(solution.state.angles[1]) if has_angle else np.nan,
-            theta_model=float(solution.state.angles[0]) if has_angle else np.nan,
+            theta=theta,
+            theta_model=theta_model,
             p=solution.state.p.copy(),
             pose=stage.pose,
             lam=solution.state.lam.copy(),

@@ -64,16 +64,16 @@ class FitProblem:
         """Return the image in the form that the loop takes, with a noise table if ``noisy``."""
         channels = self.patch.channels
         return Picture(
-            channels.reshape(-1),
-            channels.shape[0],
-            channels.shape[1],
-            np.ascontiguousarray(np.column_stack([self.pose.matrix, self.pose.offset]), np.float64),
-            self.relative_noise.astype(np.float32) if noisy else np.zeros(2, np.float32),
-            np.array(LOGS),
-            np.array([self.noise_left, self.slope_left], np.float64),
-            float(correlated),
-            self.pull,
-            self.towards,
+            pixels=channels.reshape(-1),
+            height=channels.shape[0],
+            width=channels.shape[1],
+            similarity=np.ascontiguousarray(np.column_stack([self.pose.matrix, self.pose.offset]), np.float64),
+            noise=self.relative_noise.astype(np.float32) if noisy else np.zeros(2, np.float32),
+            span=np.array(LOGS),
+            kept=np.array([self.noise_left, self.slope_left], np.float64),
+            correlated=float(correlated),
+            pull=self.pull,
+            towards=self.towards,
         )
 
     @cached_property

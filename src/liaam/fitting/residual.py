@@ -8,7 +8,7 @@ the result of each function.
 
 import numpy as np
 
-from liaam.fitting.equations import cholesky, clear
+from liaam.fitting.equations import cholesky, clear, copy_matrix
 from liaam.fitting.level import BLOCK, GAIN, OFFSET, SHOWN, Picture, Row, Template, Work
 from liaam.kernels.compiled import compiled
 from liaam.kernels.fields import Double1, Double2, F, Single1, Single2, Single3
@@ -263,9 +263,7 @@ def factorise(template: Template, work: Work, unseen: int) -> None:
     factor = work.factor
     m, k = len(gram), len(own) // len(usable)
     wide = len(lines) // len(own)
-    for a in range(m):
-        for b in range(m):
-            factor[a, b] = gram[a, b]
+    copy_matrix(gram, factor)
     if unseen:
         for i in range(len(usable)):
             if usable[i] > F(0.0):

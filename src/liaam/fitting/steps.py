@@ -188,10 +188,10 @@ def free_entries(row: Row, work: Work, observable: float) -> bool:
     n_free = directions.shape[1]
     if not n_free:
         return True
-    n_p, image_slopes, size = len(free) - n_free, 0.0, 0.0
+    n_p, by_angle, size = len(free) - n_free, 0.0, 0.0  # |L'|^2 and |L|^2
     for c in range(len(metric)):
-        image_slopes, size = image_slopes + slope[c] * slope[c], size + metric[c] * metric[c]
-    noise = work.sums[0] * image_slopes / size + 1e-12 * work.sums[1]
+        by_angle, size = by_angle + slope[c] * slope[c], size + metric[c] * metric[c]
+    noise = work.sums[0] * by_angle / size + 1e-12 * work.sums[1]
     limit = OBSERVABLE_APART if observable > OBSERVABLE_APART else observable  # 0 keeps all free, as in the paper
     own = hessian[n_p, n_p]
     if n_free == 1:

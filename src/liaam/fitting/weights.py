@@ -105,21 +105,22 @@ def row_variances(template: Template, picture: Picture, work: Work) -> None:
             of_slope, bend = slope * spread[i] * rest / (light[i] * light[i]), F(1.0) + rest
             across, down = of_slope * (F(1.0) - x * x * bend), of_slope * (F(1.0) - y * y * bend)
             planes[5, i], planes[6, i] = across if across < most else most, down if down < most else most
+        by_noise, squared = logs, deviation  # the logarithms are no longer needed: use their room
         for r in range(k):
             count = squares = beyond = F(0.0)
             by_x, by_y, by_red = metric[SIZE * r] ** 2, metric[SIZE * r + 1] ** 2, metric[SIZE * r + 2] ** 2
             by_green, by_blue = metric[SIZE * r + 3] ** 2, metric[SIZE * r + 4] ** 2
             for i in range(size):
                 by_gradient = by_x * planes[5, i] + by_y * planes[6, i]
-                logs[i] = by_gradient + by_red * planes[7, i] + by_green * planes[8, i] + by_blue * planes[9, i]
-                deviation[i] = residual[(begin + i) * k + r] * residual[(begin + i) * k + r]
+                by_noise[i] = by_gradient + by_red * planes[7, i] + by_green * planes[8, i] + by_blue * planes[9, i]
+                squared[i] = residual[(begin + i) * k + r] * residual[(begin + i) * k + r]
             for i in range(size):
-                counted = counts[i] if logs[i] < F(0.5 * UNKNOWN) else F(0.0)
+                counted = counts[i] if by_noise[i] < F(0.5 * UNKNOWN) else F(0.0)
                 count += counted
-                squares += counted * deviation[i]
-                beyond += counted * (deviation[i] - logs[i])
+                squares += counted * squared[i]
+                beyond += counted * (squared[i] - by_noise[i])
             for i in range(size):
-                variance[(begin + i) * k + r] = logs[i]
+                variance[(begin + i) * k + r] = by_noise[i]
             sums[r, 0] += count
             sums[r, 1] += squares
             sums[r, 2] += beyond
@@ -252,9 +253,9 @@ def whiten(work: Work) -> None:
         for r in range(k):
             variance, change = by_model[i], 0.0
             for c in range(SIZE):
-                image_slopes, by_noise = metric[SIZE * r + c], noise[SIZE * i + c]
-                variance += image_slopes * image_slopes * by_noise
-                change += 2.0 * image_slopes * slope[SIZE * r + c] * by_noise
+                scale, by_noise = metric[SIZE * r + c], noise[SIZE * i + c]
+                variance += scale * scale * by_noise
+                change += 2.0 * scale * slope[SIZE * r + c] * by_noise
             own[i * k + r] = weighed[i * k + r] * np.sqrt(unit / variance)
             if len(own_derivative):
                 own_derivative[i * k + r] = -0.5 * change / variance
