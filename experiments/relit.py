@@ -32,7 +32,7 @@ LIGHTS: dict[str, Lights] = {
     "left": lateral("left"),
     "right": lateral("right"),
     "warm": lateral("right", temperature_K=2800, azimuth=1.1, ambient_temperature_K=9000, ambient_strength=0.2),
-    "image_slopes": lateral("left", temperature_K=3300, azimuth=0.5, elevation=0.8),
+    "steep": lateral("left", temperature_K=3300, azimuth=0.5, elevation=0.8),
 }
 """Hard lights with cast shadows. The training light is diffuse and neutral."""
 
