@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from liaam.errors import ImageError, LandmarkError, LiaamError
+from liaam.io.atomic import check_output
 from liaam.io.files import (
     existing_file,
     is_number,
@@ -141,6 +142,15 @@ def test_some_names() -> None:
     assert some_names(list("abcdef")) == "a, b, c, d, e, f"
     assert some_names(list("abcdefgh")) == "a, b, c, d, e, f and 2 more"
     assert some_names(list("abc"), most=2, joint="; ") == "a; b and 1 more"
+
+
+def test_a_read_only_folder_is_refused_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_output(tmp_path / "m.liaam")
+    monkeypatch.setattr(os, "access", lambda folder, mode: Path(folder) != tmp_path or not mode & os.W_OK)
+    with pytest.raises(LiaamError, match=r"m\.liaam cannot be written: the folder .* is read-only\. Change its perm"):
+        check_output(tmp_path / "m.liaam")
+    with pytest.raises(LiaamError, match="the folder is read-only; change its permissions, or give another folder"):
+        make_folder(tmp_path)
 
 
 def test_links_are_resolved(tmp_path: Path) -> None:

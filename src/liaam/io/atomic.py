@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from liaam.errors import LiaamError
-from liaam.io.files import real_path
+from liaam.io.files import may_write_in, real_path
 
 try:
     import fcntl
@@ -43,6 +43,17 @@ _swept: set[Path] = set()
 
 
 def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Path:
+    """Return the real path of a file to write. Raise if it cannot be written, so that no work is done in vain."""
+    target = _target(path, error)
+    if not may_write_in(target.parent):
+        raise error(
+            f"{path} cannot be written: the folder {target.parent} is read-only. Change its permissions, or name "
+            "another folder."
+        )
+    return target
+
+
+def _target(path: str | os.PathLike[str], error: type[LiaamError]) -> Path:
     """Return the real path of a file to write. Raise if it is a folder, or if its folder does not exist."""
     target = real_path(path)
     if target.is_dir():
@@ -76,7 +87,7 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     LiaamError
         Of class `error`, if the folder is missing or writing fails. The target is then unchanged.
     """
-    target = check_output(path, error)
+    target = _target(path, error)
     if target.parent not in _swept:
         _swept.add(target.parent)
         sweep(target.parent)

@@ -112,6 +112,13 @@ def make_folder(folder: Path) -> None:
         raise LiaamError(
             f"{folder}: the folder cannot be created ({error.strerror or error}); give another folder with -o"
         ) from error
+    if not may_write_in(folder):
+        raise LiaamError(f"{folder}: the folder is read-only; change its permissions, or give another folder with -o")
+
+
+def may_write_in(folder: Path) -> bool:
+    """Return whether files can be made in an existing folder, as far as its permissions say."""
+    return os.access(folder, os.W_OK | os.X_OK)
 
 
 def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
