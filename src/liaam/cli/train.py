@@ -9,10 +9,11 @@ import typer
 
 from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, read_folder
-from liaam.cli.lamps import TrainingLampOption, read_lamps
+from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
 from liaam.cli.models import count_copies, count_modes
 from liaam.cli.terminal import complain, progress_bar, say, warnings_as_lines
 from liaam.errors import LiaamError
+from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
 from liaam.io.atomic import check_output
 
 MODEL_SUFFIX = ".liaam"
@@ -107,6 +108,16 @@ def train(
         raise LiaamError(
             f"{output} exists and is not a {MODEL_SUFFIX} file, so it is kept; give another name for the model, such "
             f"as {folder.resolve().name}{MODEL_SUFFIX}"
+        )
+    if output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, LAMPS_SUFFIX}:
+        raise LiaamError(
+            f"{output}: a model ends in {MODEL_SUFFIX}, not in {output.suffix}; give a name such as "
+            f"{output.with_suffix(MODEL_SUFFIX)}"
+        )
+    if training_lamp is not None and not lamps.is_dir():
+        raise LiaamError(
+            f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
+            "folder with --lamps, or leave --training-lamp out"
         )
     data = read_folder(folder, images, recursive)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)

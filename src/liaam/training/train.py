@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Iterable
 from dataclasses import replace
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -158,9 +159,17 @@ def _lamps(
     camera: CameraModel,
 ) -> Lamps | None:
     """Return the lamps for copies of the images: given, learnt, or those of faces."""
-    if isinstance(given, str):
+    if training_lamp is not None and (given is None or isinstance(given, str | Lamps)):
+        raise TrainingError(
+            f"training_lamp {training_lamp!r} names the training light in lamp images; give these images as lamps=, or "
+            "leave it out"
+        )
+    if isinstance(given, str | PathLike):
         if given != AUTO:
-            raise TrainingError(f"lamps {given!r}: give 'auto', lamps, images to learn them from, or None")
+            raise TrainingError(
+                f"lamps {str(given)!r}: give 'auto', lamps, images to learn them from, or None; for a file give "
+                "liaam.lamps.load_lamps(file), for a folder liaam.load_folder(folder)"
+            )
         return faces.face_lamps(entries, mean, camera)
     if given is not None and not isinstance(given, Lamps):
         given = learn_lamps(given, training_lamp, response=camera.response)
