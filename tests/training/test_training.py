@@ -109,6 +109,12 @@ def test_progress_is_told(pairs):
     assert done[0] == 0 and done[-1] == total[0] and (np.diff(done) > 0).all()
 
 
+def test_progress_counts_copies_where_parts_are_left_out(pairs):
+    seen = []
+    train(pairs * 4, diagonal=40.0, camera=LINEAR, progress=lambda *step: seen.append(step))
+    assert seen[-1] == (seen[-1][1], seen[-1][1], "trained")
+
+
 def test_every_method_has_its_appearance(model):
     for method in METHODS.values():
         levels = model.views[method.view].levels

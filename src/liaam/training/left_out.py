@@ -40,7 +40,7 @@ def reliability_of(
     def images() -> Iterator[LeftOut]:
         """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
-            steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(len(entries)))
+            steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             part = _without(model, fold, shapes, sampled, learnt)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
