@@ -36,6 +36,12 @@ def run_of(shapes, length=8):
     return int(np.argmax(spread))
 
 
+@pytest.mark.parametrize("spoil", [lambda shape: Landmarks(shape), lambda shape: shape[1:], lambda shape: shape[0]])
+def test_what_is_not_landmarks_of_one_shape_is_refused(shapes, spoil):
+    with pytest.raises(LiaamError, match=r"arrays of one shape \(n, 2\): give .*\[sample\.landmarks\.points for"):
+        find_label_faults([*shapes[1:], spoil(shapes[0])])
+
+
 def test_shapes_without_faults_have_none(shapes):
     assert find_label_faults(shapes) == []
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.errors import ImageError, LiaamError, MethodError, StartError
+from liaam.errors import ImageError, LiaamError, MethodError, ModelFileError, StartError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
 from liaam.photometry import CameraModel
 from liaam.training import train
@@ -18,6 +18,22 @@ COLOUR = ("li", "li-lit", "li-pc", "li-pcs", "chroma")
 @pytest.fixture
 def start(lit_scene) -> np.ndarray:
     return disturb(lit_scene.landmarks)
+
+
+@pytest.mark.parametrize(
+    ("image", "shown"),
+    [(None, "None"), (5, "5"), (["a.png"], r"\['a\.png'\]"), (np.zeros(9), r"an array of shape \(9,")],
+)
+def test_what_is_no_picture_is_named(model, image, shown):
+    with pytest.raises(ImageError, match=f"image: {shown}.* is not an image; give a path, or an array"):
+        Fitter(model).fit(image)
+
+
+def test_a_model_in_the_place_of_the_picture_is_named(model, lit_scene):
+    with pytest.raises(ImageError, match=r"image: AAM\(.*\) is not an image"):
+        Fitter(model).fit(model)
+    with pytest.raises(ModelFileError, match=r"^an array of shape \(240, 180, 3\) is not a model; give a model first"):
+        Fitter(lit_scene.image)
 
 
 @pytest.mark.parametrize("method", COLOUR)

@@ -1,5 +1,7 @@
 """Where a fit starts: a shape, a box, or a point and a size."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,7 @@ def few(n_numbers: int) -> np.ndarray:
         ((50, 50), r"a start of shape \(2,\) is neither"),
         (7, "is neither landmarks"),
         ("middle", "is not a shape, box, or point"),
+        (Path("new.pts"), r"'new\.pts' is not a shape, .*; for a landmark file give liaam\.read_landmarks\(path\)"),
         (None, "neither|is not a shape"),
         ((5000, 5000, 80), "lies outside the image .*180×240 pixels"),
         ((-500, 20, -400, 120), "lies outside the image"),

@@ -123,6 +123,12 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
         raise LiaamError(
             f"too few landmarked images to find unusual landmarks ({len(shapes)}); at least {LEAST_PICTURES} are needed"
         )
+    forms = {np.shape(shape) if isinstance(shape, np.ndarray | Sequence) else () for shape in shapes}
+    if len(forms) > 1 or any(len(form) != 2 for form in forms):
+        raise LiaamError(
+            "the landmarks are not arrays of one shape (n, 2): give those of each image, as in "
+            "[sample.landmarks.points for sample in data]"
+        )
     pictures = [i for i, shape in enumerate(shapes) if diagonal_of(shape) > 0]  # coincident points have no order
     if len(pictures) < LEAST_PICTURES:
         return []

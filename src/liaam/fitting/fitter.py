@@ -13,7 +13,7 @@ from liaam.fitting.angles import best_image_angle
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, State, make_objectives
-from liaam.fitting.picture import load_picture
+from liaam.fitting.picture import described, load_picture
 from liaam.fitting.problem import MARGIN, NEAR, FitProblem
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
@@ -121,7 +121,9 @@ class Fitter:
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, AAM):
-            raise ModelFileError(f"{self.model!r} is not a model; for a file give liaam.load_model(path)")
+            raise ModelFileError(
+                f"{described(self.model)} is not a model; give a model first; of a file, give liaam.load_model(path)"
+            )
         self.objectives  # noqa: B018 (raise errors now, not at the first image)
         self.finder  # noqa: B018
 

@@ -5,14 +5,25 @@ from pathlib import Path
 
 import numpy as np
 
+from liaam.errors import ImageError
 from liaam.photometry.encoding import as_colour
 
 
 def load_picture(image, name: str) -> tuple[np.ndarray, str]:
     """Return an image with three channels from an array or a path, and its name in messages (a path's file name)."""
     if not isinstance(image, (str, os.PathLike)):
+        if np.ndim(image) < 2:
+            raise ImageError(f"{name}: {described(image)} is not an image; give a path, or an array (height, width, 3)")
         return as_colour(image, name), name
     from liaam.io import read_image
 
     path = Path(image)
     return as_colour(read_image(path), path.name), path.name
+
+
+def described(given: object) -> str:
+    """Return what a wrong argument is, in one line: its shape if it is an array."""
+    if isinstance(given, np.ndarray):
+        return f"an array of shape {given.shape}"
+    text = repr(given)
+    return text if len(text) < 100 and "\n" not in text else f"an object of type {type(given).__name__}"

@@ -1,5 +1,7 @@
 """The start of a fit: a shape, a box, or a point and a size."""
 
+from os import PathLike
+
 import numpy as np
 
 from liaam.errors import StartError
@@ -79,6 +81,11 @@ def _numbers(init, name: str) -> np.ndarray:
     try:
         return np.asarray(getattr(init, "points", init), dtype=np.float64)
     except (TypeError, ValueError) as error:
+        if isinstance(init, str | PathLike):
+            raise StartError(
+                f"{name}: the start {str(init)!r} is not a shape, box, or point and size; for a landmark file give "
+                "liaam.read_landmarks(path)"
+            ) from error
         raise StartError(f"{name}: the start {init!r} is not a shape, box, or point and size ({error})") from error
 
 
