@@ -26,7 +26,9 @@ TURNED = "; if the object is rotated against the training images, add --rotation
 """Ending of warnings, if only upright objects were searched for."""
 
 
-LandmarkedFolder = Annotated[Path, typer.Argument(readable=False, help="Folder of images with landmarks beside them.")]
+LandmarkedFolder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", readable=False, help="Folder of images with landmarks beside them.")
+]
 """Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")]
 ImagesOption = Annotated[

@@ -27,8 +27,9 @@ def lamps(
     folder: Annotated[
         Path,
         typer.Argument(
+            metavar="FOLDER",
             help="Folder of landmarked images of a few objects, each under the training light and, without moving, "
-            "under other lamps. Names give object and lamp: 037-07, 037-00, 037-03 ..."
+            "under other lamps. Names give object and lamp: 037-07, 037-00, 037-03 ...",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help=f"File to write, such as faces{LAMPS_SUFFIX}.")],

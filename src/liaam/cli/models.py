@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 def show(
     file: Annotated[
-        Path, typer.Argument(readable=False, help="Model file of 'liaam train', or lamp file of 'liaam lamps'.")
+        Path,
+        typer.Argument(
+            metavar="FILE", readable=False, help="Model file of 'liaam train', or lamp file of 'liaam lamps'."
+        ),
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Figure to write. By default beside the input file.")

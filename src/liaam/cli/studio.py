@@ -10,7 +10,10 @@ from liaam.cli.terminal import complain, say
 
 def studio(
     folder: Annotated[
-        Path, typer.Argument(help="Folder of images to annotate, train on and fit. Landmarks are saved beside them.")
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Folder of images to annotate, train on and fit. Landmarks are saved beside them."
+        ),
     ] = Path(),
     model: Annotated[
         Path | None,
