@@ -258,6 +258,8 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
     code, out, err = run("fit", model_file, tmp_path / "black.png", "--init", portraits[2], "-o", tmp_path, "-m", "rgb")
     assert code == 1
     assert "no texture" in out
+    out = run("fit", model_file, tmp_path / "black.png", "-o", tmp_path / "searched")[1]
+    assert "not found" in out and "found, 0" not in out
     assert "no valid values, where the fit started; check the start" in err
 
 
@@ -357,6 +359,8 @@ def test_help_and_methods(run):
         code, out, _ = run(*command, "--help")
         assert code == 0
         assert "Usage" in out
+    for command, argument in (("train", "FOLDER"), ("lamps", "FOLDER"), ("show", "FILE"), ("studio", "FOLDER")):
+        assert argument in run(command, "--help")[1]  # as in messages and in the reference
     code, out, _ = run("methods")
     assert code == 0
     assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))

@@ -250,9 +250,7 @@ def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
         load_folder(tmp_path / "a.png")
     with pytest.raises(ImageError, match=r"no image like 'b\*': its images are a\.png\. Change"):
         load_folder(tmp_path, "b*")
-    with pytest.raises(
-        LandmarkError, match=r"none of the 1 images has landmarks \(a\.png\)\. Add a file such as a\.pts"
-    ):
+    with pytest.raises(LandmarkError, match=r"its only image has no landmarks \(a\.png\)\. Add a file such as a\.pts"):
         load_folder(tmp_path)
     (tmp_path / "a.pts").write_text("junk")
     with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts has no '\{'"):
@@ -366,6 +364,8 @@ def test_slices_and_selection() -> None:
     assert names(dataset.select(lambda sample: sample.name.endswith("1"))) == ["01-1", "02-1"]
     with pytest.raises(LiaamError, match="no sample of here matches '9': the names are like 01-1, 01-2, 02-1"):
         dataset.select("9")
+    with pytest.raises(LiaamError, match=r"no sample of here matches '9', '8\*': the names"):
+        dataset.select(["9", "8*"])
     assert repr(dataset) == "Dataset(3 samples, 1 left out, source='here')"
 
 

@@ -121,7 +121,10 @@ def fit(
 
 def row_of(result: "FitResult") -> tuple[str, ...]:
     """Return the table row of a fit: start, status, quality, median landmark error, iterations and theta."""
-    start = "given" if result.found is None else f"found, {result.found.score:.2f}"
+    if result.found is None:
+        start = "given"
+    else:  # a search without any detection starts in the middle of the image
+        start = f"found, {result.found.score:.2f}" if result.found.score > 0 else "not found"
     angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
     error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
     return start, str(result.status), result.quality_text, error, str(result.n_iterations), angle

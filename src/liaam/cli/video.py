@@ -20,7 +20,7 @@ from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, VideoWriter, read_start, video_writer
 from liaam.io.atomic import check_output
-from liaam.io.files import real_path
+from liaam.io.files import count_of, real_path
 from liaam.io.video import can_enter, check_video_name, is_video
 from liaam.progress import Progress
 
@@ -109,7 +109,7 @@ def track(
                 sink(frame, tracked, result)
     report(counts, [path for path in (output, annotated, shading_free) if path is not None])
     if stopped():
-        raise StoppedError(f"stopped after {counts.n} frames; their results are written")
+        raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
     faults = [task.fault] if task.fault else []
     if counts.n_grey and not counts.n_unshaded:
         faults.append(
@@ -413,7 +413,8 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
     if not counts.lost:
         return
     reasons = ", ".join(f"{status or 'not searched'} {n}" for status, n in counts.fits.most_common())
+    lost = f"{'frame' if len(counts.lost) == 1 else 'frames'} {ranges_of(counts.lost)}"
     complain(
-        f"lost in frames {ranges_of(counts.lost)} (last fits: {reasons}): check them with --video; if the object is "
-        "visible, give its place in the first frame with --init, or train on frames like these"
+        f"lost in {lost} (last fits: {reasons}): check them with --video; if the object is visible, give its place in "
+        "the first frame with --init, or train on frames like these"
     )

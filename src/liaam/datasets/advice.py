@@ -84,7 +84,7 @@ def no_pairs(
     root: Path, wanted: Sequence[Path], left_out: Sequence[tuple[Path, str]], unread: Sequence[Path], recursive: bool
 ) -> str:
     """Describe a folder in which no image has landmarks; ``left_out`` has files and reasons."""
-    count = f"none of the {len(wanted)} images has landmarks"
+    count = f"none of the {len(wanted)} images has landmarks" if len(wanted) > 1 else "its only image has no landmarks"
     text = f"{root}: {count} ({some_names([image.name for image in wanted], 3)})."
     if unread:
         names = some_names([file.name for file in unread])

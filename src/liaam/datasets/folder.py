@@ -120,8 +120,9 @@ class Dataset:
         )
         if not kept:
             some = some_names([sample.name for sample in self.samples])
+            wanted = ", ".join(repr(each) for each in patterns)
             raise LiaamError(
-                f"no sample of {self.source or 'the data set'} matches {which!r}: the names are like {some}."
+                f"no sample of {self.source or 'the data set'} matches {wanted}: the names are like {some}."
             )
         return replace(self, samples=kept)
 
