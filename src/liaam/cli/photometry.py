@@ -115,7 +115,9 @@ def scene(
         say(f"aligned: the corners moved by up to {moved:.1f} pixels" if moved > STILL else "the images are aligned")
         if moved > FAR * max(pictures[0].shape[:2]):
             complain("large movement: a homography fits only flat or distant scenes; check the written image")
-    estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
+    with progress_bar() as progress:
+        progress(0, 1, "estimating the angle")
+        estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
     camera = finish_angle(estimate, camera, f"scene, {names_of(images)}", output, trust)
     write_check(output, pictures, images, camera)
 
@@ -501,7 +503,9 @@ def register_command(
     board, facts_file = (output.with_name(f"{output.stem}_{name}") for name in ("check.png", "homography.json"))
     refuse_inputs([output, board], [first, second])
     camera, (a, b) = read_pictures([first, second], camera_file, response)
-    found = register(a, b, method or METHOD, group=group, response=camera.response, theta=camera.theta)
+    with progress_bar() as progress:
+        progress(0, 1, f"registering {second.name}")
+        found = register(a, b, method or METHOD, group=group, response=camera.response, theta=camera.theta)
     if not found.status.ok:
         raise LiaamError(f"{second.name} could not be registered with {first.name} ({found.status}): {found.message}")
     say(f"{found.status}: {found.message}")
