@@ -366,6 +366,13 @@ def test_help_and_methods(run):
     assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))
 
 
+def test_show_checks_where_it_writes_before_it_draws(run, model_file, tmp_path, monkeypatch):
+    monkeypatch.setattr("liaam.plotting.figure_of_model", lambda *_: pytest.fail("drawn in vain"))
+    code, _, err = run("show", model_file, "-o", tmp_path / "no" / "x.png")
+    assert code == 1
+    assert "x.png cannot be written: the folder" in err
+
+
 LONG = "a" * 300
 
 

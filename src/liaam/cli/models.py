@@ -11,6 +11,7 @@ from liaam.cli.inputs import ModelFile, read_sample
 from liaam.cli.lamps import LAMPS_SUFFIX, read_lamps
 from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.io.atomic import check_output
 from liaam.io.files import existing_file
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ def show(
     path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
+    check_output(path)
     with progress_bar() as progress:
         progress(0, 1, f"drawing {file.name}")
         if not lit:
