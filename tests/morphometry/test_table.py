@@ -26,6 +26,14 @@ def test_values_in_pixels_and_in_units() -> None:
     assert measure([Specimen("a", SQUARE, scale=0.5)], MEASURES, 2)["distance_1_2"] == [20]
 
 
+def test_one_measure_needs_no_list_and_a_scale_is_positive() -> None:
+    specimens = [Specimen("a", SQUARE)]
+    assert measure(specimens, "distance:1-2")["distance_1_2"] == [10]
+    for scale in (-1, 0.0, np.nan):
+        with pytest.raises(LiaamError, match=f"scale '{scale}': give the length of a pixel"):
+            measure(specimens, scale=scale)
+
+
 def test_y_of_shapes_points_upwards() -> None:
     table = measure([Specimen("a", SQUARE)])
     assert table["Y1"][0] > table["Y3"][0]  # the first lies above the third in the image

@@ -38,7 +38,7 @@ class _Item:
 
 def measure(
     specimens: Iterable[Specimen],
-    measures: Iterable[str | Measure] = (),
+    measures: str | Iterable[str | Measure] = (),
     scale: str | float | ScaleBar | None = None,
 ) -> Columns:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors.
@@ -50,7 +50,7 @@ def measure(
     ----------
     specimens : iterable of Specimen
         With the same landmarks.
-    measures : iterable of str or Measure
+    measures : str, or iterable of str or Measure
         Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2) and ``"area:1-2-3-4"``, by numbers counted from
         1 or by names.
     scale : str, float or ScaleBar, optional
@@ -77,10 +77,11 @@ def measure(
     if not usable:
         raise LiaamError(f"there are {len(specimens)} specimens, none with landmarks to use: fit the images again.")
     n = _same_number(usable)
-    wanted = [Measure.parse(item) if isinstance(item, str) else item for item in measures]
+    given = [measures] if isinstance(measures, str) else measures
+    wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
     names = next((specimen.names for specimen in usable if specimen.names), ())
     places = [_indices(item.column, item.landmarks, names, n) for item in wanted]
-    rule = parse_scale(scale) if isinstance(scale, str) else scale
+    rule = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
     bar = _indices("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
     if rule is None:
         _check_scales(usable)
