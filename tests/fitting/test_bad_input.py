@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.errors import ImageError, LiaamError, MethodError, ModelFileError, StartError
+from liaam.errors import CameraError, ImageError, LiaamError, MethodError, ModelFileError, StartError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
+from liaam.fitting.search import find
 from liaam.photometry import CameraModel
 from liaam.training import train
 from setups import disturb, model_pixels, train_on
@@ -32,8 +33,20 @@ def test_what_is_no_picture_is_named(model, image, shown):
 def test_a_model_in_the_place_of_the_picture_is_named(model, lit_scene):
     with pytest.raises(ImageError, match=r"image: AAM\(.*\) is not an image"):
         Fitter(model).fit(model)
-    with pytest.raises(ModelFileError, match=r"^an array of shape \(240, 180, 3\) is not a model; give a model first"):
-        Fitter(lit_scene.image)
+    for make in (Fitter, lambda given: find(given, model)):
+        with pytest.raises(
+            ModelFileError, match=r"^an array of shape \(240, 180, 3\) is not a model; give a model first"
+        ):
+            make(lit_scene.image)
+
+
+def test_a_camera_file_or_no_method_is_refused_at_once(model, scenes):
+    with pytest.raises(CameraError, match=r"^'lab\.json' is not a camera; of a file, give liaam\.load_camera\(path\)$"):
+        Fitter(model, camera="lab.json")
+    with pytest.raises(CameraError, match="is not a camera"):
+        train([(scene.image, scene.landmarks) for scene in scenes[:3]], camera="lab.json")
+    with pytest.raises(MethodError, match="method None is neither a name nor a Method; there are soft-li, grey"):
+        Fitter(model, None)
 
 
 @pytest.mark.parametrize("method", COLOUR)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError, ModelFileError, StartError, check_options
+from liaam.errors import ImageError, MethodError, StartError, check_options
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, State, make_objectives
-from liaam.fitting.picture import described, load_picture
+from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import MARGIN, NEAR, FitProblem
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
@@ -26,6 +26,7 @@ from liaam.model.mesh import folded_share
 from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, align, diagonal_of
 from liaam.photometry import CameraModel, exposure_faults, is_grey
+from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import stored_values
 
 FOLD_LIMIT = 0.3
@@ -120,12 +121,10 @@ class Fitter:
         return cls(model, method, SolverOptions(**options), kernel, camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.model, AAM):
-            raise ModelFileError(
-                f"{described(self.model)} is not a model; give a model first; of a file, give liaam.load_model(path)"
-            )
-        self.objectives  # noqa: B018 (raise errors now, not at the first image)
-        self.finder  # noqa: B018
+        self.finder  # noqa: B018 (raise errors now, not at the first image)
+        if self.camera is not None:
+            check_camera(self.camera)
+        self.objectives  # noqa: B018
 
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:

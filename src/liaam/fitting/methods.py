@@ -378,6 +378,8 @@ def get_method(method: str | Method) -> Method:
     """
     if isinstance(method, Method):
         return method
+    if not isinstance(method, str):
+        raise MethodError(f"method {method!r} is neither a name nor a Method; there are {', '.join(METHODS)}")
     method = "+".join(part.strip() for part in method.split("+"))
     base, *suffixes = method.split("+")
     if base not in METHODS:

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.errors import MethodError
+from liaam.errors import MethodError, ModelFileError
 from liaam.evaluation import point_error
 from liaam.fitting.methods import get_method
 from liaam.fitting.objective import THINNING, Objective, make_objectives
-from liaam.fitting.picture import load_picture
+from liaam.fitting.picture import described, load_picture
 from liaam.fitting.problem import FitProblem
 from liaam.fitting.solver import Solution, SolverOptions, solve
 from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, shrink, spectra
@@ -192,7 +192,11 @@ class Finder:
     rotations: str = "upright"
 
     def __post_init__(self) -> None:
-        """Raise an error for unknown rotations."""
+        """Raise an error if the model is not one, or the rotations are unknown."""
+        if not isinstance(self.model, AAM):
+            raise ModelFileError(
+                f"{described(self.model)} is not a model; give a model first; of a file, give liaam.load_model(path)"
+            )
         if self.rotations not in TURNS:
             raise MethodError(f"rotations {self.rotations!r} does not exist; there are {', '.join(TURNS)}")
 

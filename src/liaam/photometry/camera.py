@@ -187,6 +187,12 @@ def _shares(vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
     return falloff_at(np.square(np.linspace(0.0, 1.0, 101)), vignetting)
 
 
+def check_camera(camera: object) -> None:
+    """Raise if the argument is not a camera."""
+    if not isinstance(camera, CameraModel):
+        raise CameraError(f"{camera!r} is not a camera; of a file, give liaam.load_camera(path)")
+
+
 def load_camera(path: str | os.PathLike) -> CameraModel:
     """Read and validate a camera file.
 

@@ -14,6 +14,7 @@ from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, SURROUNDINGS, VIEWS, Level, make_view
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
+from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress
 from liaam.training import faces
@@ -91,6 +92,7 @@ def train(
         raise TrainingError(f"options {options!r}: give TrainingOptions, or options, camera and lamps by name")
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
+    check_camera(camera)
     entries, contours, edges = read_entries(data)
     shapes, folds = np.array([entry.points for entry in entries]), folds_of([entry.name for entry in entries])
 
