@@ -504,16 +504,19 @@ def register_command(
     refuse_inputs([output, board], [first, second])
     camera, (a, b) = read_pictures([first, second], camera_file, response)
     with progress_bar() as progress:
-        progress(0, 1, f"registering {second.name}")
+        progress(0, 2, f"registering {second.name}")
         found = register(a, b, method or METHOD, group=group, response=camera.response, theta=camera.theta)
-    if not found.status.ok:
-        raise LiaamError(f"{second.name} could not be registered with {first.name} ({found.status}): {found.message}")
+        if not found.status.ok:
+            raise LiaamError(
+                f"{second.name} could not be registered with {first.name} ({found.status}): {found.message}"
+            )
+        progress(1, 2, f"writing {output.name}")
+        sampled, _ = found.warp(b)
+        write_image(output, sampled)
+        write_image(board, checkerboard(a, sampled))
+        facts = {"first": first.name, "second": second.name, **found.to_dict()}
+        write_text_atomically(facts_file, json.dumps(facts, indent=1) + "\n")
     say(f"{found.status}: {found.message}")
-    sampled, _ = found.warp(b)
-    write_image(output, sampled)
-    write_image(board, checkerboard(a, sampled))
-    facts = {"first": first.name, "second": second.name, **found.to_dict()}
-    write_text_atomically(facts_file, json.dumps(facts, indent=1) + "\n")
     say(f"written to {output}, {facts_file.name} (pixels of A to pixels of B) and {board.name}")
 
 
