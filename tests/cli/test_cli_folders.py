@@ -147,6 +147,12 @@ def test_a_folder_to_fit_offers_its_images_and_batch(run, model_file, folder):
     assert f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'" in err
 
 
+def test_results_are_not_written_to_a_folder_named_as_an_image(run, model_file, folder, tmp_path):
+    code, _, err = run("fit", model_file, next(folder.glob("*.png")), "-o", tmp_path / "fitted.png")
+    assert code == 1 and not (tmp_path / "fitted.png").exists()
+    assert "fitted.png is not a folder; several files are written, so give a folder with -o" in err
+
+
 def test_every_object_of_an_image_is_trained_on(run, scenes, tmp_path):
     """dlib XML may hold several boxes of an image; one of these lacks a part."""
     folder, images, width = tmp_path / "parties", "", scenes[0].image.shape[1]

@@ -131,6 +131,7 @@ def test_one_start_is_told_from_several(given, one):
         (2, iter([(90, 90, 99)]), "there are more than 1 images but 1 starts"),
         (2, iter([(90, 90, 99)] * 3), "there are 2 images but more starts"),
         (2, 7, "init 7 is not valid; give one start"),
+        (2, "starts", "init 'starts' is not valid; give one start"),
     ],
 )
 def test_numbers_that_differ_are_refused(model, lit_scene, n_images, init, message):

@@ -347,6 +347,8 @@ def test_folder_empty_file_and_text(tmp_path: Path) -> None:
     assert "is empty (0 bytes)" in refusal(tmp_path / "empty.png")
     (tmp_path / "text.png").write_text("hello")
     assert "is not a PNG, JPEG, TIFF, BMP, PPM or PGM image" in refusal(tmp_path / "text.png")
+    (tmp_path / "faces.liaam").write_text("hello")
+    assert "faces.liaam is a model, not an image: give one model first" in refusal(tmp_path / "faces.liaam")
 
 
 def test_a_pipe_is_refused_instead_of_waiting(tmp_path: Path) -> None:

@@ -23,7 +23,16 @@ from liaam.cli.inputs import (
 )
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
-from liaam.io import Contour, Landmarks, make_folder, read_image, write_fit, write_image, write_text_atomically
+from liaam.io import (
+    IMAGE_SUFFIXES,
+    Contour,
+    Landmarks,
+    make_folder,
+    read_image,
+    write_fit,
+    write_image,
+    write_text_atomically,
+)
 from liaam.io.results import FIT_SUFFIXES
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
@@ -70,6 +79,8 @@ def fit(
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
+    if output.suffix.lower() in IMAGE_SUFFIXES and not output.is_dir():
+        raise LiaamError(f"{output} is not a folder; several files are written, so give a folder with -o")
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
     fitter = Fitter(model, method, options, camera=camera, rotations=rotations)

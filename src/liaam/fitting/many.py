@@ -205,7 +205,7 @@ def _starts(init, n_images: int | None) -> Iterable:
     """Return an iterable over the starts of the images."""
     if init is None or _is_one_start(init):
         return repeat(init)
-    if not isinstance(init, Iterable):
+    if _is_path(init) or not isinstance(init, Iterable):
         raise StartError(f"init {init!r} is not valid; {_ONE_OR_EACH}")
     n_starts = _length(init)
     if n_images is not None and n_starts is not None and n_starts != n_images:

@@ -230,6 +230,8 @@ def _header_of(file: Any, path: Path | str) -> _Header:
     try:
         kind = _kind_of(file.read(16))
         if kind is None:
+            if str(path).endswith(".liaam"):
+                raise ImageError(f"{path} is a model, not an image: give one model first, and then images.")
             raise ImageError(
                 f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: open it in an image program and save it as "
                 "PNG."
