@@ -79,7 +79,7 @@ def fit(
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
-    if output.suffix.lower() in IMAGE_SUFFIXES and not output.is_dir():
+    if output.suffix.lower() in IMAGE_SUFFIXES and not output.exists():
         raise LiaamError(f"{output} is not a folder; several files are written, so give a folder with -o")
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
