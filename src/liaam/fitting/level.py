@@ -10,7 +10,7 @@ of pixel i.
 
 from collections.abc import Callable, Mapping
 from math import prod
-from typing import Annotated, Any, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_args
 
 from liaam.kernels.fields import Bool1, Double1, Double2, Double3, Int1, Single1, Single2, Single3
 from liaam.model.warp import Mesh
@@ -286,7 +286,7 @@ def work_shapes(sizes: Mapping[str, int]) -> dict[str, tuple[str, tuple[int, ...
     """Return type and shape of each array of :class:`Work` whose annotation declares its shape."""
     sizes = {"BLOCK": BLOCK, "PLANE": PLANE, "ROTATIONS": ROTATIONS, **sizes}
     found = {}
-    for name, hint in get_type_hints(Work, include_extras=True).items():
+    for name, hint in Work.__annotations__.items():
         _, dtype, _, *shape = get_args(hint)
         if shape:
             found[name] = dtype, tuple(_size(axis, sizes) for axis in shape[0].split(", "))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from liaam.errors import ImageError, LiaamError
-from liaam.io.files import real_path
+from liaam.io.files import may_write_in, real_path
 from liaam.studio.safety import Refusal
 
 STATE = ".liaam-studio"
@@ -84,7 +84,7 @@ def checked_folder(folder: str | os.PathLike[str]) -> Path:
             pass
     except OSError as fault:
         raise ImageError(f"{folder} cannot be read ({fault.strerror or fault}): check the rights on it.") from fault
-    if not os.access(folder, os.W_OK | os.X_OK):
+    if not may_write_in(folder):
         raise ImageError(f"{folder} cannot be written to: check the rights on it; landmarks are saved beside pictures.")
     return real_path(folder)
 
