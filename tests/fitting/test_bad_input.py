@@ -79,6 +79,11 @@ def test_black_and_white_pictures_give_a_status(model, start, method, dtype, lev
     assert np.isfinite(result.landmarks).all()
 
 
+def test_values_of_twelve_bits_in_sixteen_are_refused(model, lit_scene, start):
+    with pytest.raises(ImageError, match=r"portrait: its 16-bit values reach only .* multiply it by 16"):
+        Fitter(model).fit((lit_scene.image * 4095).astype(np.uint16), start, name="portrait")
+
+
 @pytest.mark.parametrize("method", ["li", "rgb"])
 def test_a_picture_of_one_colour_has_no_texture(model, start, method):
     image = np.broadcast_to(np.array([90, 120, 60], np.uint8), (240, 180, 3))

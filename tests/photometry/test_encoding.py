@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from liaam.errors import ImageError, MethodError
 from liaam.photometry import ENCODINGS, encode, encoding, exposure_faults, invariant, is_grey, srgb_to_linear
-from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour, value_luminance
+from liaam.photometry.encoding import LOG_FLOOR, SOFTNESS, as_colour, refuse_unscaled, value_luminance
 from liaam.training import sample_appearance
 
 
@@ -186,6 +186,20 @@ def test_no_usable_level_lies_on_the_floor_of_the_logarithm(response):
     levels = np.repeat(np.arange(8, 251, dtype=np.uint8)[:, None, None], 3, axis=2)
     logs = encode(np.repeat(levels, 8, axis=1), "log", response)[:, 0, 0]
     assert (np.diff(logs) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("largest", "remedy"),
+    [(200, "convert it to uint8"), (1023, "multiply it by 64"), (4095, "multiply it by 16")],
+)
+def test_16_bit_values_that_are_not_scaled_are_refused(rng, largest, remedy):
+    image = rng.integers(0, largest, (300, 20, 3), dtype=np.uint16)
+    image[7, 7, 1] = largest
+    with pytest.raises(ImageError, match=f"cat: its 16-bit values reach only {largest} of 65535, .*{remedy}"):
+        refuse_unscaled(image, "cat")
+    image[11, 11, 1] = 4096
+    for other in (image, image // 4096 * 0, image.astype(np.float32) / 65535, (image // 257).astype(np.uint8)):
+        refuse_unscaled(other, "cat")
 
 
 def test_floats_that_count_to_255_are_refused():

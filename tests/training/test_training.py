@@ -234,6 +234,12 @@ def test_an_unexposed_image_is_refused_by_name(pairs):
     refused(pairs, "image 2: the object is almost completely black")
 
 
+def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):
+    pairs[1] = ((pairs[1][0] * 4095).astype(np.uint16), pairs[1][1])
+    with pytest.raises(ImageError, match=r"image 2: its 16-bit values reach only .* multiply it by 16"):
+        train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0)
+
+
 def test_an_overexposed_image_is_refused_by_name(pairs):
     pairs[1][0][:] = 1.0
     refused(pairs, "image 2: the object is almost completely saturated")

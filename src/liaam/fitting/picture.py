@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.errors import ImageError
-from liaam.photometry.encoding import as_colour
+from liaam.photometry.encoding import as_colour, refuse_unscaled
 
 
 def load_picture(image, name: str) -> tuple[np.ndarray, str]:
@@ -14,11 +14,14 @@ def load_picture(image, name: str) -> tuple[np.ndarray, str]:
     if not isinstance(image, (str, os.PathLike)):
         if np.ndim(image) < 2:
             raise ImageError(f"{name}: {described(image)} is not an image; give a path, or an array (height, width, 3)")
-        return as_colour(image, name), name
-    from liaam.io import read_image
+    else:
+        from liaam.io import read_image
 
-    path = Path(image)
-    return as_colour(read_image(path), path.name), path.name
+        path = Path(image)
+        image, name = read_image(path), path.name
+    picture = as_colour(image, name)
+    refuse_unscaled(picture, name)
+    return picture, name
 
 
 def described(given: object) -> str:

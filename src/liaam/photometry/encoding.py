@@ -116,6 +116,20 @@ def is_grey(image: np.ndarray) -> bool:
     return bool(np.isfinite(image).any())  # an image of NaN only is not grey
 
 
+def refuse_unscaled(image: np.ndarray, name: str) -> None:
+    """Raise an error if 16-bit values (h, w, c) are those of fewer bits, as scientific cameras often store them."""
+    if image.dtype != np.uint16 or image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)].max() > 4095:
+        return
+    largest = int(image.max())
+    bits = next((bits for bits in (8, 10, 12) if 0 < largest < 2**bits), None)
+    if bits is not None:
+        remedy = "convert it to uint8" if bits == 8 else f"multiply it by {2 ** (16 - bits)}"
+        raise ImageError(
+            f"{name}: its 16-bit values reach only {largest} of 65535, which is almost black; if they are {bits}-bit "
+            f"values, {remedy}"
+        )
+
+
 def refuse_grey(image: np.ndarray, name: str, need: str, error: type[LiaamError] = ImageError) -> None:
     """Raise an error if an image is grey; ``need`` is the reason in the message."""
     if is_grey(image):

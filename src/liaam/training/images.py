@@ -12,7 +12,7 @@ from liaam.io.files import some_names
 from liaam.model.shape import diagonal_of
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import exposure_faults, is_grey
-from liaam.photometry.encoding import as_colour
+from liaam.photometry.encoding import as_colour, refuse_unscaled
 from liaam.training.entries import Entry
 from liaam.workers import in_threads
 
@@ -77,6 +77,7 @@ def _look(warp: PiecewiseAffineWarp, entry: Entry) -> tuple[bool, str, str, str]
     """Whether an image is grey, and its faults (empty if there are none): damage, landmarks outside, and exposure."""
     try:
         image = as_colour(entry.read_image(), entry.name)
+        refuse_unscaled(image, entry.name)
     except ImageError as fault:
         return False, str(fault), "", ""
     points = warp.interpolate(entry.points)
