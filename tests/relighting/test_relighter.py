@@ -9,6 +9,7 @@ from experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, seam, tr
 from liaam.datasets.scenes import Head
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
+from liaam.io import write_image
 from liaam.model.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Lamp, Relighter
 from liaam.relighting.extrapolation import around, continued
@@ -218,6 +219,18 @@ def test_pictures_of_all_kinds(head, taken_apart, kind, rng):
     assert np.isfinite(relighter.log_flat).all()
     if kind in ("uint16", "float"):
         assert np.abs(relighter.flat().astype(int) - taken_apart.flat()).mean() < 2
+
+
+def test_a_picture_may_be_a_file(head, taken_apart, tmp_path):
+    model, pair = head
+    write_image(tmp_path / "face.png", pair.lit.image)
+    fitter = Fitter(model)
+    result = fitter.fit(tmp_path / "face.png", taken_apart.shape)
+    relighter = Relighter.of(fitter, tmp_path / "face.png", result)
+    np.testing.assert_array_equal(relighter.flat(), Relighter.of(fitter, pair.lit.image, result).flat())
+    write_image(tmp_path / "grey.png", pair.lit.image[..., :1].repeat(3, axis=2))
+    with pytest.raises(MethodError, match=r"^grey\.png"):
+        Relighter.of(fitter, tmp_path / "grey.png", result)
 
 
 # Parts

@@ -7,8 +7,9 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import correlated_pixels
-from liaam.photometry.encoding import as_colour, refuse_grey
+from liaam.photometry.encoding import refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
 """Lower bound on a residual's variance: rounding to 8 bits of the logarithm of the brightest pixel. Without it, fits of
@@ -39,7 +40,7 @@ class ShadowFree:
     light: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0) -> ShadowFree:
+def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) -> ShadowFree:
     """Compute the appearance under the training light from a fit to an image under another light (paper eq 11).
 
     The coordinates maximise the posterior of the fit's residual and the Gaussian prior N(0, eigenvalue) of training.
@@ -50,7 +51,7 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     fitter : Fitter
         The fitter of ``result``. Its method must be ``soft-li``, or compare logarithms with the model's ``log``
         appearance.
-    image : (h, w, 3) array
+    image : (h, w, 3) uint8, uint16 or float array, or path
         The fitted image.
     result : FitResult
     prior : float
@@ -68,7 +69,8 @@ def shadow_free(fitter: Fitter, image: np.ndarray, result: FitResult, prior: flo
     check_method(fitter, result)
     method = fitter.objectives[-1].method
     if method.appearance == "soft":  # use the invariant alone, as 'li' does
-        refuse_grey(as_colour(image), "image", "the appearance without shadows is computed from colours", MethodError)
+        image, name = load_picture(image, "image")
+        refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
         fitter, result = _by_invariant(fitter), replace(result, theta=np.nan)
     solution, known = fitter.solution_at(image, result)[1], fitter.view.levels[-1].appearances["log"]
     work, n, eigenvalues = solution.work, known.n_modes, known.eigenvalues

@@ -7,10 +7,11 @@ import numpy as np
 
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.picture import load_picture
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
-from liaam.photometry.encoding import DARK, as_colour, refuse_grey, stored_values
+from liaam.photometry.encoding import DARK, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.extrapolation import around, continued
@@ -75,23 +76,21 @@ class Relighter:
     normals: np.ndarray
 
     @classmethod
-    def of(
-        cls, fitter: Fitter, image: np.ndarray, result: FitResult, prior: float = 1.0, name: str = "image"
-    ) -> "Relighter":
+    def of(cls, fitter: Fitter, image, result: FitResult, prior: float = 1.0, name: str = "image") -> "Relighter":
         """Separate a fitted image into appearance and shading.
 
         Parameters
         ----------
         fitter : Fitter
             The fitter of ``result``. Its method is ``soft-li``, or compares logarithms with the ``log`` appearance.
-        image : (h, w, 3) uint8, uint16 or float array
+        image : (h, w, 3) uint8, uint16 or float array, or path
             The fitted image.
         result : FitResult
             If its shape lies outside the image or has diverged, the image is left unchanged.
         prior : float
             See :func:`shadow_free`.
         name : str
-            Name of the image in errors.
+            Name of the image in errors; for a path its file name is used.
 
         Raises
         ------
@@ -99,7 +98,7 @@ class Relighter:
             For a method without the log appearance, for the fitter of another method, and for a grey image.
         """
         check_method(fitter, result)
-        image, model = as_colour(image, name), fitter.model
+        (image, name), model = load_picture(image, name), fitter.model
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
         response = (fitter.camera or model.camera).response
         if not len(seen_triangles(image, result.landmarks, model)):
