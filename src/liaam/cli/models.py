@@ -123,9 +123,9 @@ def methods() -> None:
     from liaam.fitting.losses import LOSSES
     from liaam.fitting.methods import NOISE_SUFFIX
 
-    table = table_of("method", "compares", "description")
+    table = table_of("method", "compares")
     for method in METHODS.values():
-        table.add_row(method.name, f"{method.encoding}, {method.metric}", method.summary)
+        table.add_row(method.name, method.summary)
     show_table(table)
     say(
         f"For occlusion, add a robust loss to any method, as in grey+tukey: {', '.join(f'+{n}' for n in LOSSES)}. "

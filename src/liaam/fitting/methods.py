@@ -256,7 +256,7 @@ METHODS: dict[str, Method] = {
     for method in (
         Method(
             "soft-li",
-            "gradients of log brightness and the invariant, weighted by estimated variance; for any light",
+            "gradients of log brightness and of the invariant, by estimated variance; the default, for any light",
             "soft",
             "soft",
             "soft",
@@ -272,7 +272,7 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "li",
-            "light-invariant, image angle estimated (paper section 4)",
+            "light-invariant projection; estimates the image's angle (paper section 4)",
             "log",
             "log",
             "invariant",
@@ -281,16 +281,18 @@ METHODS: dict[str, Method] = {
         ),
         Method(
             "li-lit",
-            "as li, appearance learnt after the projection",
+            "as li, with an appearance learnt after the projection",
             "log",
             "invariant",
             "invariant",
             "image",
             step="scored",
         ),
-        Method("li-pc", "light-invariant, both cameras unknown", "log", "log", "invariant", "both", step="scored"),
         Method(
-            "li-pcs", "light-invariant, one unknown camera for both", "log", "log", "invariant", "shared", step="scored"
+            "li-pc", "as li; estimates the angles of both cameras", "log", "log", "invariant", "both", step="scored"
+        ),
+        Method(
+            "li-pcs", "as li-pc, with one angle for both cameras", "log", "log", "invariant", "shared", step="scored"
         ),
         Method(
             "chroma",
