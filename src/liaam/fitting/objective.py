@@ -1,5 +1,6 @@
 """The objective of a model, a method and a level: the model's side of the residual, and the calls of the loop."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -179,12 +180,12 @@ class Objective:
 
     def borrow(self, state: State, max_iterations: int) -> tuple[Work, Any]:
         """Return the arrays of a fit (see :meth:`work`), perhaps of an earlier fit, and their form for the kernel."""
-        try:
-            work, given = self._idle.pop()
-            if len(work.costs) > max_iterations:
-                return self._begin(work, state), given
-        except IndexError:  # another thread may have taken the last
-            pass
+        idle = None
+        with suppress(IndexError):  # there are none, or another thread has taken the last
+            idle = self._idle.pop()
+        if idle and len(idle[0].costs) > max_iterations:
+            work, given = idle
+            return self._begin(work, state), given
         work = self.work(state, max_iterations)
         return work, get_kernel(self.kernel).by_reference(work)
 
