@@ -64,7 +64,7 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Read the arguments of a command, and run it."""
-        with _plain_complaints():
+        with _plain_complaints(), _warnings_as_lines():
             return super().invoke(ctx)
 
 
@@ -145,10 +145,10 @@ def show_table(table: Table) -> None:
 
 
 @contextmanager
-def warnings_as_lines() -> Iterator[None]:
-    """Print warnings of liaam as lines on standard error."""
+def _warnings_as_lines() -> Iterator[None]:
+    """Print warnings as lines on standard error, without the line of code that gives them."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
+        warnings.simplefilter("default", UserWarning)
         warnings.showwarning = lambda message, *_, **__: complain(str(message))
         yield
 

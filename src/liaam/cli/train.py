@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,16 +11,21 @@ from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, read_folder
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
 from liaam.cli.models import count_copies, count_modes
-from liaam.cli.terminal import complain, progress_bar, say, warnings_as_lines
+from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
 from liaam.io.atomic import check_output
+
+if TYPE_CHECKING:
+    from liaam.lamps import Lamps
+    from liaam.model import AAM
+    from liaam.photometry import CameraModel
 
 MODEL_SUFFIX = ".liaam"
 """Suffix of files that may be replaced by a model."""
 
 AUTO = "auto"
-LAMP_WORDS = {AUTO: AUTO, "none": None}
+LAMP_WORDS: dict[str, Literal["auto"] | None] = {AUTO: AUTO, "none": None}
 """Values of --lamps that are neither a file nor a folder."""
 
 
@@ -94,7 +99,6 @@ def train(
 
     Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one .tps, dlib .xml, COCO .json or .csv for all.
     """
-    from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.training import train as train_model
 
     if theta is not None and not 60 <= theta <= 180:
@@ -103,17 +107,7 @@ def train(
         "variance": parse_variance(variance),
         "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
     }
-    check_output(output)
-    if output.exists() and output.suffix.lower() != MODEL_SUFFIX:
-        raise LiaamError(
-            f"{output} exists and is not a {MODEL_SUFFIX} file, so it is kept; give another name for the model, such "
-            f"as {folder.resolve().name}{MODEL_SUFFIX}"
-        )
-    if output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, LAMPS_SUFFIX}:
-        raise LiaamError(
-            f"{output}: a model ends in {MODEL_SUFFIX}, not in {output.suffix}; give a name such as "
-            f"{output.with_suffix(MODEL_SUFFIX)}"
-        )
+    check_model_name(output, folder)
     if training_lamp is not None and not lamps.is_dir():
         raise LiaamError(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
@@ -123,14 +117,9 @@ def train(
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
-    if str(lamps) in LAMP_WORDS:
-        light = LAMP_WORDS[str(lamps)]
-    elif not lamps.exists():
-        raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
-    else:
-        light = read_lamps(lamps, training_lamp, recursive, camera.response)
+    light = parse_lamps(lamps, training_lamp, recursive, camera)
     warn_of_faults(data, folder)
-    with progress_bar(counted=False) as progress, warnings_as_lines():
+    with progress_bar(counted=False) as progress:
         model = train_model(
             data,
             camera=camera,
@@ -145,6 +134,39 @@ def train(
             **options,
         )
     model.save(output)
+    report(model, output, light, leave_out)
+
+
+def check_model_name(output: Path, folder: Path) -> None:
+    """Raise if no model can, or should, be written to this file."""
+    check_output(output)
+    if output.exists() and output.suffix.lower() != MODEL_SUFFIX:
+        raise LiaamError(
+            f"{output} exists and is not a {MODEL_SUFFIX} file, so it is kept; give another name for the model, such "
+            f"as {folder.resolve().name}{MODEL_SUFFIX}"
+        )
+    if output.suffix.lower() in {*IMAGE_SUFFIXES, *LANDMARK_SUFFIXES, LAMPS_SUFFIX}:
+        raise LiaamError(
+            f"{output}: a model ends in {MODEL_SUFFIX}, not in {output.suffix}; give a name such as "
+            f"{output.with_suffix(MODEL_SUFFIX)}"
+        )
+
+
+def parse_lamps(
+    lamps: Path, training_lamp: str | None, recursive: bool, camera: "CameraModel"
+) -> "Lamps | Literal['auto'] | None":
+    """Return the lamps that --lamps names or, if it is a folder, those learnt from its images."""
+    if str(lamps) in LAMP_WORDS:
+        return LAMP_WORDS[str(lamps)]
+    if not lamps.exists():
+        raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
+    return read_lamps(lamps, training_lamp, recursive, camera.response)
+
+
+def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", leave_out: bool) -> None:
+    """Print what was trained, and how accurate its fits can be."""
+    from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+
     modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
     say(f"{output}: trained on {model.n_images} images{count_copies(model)}; {modes}")
     if not len(model.shape_model.modes):

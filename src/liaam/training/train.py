@@ -116,13 +116,9 @@ def train(
         check_fold(entry, model.frame)
 
     encoder = None if features is None else encoder_of(features, checked, mean, camera)
-    symmetric, each = mirror_order(mean), options.n_copies
-    lit = _lamps(lamps, training_lamp, checked, mean, camera) if each else None
-    copied = Copies.of(lit, len(entries), each, symmetric if each else None)
-    blurs, kept = options.blurs_by_view, options.appearance_variances
-    if copied.order is not None:
-        warp, blur = model.views[SURROUNDINGS].warp, float(blurs[SURROUNDINGS][-1])
-        copied = replace(copied, offset=sideways_offset(checked, copied.order, warp, camera, blur))
+    lit = _lamps(lamps, training_lamp, checked, mean, camera) if options.n_copies else None
+    symmetric = mirror_order(mean)
+    copied = _copies(lit, symmetric, checked, model, options)
     if copied.offset:
         warnings.warn(describe_offset(copied.offset), stacklevel=2)
     model = replace(
@@ -133,9 +129,8 @@ def train(
         points=None if points is None else map_of_points(points, entries, mean),
         features=None if encoder is None else encoder.features,
     )
-    left_out = folds if options.leave_out else []
-    n_models, n_fitted = sum(map(len, blurs.values())) + len(left_out), sum(len(fitted_of(f, folds)) for f in left_out)
-    steps = Steps(progress, model.n_textures + learning_cost(model.n_textures) * n_models + FITTED * n_fitted)
+    blurs, kept = options.blurs_by_view, options.appearance_variances
+    steps = _steps(model, options, folds, progress)
     sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
     for view in VIEWS:
         levels = []
@@ -151,6 +146,27 @@ def train(
         model = model.with_view(default, reliability=reliability)
     steps.next("trained", 0)
     return model
+
+
+def _copies(
+    lit: Lamps | None, symmetric: np.ndarray | None, entries: list[Entry], model: AAM, options: TrainingOptions
+) -> Copies:
+    """Return which copies of the images are made, and by how much the landmarks of mirrored ones are moved."""
+    each = options.n_copies
+    copied = Copies.of(lit, len(entries), each, symmetric if each else None)
+    if copied.order is None:
+        return copied
+    warp, blur = model.views[SURROUNDINGS].warp, float(options.blurs_by_view[SURROUNDINGS][-1])
+    return replace(copied, offset=sideways_offset(entries, copied.order, warp, model.camera, blur))
+
+
+def _steps(model: AAM, options: TrainingOptions, folds: list, progress: Progress | None) -> Steps:
+    """Return the steps of training from its images on: sampling, learning, and fitting what is left out."""
+    left_out = folds if options.leave_out else []
+    n_models = sum(map(len, options.blurs_by_view.values())) + len(left_out)
+    n_fitted = sum(len(fitted_of(fold, folds)) for fold in left_out)
+    total = model.n_textures + learning_cost(model.n_textures) * n_models + FITTED * n_fitted
+    return Steps(progress, total)
 
 
 def _lamps(
