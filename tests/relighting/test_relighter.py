@@ -11,7 +11,7 @@ from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
 from liaam.io import write_image
 from liaam.model.mesh import ReferenceFrame, delaunay
-from liaam.relighting import Lamp, Relighter
+from liaam.relighting import Lamp, Relighter, extrapolation
 from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
@@ -343,7 +343,7 @@ def test_a_shadows_edge_along_the_border_is_told_from_paint(rng, noise):
     np.testing.assert_array_equal(found <= shadow[inside].max(axis=0) + 1e-6, True)
 
 
-@pytest.mark.parametrize("reach", [1.0, 3.0, 40.0])
+@pytest.mark.parametrize("reach", [1.0, 3.0, 40.0, 70.0, 200.0])
 def test_a_change_that_is_the_same_everywhere_goes_on_as_it_is(rng, reach):
     inside = np.zeros((90, 70), bool)
     inside[30:60, 20:50] = True
@@ -353,6 +353,19 @@ def test_a_change_that_is_the_same_everywhere_goes_on_as_it_is(rng, reach):
     near[29:61, 19:51] = True
     found = continued(change, inside, own, reach)
     np.testing.assert_allclose(found[near], np.broadcast_to([0.3, -0.2, 0.1], found[near].shape), atol=1e-5)
+
+
+def test_large_objects_are_extrapolated_at_a_lower_resolution(rng, monkeypatch):
+    y, x = np.mgrid[:300, :240]
+    inside = (np.square(x - 120) + np.square(y - 150) < 70**2)[..., None].astype(np.float32)
+    values = inside * np.dstack([x / 240, y / 300, 1 + 0 * x]).astype(np.float32)
+    own = np.where(x[..., None] < 200, -1.0, -2.5) + rng.normal(0, 0.02, (300, 240, 3))  # a wall beside the object
+    few, share_of_few = around(values, inside, own.astype(np.float32), 60.0)
+    monkeypatch.setattr(extrapolation, "LARGEST", np.inf)
+    found, share = around(values, inside, own.astype(np.float32), 60.0)
+    assert 0.05 < share[..., 0].mean() < 0.95 and share[150, 230] < 0.05
+    assert np.abs(share_of_few - share).mean() < 0.01
+    assert np.abs(share * (few - found)).mean() < 0.005
 
 
 def test_nothing_inside_changes_nothing():

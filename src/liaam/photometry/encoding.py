@@ -138,8 +138,11 @@ def refuse_grey(image: np.ndarray, name: str, need: str, error: type[LiaamError]
 
 def stored_values(image: np.ndarray, dtype: type = np.float32) -> np.ndarray:
     """Convert stored values to finite floats from 0 to 1; integers are divided by their type's maximum."""
-    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
-    return np.nan_to_num(image.astype(dtype) / dtype(top))
+    values = image.astype(dtype)
+    if image.dtype.kind != "u":
+        return np.nan_to_num(values, copy=False)
+    values /= dtype(np.iinfo(image.dtype).max)
+    return values
 
 
 def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:

@@ -7,8 +7,7 @@ import numba
 import numpy as np
 
 from liaam.photometry import Response, from_linear
-from liaam.photometry.encoding import stored_values
-from liaam.relighting.painting import box_around, log_light
+from liaam.relighting.painting import as_eight_bit, box_around, log_light
 
 _njit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
@@ -48,7 +47,7 @@ def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: f
     -------
     (h, w, 3) uint8
     """
-    picture = image.copy() if image.dtype == np.uint8 else np.rint(255 * stored_values(image)).astype(np.uint8)
+    picture = as_eight_bit(image)
     box = box_around(painted[..., 3] > 0, FARTHEST * reach + 2)
     painted = np.ascontiguousarray(painted[box])
     if not painted.size:

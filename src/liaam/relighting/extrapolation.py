@@ -19,6 +19,9 @@ LEAST_SHARE = 1e-3
 BLUR_OWN = 1.0
 """Standard deviation of the Gaussian that denoises the image before colours are compared, pixels."""
 
+LARGEST = 30.0
+"""Reach in pixels that is enough. From twice as much, of objects of 1500 pixels, resolutions are lower accordingly."""
+
 NEAREST, FINEST = 1.0, 0.1
 """Finest scale of the diffusion across the mesh's border: at least this many pixels, and reaches."""
 
@@ -63,6 +66,12 @@ def around(
     """
     import cv2
 
+    (height, width), step = own.shape[:2], _step_of(reach)
+    if step > 1:
+        size, lightened = _fewer(own, step), np.broadcast_to(np.float32(lightened), weights.shape)
+        values, own, lightened = (_resized(layers, size) for layers in (values, own, lightened))
+        found, share = around(values, _whole(weights, size), own, reach / step, lightened > 0.5)
+        return _resized(found, (width, height)), _resized(share, (width, height))
     c, seen = values.shape[2], cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
     layers = np.concatenate([weights * values, weights * own, weights], axis=2)
     means = _diffused(layers, seen, reach)
@@ -91,19 +100,42 @@ def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: fl
 
     if not inside.any():
         return np.zeros_like(change)
-    (height, width), seen = inside.shape, cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
-    step = max(1, int(WINDOWS[-1] * reach / SMOOTH))
+    height, width = inside.shape
+    size = _fewer(inside, _step_of(reach))
+    known = _whole(inside[..., None].astype(np.float32), size)
+    found = _learnt(_resized(change, size), known, _resized(own, size), reach / _step_of(reach))
+    predicted = _resized(found[..., :3], (width, height))
+    seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
+    for i in range(3):
+        predicted += seen[..., i : i + 1] * _resized(found[..., 3 * i + 3 : 3 * i + 6], (width, height))
+    return np.clip(predicted, change[inside].min(axis=0), change[inside].max(axis=0))
+
+
+def _step_of(reach: float) -> int:
+    """Return by how much images are reduced before values are extrapolated to a reach in pixels."""
+    return max(1, int(reach / LARGEST))
+
+
+def _whole(weights: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Reduce weights of 0 and 1 (h, w, 1) to (width, height): 1 where all pixels have weight 1, else 0."""
+    return (_resized(weights, size) > 0.999).astype(np.float32)
+
+
+def _learnt(change: np.ndarray, known: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
+    """Learn affine functions of the image's log light (h, w, 12), at a lower resolution; see :func:`continued`."""
+    import cv2
+
+    seen, step = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), max(1, int(WINDOWS[-1] * reach / SMOOTH))
+    weighted, size = seen * known, _fewer(seen, step)
     # Products at full resolution, summed at a lower one.
-    parts = [seen, change, *(seen[..., i:] * seen[..., i : i + 1] for i in range(3))]
-    parts += [change * seen[..., i : i + 1] for i in range(3)] + [np.ones_like(seen[..., :1])]
-    sums = _resized(np.concatenate(parts, axis=2) * inside[..., None], _fewer(inside, step))
+    factors = [seen, seen[..., 1:], seen[..., 2:], change, change, change]
+    products = (factor * weighted[..., i % 3, None] for i, factor in enumerate(factors))
+    sums = np.dstack([_resized(part, size) for part in (weighted, change * known, *products, known)])
     found = np.zeros(1, np.float32)
     for i, window in enumerate(WINDOWS):
-        affine, known = _affine_in_windows(sums, max(window * reach, NEAREST) / step)
-        found = affine if i == 0 else found + _smoothstep(2.0 * known) * (affine - found)
-    layers = _resized(found, (width, height))
-    predicted = layers[..., :3] + sum(seen[..., i : i + 1] * layers[..., 3 * i + 3 : 3 * i + 6] for i in range(3))
-    return np.clip(predicted, change[inside].min(axis=0), change[inside].max(axis=0))
+        affine, seen_share = _affine_in_windows(sums, max(window * reach, NEAREST) / step)
+        found = affine if i == 0 else found + _smoothstep(2.0 * seen_share) * (affine - found)
+    return found
 
 
 def _affine_in_windows(sums: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,7 @@
 """Warping from the model's reference frame to an image, and blending at the mesh's border."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from liaam.kernels.bilinear import sample
@@ -103,19 +105,27 @@ def without_shading(
 
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:
     """Return the logarithm of linear light, (h, w, 3) float32, of stored values; black counts as half a step."""
-    if image.dtype == np.uint8:  # a table is faster
-        return _log_light(np.arange(256, dtype=np.uint8), response)[image]
-    return _log_light(image, response)
-
-
-def _log_light(image: np.ndarray, response: Response) -> np.ndarray:
     floor = 0.5 * float(to_linear(np.array(1 / 255), response))
-    return np.log(np.maximum(to_linear(stored_values(image), response), floor)).astype(np.float32)
+    return of_stored(lambda stored: np.log(np.maximum(to_linear(stored, response), floor)), image)
+
+
+def of_stored(function: Callable[[np.ndarray], np.ndarray], image: np.ndarray) -> np.ndarray:
+    """Apply a function to the stored values in [0, 1] of an image (any shape), by a table where that is faster."""
+    if image.dtype != np.uint8:
+        return function(stored_values(image)).astype(np.float32)
+    return function(stored_values(np.arange(256, dtype=np.uint8))).astype(np.float32)[image]
 
 
 def eight_bits(log_rgb: np.ndarray, response: Response) -> np.ndarray:
     """Convert logarithms of light to stored values (h, w, 3) uint8, clipped at white."""
     return np.rint(255 * np.clip(from_linear(np.exp(log_rgb), response), 0.0, 1.0)).astype(np.uint8)
+
+
+def as_eight_bit(image: np.ndarray) -> np.ndarray:
+    """Convert an image to uint8; return a copy of one that is."""
+    if image.dtype == np.uint8:
+        return image.copy()
+    return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
 
 
 def soft_edge(model: AAM) -> np.ndarray:
@@ -135,3 +145,10 @@ def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
     seen, grown = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)], round(margin)
     rows, columns = (slice(max(0, int(at[0]) - grown), int(at[-1]) + 1 + grown) for at in seen)
     return rows, columns
+
+
+def box_of(shape: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the rows and columns of landmarks (n, 2) plus a margin, in an image of a size (height, width, ...)."""
+    left, top = np.floor(shape.min(axis=0) - margin).astype(int).tolist()
+    right, bottom = np.ceil(shape.max(axis=0) + margin).astype(int).tolist()
+    return slice(max(top, 0), min(bottom + 1, size[0])), slice(max(left, 0), min(right + 1, size[1]))

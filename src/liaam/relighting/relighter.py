@@ -18,9 +18,18 @@ from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
 from liaam.relighting.lamplight import light_on_image, lit_frame, square_around
-from liaam.relighting.painting import REACH, box_around, eight_bits, log_light, paint, seen_triangles
+from liaam.relighting.painting import (
+    REACH,
+    as_eight_bit,
+    box_of,
+    eight_bits,
+    log_light,
+    of_stored,
+    paint,
+    seen_triangles,
+)
 from liaam.relighting.relief import normals_of
-from liaam.relighting.shading import Seen, Shading, find_shading, noise_variance
+from liaam.relighting.shading import Seen, Shading, find_shading, stored_noise
 
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
@@ -171,12 +180,12 @@ class Relighter:
             raise LiaamError("the two images were fitted with different models; fit both with the same model")
         light = other.appearance.light
         rest = other.frame_shading.log - lit_frame(self.model, light)
-        values, inside = paint(self.picture, self.shape, self.model, rest.astype(np.float32))
-        weights = inside[self.box][..., None].astype(np.float32)
-        if not weights.size:
+        if not self.inside.size:
             return self.picture.copy()
-        nearby, _ = around(values[self.box], weights, self.log_flat, reach_of(self.shape))
-        shading = self.share * np.where(weights > 0, values[self.box], nearby)
+        values, inside = _painted(self.picture, self.box, self.shape, self.model, rest.astype(np.float32))
+        weights = inside[..., None].astype(np.float32)
+        nearby, _ = around(values, weights, self.log_flat, reach_of(self.shape))
+        shading = self.share * np.where(weights > 0, values, nearby)
         shading += light_on_image(self.model, light, self.shape, self.box, self.inside.shape)
         return self._with(self.log_flat + shading, np.abs(shading).max(axis=2) > 0)
 
@@ -207,19 +216,20 @@ def _separated(
     appearance, log_rgb = appearance_in_light(model, seen, start, prior)
     shading = find_shading(model, seen, log_rgb, appearance.light)
     layers = (log_rgb, shading.log, shading.model_variance, shading.variance, normals_of(model.frame))
-    painted, inside = paint(image, shape, model, np.column_stack(layers).astype(np.float32))
-    if not inside.any():
-        return _unchanged(model, image, shape, response)
     light = appearance.light
     if model.light is None or not len(light):
-        box = box_around(inside, 4 * reach_of(shape))
+        box = box_of(shape, 4 * reach_of(shape), image.shape)
     else:
-        box = square_around(model.light, shape, inside.shape)
-    painted, inside = painted[box], inside[box]
+        box = square_around(model.light, shape, image.shape)
+    painted, inside = _painted(image, box, shape, model, np.column_stack(layers).astype(np.float32))
+    if not inside.any():
+        return _unchanged(model, image, shape, response)
     log_model, log_smooth, normals = painted[..., :3], painted[..., 3:6], painted[..., 8:]
     own = log_light(image[box], response)
     # The image's own detail, shrunk by the variances of model and image.
-    variance = noise_variance(own, response, noise_deviation(image)) + painted[..., 7:8]
+    deviation = noise_deviation(image)
+    noise = of_stored(lambda stored: stored_noise(stored, response, deviation), image[box])
+    variance = noise + painted[..., 7:8]
     detail = (own - log_model - log_smooth) * painted[..., 6:7] / np.maximum(painted[..., 6:7] + variance, 1e-12)
     detail = of_dark_channels(detail, stored_values(image[box]) <= DARK)
     weights = inside[..., None].astype(np.float32)
@@ -237,7 +247,7 @@ def _separated(
         model=model,
         shape=shape,
         response=response,
-        picture=eight_bit(image),
+        picture=as_eight_bit(image),
         appearance=appearance,
         frame_shading=shading,
         box=box,
@@ -267,6 +277,13 @@ def of_dark_channels(detail: np.ndarray, dark: np.ndarray) -> np.ndarray:
     return np.where(dark, (detail * known).sum(axis=2, keepdims=True) / counts, detail)
 
 
+def _painted(
+    image: np.ndarray, box: tuple[slice, slice], shape: np.ndarray, model: AAM, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what :func:`paint` gives within a box of the image."""
+    return paint(image[box], shape - (box[1].start, box[0].start), model, values)
+
+
 def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
     """Return a relighter that leaves the image unchanged, for fits outside it or diverged."""
     known = model.levels[-1].appearances["log"]
@@ -277,7 +294,7 @@ def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respo
         model,
         shape,
         response,
-        eight_bit(image),
+        as_eight_bit(image),
         appearance,
         shading,
         box,
@@ -287,8 +304,3 @@ def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respo
         share=none[..., :1],
         normals=none,
     )
-
-
-def eight_bit(image: np.ndarray) -> np.ndarray:
-    """Convert an image to (h, w, 3) uint8."""
-    return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)

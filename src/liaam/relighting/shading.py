@@ -100,8 +100,12 @@ def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
 
 def noise_variance(log_rgb: np.ndarray, response: Response, deviation: float) -> np.ndarray:
     """Return the variance of logarithms of light (any shape), given the noise deviation of the stored values."""
-    stored = np.maximum(from_linear(np.exp(log_rgb), response), 0.5 / 255)
-    return np.square(deviation * log_slope(stored, response)).astype(np.float32)
+    return stored_noise(from_linear(np.exp(log_rgb), response), response, deviation).astype(np.float32)
+
+
+def stored_noise(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:
+    """Return the same from the stored values in [0, 1]."""
+    return np.square(deviation * log_slope(np.maximum(stored, 0.5 / 255), response))
 
 
 def piecewise_smooth(
