@@ -326,6 +326,10 @@ def test_fit_does_not_overwrite_a_persons_landmarks(run, portraits, model_file, 
     assert (tmp_path / "mine.pts").read_bytes() == before
     assert run(*arguments, "-o", tmp_path / "out")[0] == 0
     assert run(*arguments, "-o", tmp_path / "out")[0] == 0  # its own results may be renewed
+    write_landmarks(tmp_path / "out/mine.pts", read_landmarks(portraits[2]).points)
+    code, _, err = run(*arguments, "-o", tmp_path / "out")
+    assert code == 1
+    assert "mine.pts: its points were changed after the fit; give another folder" in err
 
 
 def test_train_does_not_overwrite_a_picture(run, portraits, tmp_path):

@@ -60,6 +60,20 @@ def test_a_folder_of_fits_counts_each_once(tmp_path: Path) -> None:
     assert read_specimens(tmp_path / "wing10.csv")[0].covariances is None
 
 
+@pytest.mark.parametrize("suffix", [".pts", ".csv", ".tps"])
+def test_landmarks_corrected_after_the_fit_are_measured(tmp_path: Path, suffix: str) -> None:
+    for stem in ("wing1", "wing2"):
+        add_fit(tmp_path, stem)
+    corrected = POINTS + np.array([[0, 0], [0, 0.5], [0, 0]])
+    write_landmarks(tmp_path / f"wing2{suffix}", Landmarks(corrected, image_name="wing2.png"), (30, 40))
+    said: list[str] = []
+    first, second = read_specimens(tmp_path, said.append)
+    assert said == [f"wing2: measured from wing2{suffix}, whose points were changed after the fit"]
+    assert_fit(first)
+    np.testing.assert_allclose(second.points - second.points[0], corrected - corrected[0])
+    assert (second.covariances, second.status) == (None, "")
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])
 @pytest.mark.parametrize("covariance", [True, False])
 def test_tables_of_batches(tmp_path: Path, suffix: str, covariance: bool) -> None:

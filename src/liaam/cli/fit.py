@@ -33,7 +33,7 @@ from liaam.io import (
     write_image,
     write_text_atomically,
 )
-from liaam.io.results import FIT_SUFFIXES
+from liaam.io.results import FIT_SUFFIXES, corrected_file, read_fit
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
 """Advice for an image with several objects, of which the best was fitted."""
@@ -201,8 +201,13 @@ def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: O
 
 
 def refuse_to_overwrite(output: Path, stem: str) -> None:
-    """Raise if a file that no earlier fit wrote would be overwritten, such as manual annotations."""
-    if (output / f"{stem}_fit.png").exists():  # results of an earlier fit may be replaced
+    """Raise if landmarks that no earlier fit wrote, or that were corrected since, would be overwritten."""
+    path = output / f"{stem}.json"
+    if fit := read_fit(path):  # results of an earlier fit may be replaced
+        if corrected := corrected_file(path, fit):
+            raise LiaamError(
+                f"{corrected}: its points were changed after the fit; give another folder with -o to keep them"
+            )
         return
     for suffix in FIT_SUFFIXES:
         if (output / f"{stem}{suffix}").exists():

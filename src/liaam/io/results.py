@@ -1,4 +1,4 @@
-"""Write fit results: landmarks as .pts, .csv and .tps, and all values as .json."""
+"""Fit results: landmarks as .pts, .csv and .tps, and all values as .json."""
 
 import json
 import math
@@ -7,10 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from liaam.io.atomic import write_text_atomically
-from liaam.io.landmarks import Landmarks, write_landmarks
+from liaam.io.files import json_object
+from liaam.io.landmarks import Landmarks, in_pixels, parse_landmark_file, write_landmarks
+from liaam.io.landmarks.base import read_text
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files of a fit."""
+
+ROUNDING, FARTHEST = 0.02, 1e6
+"""Difference in pixels below which points of two files are the same; coordinate from which they are not compared."""
 
 
 def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> list[Path]:
@@ -39,6 +44,36 @@ def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_
         write_landmarks(path, landmarks, image_size)
     write_text_atomically(paths[-1], fit_text(landmarks, facts))
     return paths
+
+
+def read_fit(path: Path) -> dict | None:
+    """Read the .json file of a fit; None if there is none, or if it is something else."""
+    content = json_object(read_text(path)) if path.is_file() else None
+    return content if content is not None and {"landmarks", "status"} <= content.keys() else None
+
+
+def corrected_file(path: Path, fit: dict) -> Path | None:
+    """Return the landmark file beside a fit's .json file that was changed since, the newest if there are several."""
+    fitted = np.array(fit["landmarks"] or [], np.float64).reshape(-1, 2)
+    files = [path.with_suffix(suffix) for suffix in FIT_SUFFIXES[:-1]]
+    changed = [file for file in files if file.is_file() and _differs(file, fitted)]
+    return max(changed, key=lambda file: file.stat().st_mtime, default=None)
+
+
+def _differs(file: Path, fitted: np.ndarray) -> bool:
+    """Return whether the points of a landmark file are not those of a fit (n, 2)."""
+    parsed = parse_landmark_file(file)
+    entries = [parsed] if isinstance(parsed, Landmarks) else list(parsed.values())
+    if len(entries) != 1 or len(entries[0].points) != len(fitted):
+        return True
+    # The height of the image is not known. It shifts the points of .tps.
+    by_height = file.suffix.lower() == ".tps"
+    points = in_pixels(file, entries[0], (1, 1) if by_height else None).points
+    known = np.isfinite(points).all(axis=1) & (np.abs(fitted) < FARTHEST).all(axis=1)
+    away = (points - fitted)[known]
+    if by_height and known.any():
+        away[:, 1] -= np.median(away[:, 1])
+    return bool((np.abs(away) > ROUNDING).any())
 
 
 def fit_text(landmarks: Landmarks, facts: dict) -> str:

@@ -14,9 +14,9 @@ import numpy as np
 
 from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
-from liaam.io.files import existing_file, json_object, natural_key
+from liaam.io.files import existing_file, natural_key
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
-from liaam.io.landmarks.base import read_text
+from liaam.io.results import corrected_file, read_fit
 
 _MOST = 1e9
 """Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""
@@ -92,6 +92,10 @@ def read_specimens(
     found: dict[str, Specimen] = {}
     for file in _chosen(path):
         try:
+            fit = read_fit(file) if file.suffix.lower() == ".json" else None
+            if fit and (corrected := corrected_file(file, fit)):
+                complain(f"{file.stem}: measured from {corrected.name}, whose points were changed after the fit")
+                file = corrected
             for specimen in _of_file(file):
                 found.setdefault(specimen.name, specimen)
         except LiaamError as fault:
@@ -115,10 +119,9 @@ def _chosen(folder: Path) -> list[Path]:
 
 
 def _of_file(path: Path) -> Iterator[Specimen]:
-    suffix = path.suffix.lower()
-    content = (json_object(read_text(path)) if suffix == ".json" else None) or {}
-    if {"landmarks", "status"} <= content.keys():  # other .json files hold landmarks only
-        yield _specimen(path, path.stem, content, content.get("landmark_covariances_px2"))
+    fit = read_fit(path) if path.suffix.lower() == ".json" else None
+    if fit:  # other .json files hold landmarks only
+        yield _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
     elif is_table(path):
         for row in read_rows(path):
             yield _specimen(path, PureWindowsPath(row["path"]).stem, row, row.get("covariance"))
