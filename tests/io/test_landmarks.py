@@ -19,6 +19,7 @@ from liaam.io import (
     read_collection,
     read_landmarks,
     write_collection,
+    write_image,
     write_landmarks,
 )
 from liaam.io.landmarks import parse_landmark_data
@@ -574,6 +575,19 @@ def test_read_collection_of_one_image_s_file(tmp_path: Path) -> None:
 def test_landmarks_are_validated(points: object, more: dict, words: str) -> None:
     with pytest.raises(LandmarkError, match=words):
         Landmarks(points, **more)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("names", [("T1.PNG", "T2.png"), ("t1", "t2"), ("C:\\scans\\t1.png", "T2")])
+def test_images_are_named_in_any_case_or_without_suffix(tmp_path: Path, names: tuple[str, str]) -> None:
+    for stem in ("t1", "t2", "t12"):
+        write_image(tmp_path / f"{stem}.png", np.zeros((20, 30, 3), np.uint8))
+    records = [f"LM=1\n{3 + i} 4\nIMAGE={name}\nID={i}\n" for i, name in enumerate(names)]
+    (tmp_path / "w.tps").write_text("".join(records))
+    assert list(read_collection(tmp_path / "w.tps")) == list(names)
+    second = read_landmarks(tmp_path / "w.tps", image_name="t2.png")
+    np.testing.assert_array_equal(second.points, [[4, 15]])
+    with pytest.raises(LandmarkError, match=r"no landmarks of t3\.png"):
+        read_landmarks(tmp_path / "w.tps", image_name="t3.png")
 
 
 def test_landmarks_are_a_frozen_copy() -> None:

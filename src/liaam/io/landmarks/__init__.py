@@ -5,7 +5,8 @@ describes the conversion.
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
@@ -14,6 +15,7 @@ import numpy as np
 from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
+from liaam.io.images import IMAGE_SUFFIXES
 from liaam.io.images import image_size as size_of
 from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem, tps
 from liaam.io.landmarks.base import Contour, Landmarks, decode_text, read_text
@@ -115,7 +117,7 @@ def read_landmarks(
     if isinstance(parsed, Landmarks):
         return in_pixels(path, parsed, image_size)
     if image_name is not None and len(parsed) > 1:
-        parsed = {name: own for name, own in parsed.items() if PureWindowsPath(name).name == image_name}
+        parsed = {name: parsed[name] for name in _named(image_name, parsed)}
         if not parsed:
             raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
     if len(parsed) > 1:
@@ -124,6 +126,24 @@ def read_landmarks(
             f"{path} holds the landmarks of {len(parsed)} images ({some} ...): use read_collection, or load its folder."
         )
     return in_pixels(path, next(iter(parsed.values())), image_size)
+
+
+def _places(folder: Path, image: str) -> Iterator[str]:
+    """Yield where in a folder the image of a landmark file's entry may be, the most likely first."""
+    yield image
+    yield PureWindowsPath(image).name
+    with suppress(OSError):
+        names = sorted(file.name for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+        yield from (name for name in names if _named(name, [image]))
+
+
+def _named(image: str, entries: Iterable[str | None]) -> list[str]:
+    """Return the entries of a file that name an image: its file name, or else in any case, or without suffix."""
+    names = {entry: PureWindowsPath(entry).name for entry in entries if entry}
+    alike = (image.casefold(), Path(image).stem.casefold())
+    return [entry for entry, name in names.items() if name == image] or [
+        entry for entry, name in names.items() if name.casefold() in alike
+    ]
 
 
 def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
@@ -181,11 +201,11 @@ def in_pixels(path: str | os.PathLike[str], landmarks: Landmarks, image_size: Si
 def _size_beside(path: Path, image: str | None) -> Size:
     """Return the size of the image that a landmark file names, perhaps by its path on another computer."""
     fault = ""
-    for place in (image, PureWindowsPath(image).name) if image else ():
+    for place in _places(path.parent, image) if image else ():
         try:
             return size_of(path.parent / place)
         except ImageError as error:
-            fault = f" ({error})"
+            fault = fault or f" ({error})"
     raise LandmarkError(
         f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, height) in "
         "pixels."
