@@ -1,6 +1,7 @@
 """Imports run downwards only, no module imports itself through others, and heavy imports wait until they are needed."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ LAYERS = (
     ("photometry",),
     ("io",),
     ("drawing", "evaluation", "progress", "workers"),
-    ("kernels",),
+    ("kernels", "lazy"),
     ("errors",),
 )
 """Packages and modules of liaam from high to low. Those of one row do not import each other in a circle."""
@@ -100,6 +101,13 @@ def test_no_package_imports_itself_through_others():
         units = {unit_of(name) for name in imports(module) if name != "liaam"}
         graph.setdefault(unit_of(module), set()).update(units - {unit_of(module)})
     TopologicalSorter(graph).prepare()  # raises CycleError
+
+
+def test_all_names_of_the_reference_are_there_after_importing_liaam():
+    text = (SOURCE.parents[1] / "docs/reference/api.rst").read_text()
+    names = re.findall(r"^   ([\w.]+)$", text, re.MULTILINE)
+    assert len(names) > 100
+    loaded_by(f"import liaam, operator; [operator.attrgetter(name)(liaam) for name in {names}]")
 
 
 HEAVY = ("numpy", "numba", "scipy", "cv2", "matplotlib", "PIL", "typer", "safetensors", "rich", "av")

@@ -7,24 +7,54 @@ other. The public names below load on first use, so that ``import liaam`` is qui
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam import (
-        batch,
-        calibration,
-        datasets,
-        errors,
-        evaluation,
-        fitting,
-        io,
-        lamps,
-        model,
-        morphometry,
-        photometry,
-        plotting,
-        registration,
-        relighting,
-        tracking,
-        training,
+        batch as batch,
+    )
+    from liaam import (
+        calibration as calibration,
+    )
+    from liaam import (
+        datasets as datasets,
+    )
+    from liaam import (
+        errors as errors,
+    )
+    from liaam import (
+        evaluation as evaluation,
+    )
+    from liaam import (
+        fitting as fitting,
+    )
+    from liaam import (
+        io as io,
+    )
+    from liaam import (
+        lamps as lamps,
+    )
+    from liaam import (
+        model as model,
+    )
+    from liaam import (
+        morphometry as morphometry,
+    )
+    from liaam import (
+        photometry as photometry,
+    )
+    from liaam import (
+        plotting as plotting,
+    )
+    from liaam import (
+        registration as registration,
+    )
+    from liaam import (
+        relighting as relighting,
+    )
+    from liaam import (
+        tracking as tracking,
+    )
+    from liaam import (
+        training as training,
     )
     from liaam.calibration import theta_from_chart, theta_from_scene
     from liaam.datasets import Dataset, Sample, load_folder

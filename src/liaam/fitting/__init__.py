@@ -6,6 +6,7 @@ from liaam.fitting.methods import METHODS, Method, features_method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import Candidate, Finder, find
 from liaam.fitting.solver import SolverOptions
+from liaam.lazy import submodules
 
 __all__ = [
     "METHODS",
@@ -24,3 +25,5 @@ __all__ = [
     "fit_many",
     "get_method",
 ]
+
+__getattr__ = submodules(__name__, "bound")

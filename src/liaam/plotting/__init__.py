@@ -1,5 +1,6 @@
 """Overlays of fits on images, and figures of models, lamps, cameras and videos."""
 
+from liaam.lazy import submodules
 from liaam.plotting.figures import (
     figure_of_fits,
     figure_of_lamps,
@@ -24,3 +25,5 @@ __all__ = [
     "show_picture",
     "subplots",
 ]
+
+__getattr__ = submodules(__name__, "photometry", "video")
