@@ -344,10 +344,12 @@ def test_a_journal_of_other_pictures_gives_none_of_its_rows(world, half_done, kn
 # Videos ---------------------------------------------------------------------------------------------
 
 
-def test_a_video_that_cannot_be_finished_is_not_there(world, clip, run, tmp_path):
+def test_a_video_that_cannot_be_finished_is_not_there(world, clip, run, tmp_path, tmp_path_factory):
     """What an encoder still holds comes last: a disk that is full by then is no success."""
     target = tmp_path / "t.mp4"
-    line = ("track", world.model, clip, "-m", "grey", "--init", world.start, "--frames", 4, "--video", target)
+    table = tmp_path_factory.mktemp("track") / "t.csv"
+    options = ("-m", "grey", "--init", world.start, "--frames", 4, "-o", table, "--video", target)
+    line = ("track", world.model, clip, *options)
     assert run(*line)[0] == 0
     whole = target.read_bytes()
     for limit in (len(whole) - 1, len(whole) // 2, 40):

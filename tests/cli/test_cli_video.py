@@ -19,6 +19,12 @@ def model_file(head_model, tmp_path_factory):
     return path
 
 
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path, monkeypatch):
+    """Work where tracks without a name may be written."""
+    monkeypatch.chdir(tmp_path)
+
+
 def rows_of(path):
     return list(csv.DictReader(path.open()))
 
@@ -44,8 +50,7 @@ def test_all_outputs(run, model_file, clip, moving, tmp_path):
     assert fresh[0].shape == moving[0].image.shape
 
 
-def test_a_name_is_made_up_where_none_is_given(run, model_file, clip, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_name_is_made_up_where_none_is_given(run, model_file, clip, tmp_path):
     code, out, _ = run("track", model_file, clip, "--start", 3, "--end", 6, "--no-smooth")
     assert code == 0
     assert "talk_track.csv" in out
@@ -156,6 +161,7 @@ def test_a_video_of_uneven_times_keeps_them(run, model_file, moving, tmp_path):
 def test_a_video_may_be_written_over(run, model_file, clip, tmp_path):
     for _ in range(2):
         assert run("track", model_file, clip, "--video", tmp_path / "v.mp4", "--frames", 1)[0] == 0
+    assert len(rows_of(tmp_path / "talk_track.csv")) == 1  # there is a table in any case
 
 
 def test_a_grey_start_names_video_and_frame(run, model_file, moving, tmp_path):

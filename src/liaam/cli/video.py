@@ -78,7 +78,7 @@ def track(
         ),
     ] = None,
 ) -> None:
-    """Track an object through a video. Writes landmarks, and on request videos with landmarks or without shading.
+    """Track an object through a video. Writes a table of landmarks, and on request videos with them or without shading.
 
     Ctrl-C stops after the current frame and keeps the results so far.
     """
@@ -87,8 +87,7 @@ def track(
     from liaam.workers import one_thread
 
     source, stop = source_of(video), stop_of(start, end, frames)
-    if output is None and annotated is None and shading_free is None:
-        output = default_output(source)
+    output = output or default_output(source)
     check_outputs(output, annotated, shading_free, source)
     model = load_model(model_file)
     camera = camera_for([], camera_file, response, model.camera)
@@ -107,7 +106,7 @@ def track(
             counts.add(tracked)
             for sink in sinks:
                 sink(frame, tracked, result)
-    report(counts, [path for path in (output, annotated, shading_free) if path is not None])
+    report(counts, [output, *(path for path in (annotated, shading_free) if path is not None)])
     if stopped():
         raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
     faults = [task.fault] if task.fault else []
@@ -176,12 +175,12 @@ def default_output(source: Path | int) -> Path:
     return Path(f"camera{source}_track.csv" if isinstance(source, int) else f"{source.stem}_track.csv")
 
 
-def check_outputs(output: Path | None, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
+def check_outputs(output: Path, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:
     """Raise, before any work, if an output cannot be written."""
     from liaam.tracking.files import check_track_name, is_track
 
     videos = [path for path in (annotated, shading_free) if path is not None]
-    paths = videos if output is None else [output, *videos]
+    paths = [output, *videos]
     for path in paths:
         check_output(path)
     for path in videos:
@@ -193,8 +192,6 @@ def check_outputs(output: Path | None, annotated: Path | None, shading_free: Pat
     for path in videos:
         if path.exists() and not is_video(path):
             raise LiaamError(f"{path} exists and is not a video; give another name to keep it")
-    if output is None:
-        return
     check_track_name(output)
     if output.exists() and not is_track(output):
         raise LiaamError(f"{output} exists and is not a track; give another name with -o to keep it")
@@ -203,7 +200,7 @@ def check_outputs(output: Path | None, annotated: Path | None, shading_free: Pat
 def open_sinks(
     files: ExitStack,
     tracker: "Tracker",
-    output: Path | None,
+    output: Path,
     annotated: Path | None,
     shading_free: Path | None,
     reader: VideoReader,
@@ -215,11 +212,9 @@ def open_sinks(
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
-    sinks: list[Sink] = []
     remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # may raise: before files are created
-    if output is not None:
-        track_file = files.enter_context(track_writer(output, tracker.model.n_points))
-        sinks.append(lambda _, tracked, __: track_file.write(tracked))
+    track_file = files.enter_context(track_writer(output, tracker.model.n_points))
+    sinks: list[Sink] = [lambda _, tracked, __: track_file.write(tracked)]
     if annotated is not None:
         writer = files.enter_context(video_writer(annotated, reader.rate))
         sinks.append(files.enter_context(aside(partial(draw, writer, tracker.model, ellipses))))
