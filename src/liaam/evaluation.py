@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from liaam.errors import LiaamError
+
 
 def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
     """Mean distance between corresponding (n, 2) landmarks, in pixels.
@@ -14,11 +16,14 @@ def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
 
 
 def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    shape, truth = np.asarray(shape), np.asarray(truth)
+    if shape.shape != truth.shape:
+        raise LiaamError(f"shapes of {shape.shape} and {truth.shape} cannot be compared; give (n, 2) points for both")
     known = np.isfinite(truth).all(axis=1)
-    found = np.asarray(shape)[known]
+    found = shape[known]
     if not np.isfinite(found).all():
         return np.full(len(found), np.inf)
-    return np.linalg.norm(found - np.asarray(truth)[known], axis=1)
+    return np.linalg.norm(found - truth[known], axis=1)
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:

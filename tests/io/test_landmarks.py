@@ -10,7 +10,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from liaam.errors import LandmarkError
+from liaam.errors import LandmarkError, LiaamError
+from liaam.evaluation import point_error
 from liaam.io import (
     LANDMARK_SUFFIXES,
     Contour,
@@ -588,6 +589,18 @@ def test_images_are_named_in_any_case_or_without_suffix(tmp_path: Path, names: t
     np.testing.assert_array_equal(second.points, [[4, 15]])
     with pytest.raises(LandmarkError, match=r"no landmarks of t3\.png"):
         read_landmarks(tmp_path / "w.tps", image_name="t3.png")
+
+
+def test_landmarks_are_arrays_where_arrays_are_asked_for(tmp_path: Path) -> None:
+    points = np.array([[1.0, 2], [3, 5], [4, 4]])
+    np.testing.assert_array_equal(np.asarray(Landmarks(points)), points)
+    assert point_error(Landmarks(points), points + 1) == pytest.approx(np.sqrt(2))  # type: ignore[arg-type]
+    with pytest.raises(LiaamError, match=r"shapes of \(3, 2\) and \(2, 2\) cannot be compared"):
+        point_error(points, points[1:])
+    write_collection(tmp_path / "all.csv", {"a.png": points})
+    np.testing.assert_array_equal(read_collection(tmp_path / "all.csv")["a.png"].points, points)
+    with pytest.raises(LandmarkError, match=r"\.json holds many images, so it is written by write_collection"):
+        write_landmarks(tmp_path / "a.json", points)
 
 
 def test_landmarks_are_a_frozen_copy() -> None:

@@ -60,6 +60,11 @@ def test_a_folder_of_fits_counts_each_once(tmp_path: Path) -> None:
     assert read_specimens(tmp_path / "wing10.csv")[0].covariances is None
 
 
+def test_specimens_take_landmarks_and_lists() -> None:
+    for points in (Landmarks(POINTS), POINTS.tolist()):
+        assert measure([Specimen("a", points)], ["distance:1-2"])["distance_1_2"][0] == 10  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("suffix", [".pts", ".csv", ".tps"])
 def test_landmarks_corrected_after_the_fit_are_measured(tmp_path: Path, suffix: str) -> None:
     for stem in ("wing1", "wing2"):

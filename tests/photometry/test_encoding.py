@@ -1,6 +1,7 @@
 """Encodings: every kind of image gets one defined answer."""
 
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,6 +201,11 @@ def test_16_bit_values_that_are_not_scaled_are_refused(rng, largest, remedy):
     image[11, 11, 1] = 4096
     for other in (image, image // 4096 * 0, image.astype(np.float32) / 65535, (image // 257).astype(np.uint8)):
         refuse_unscaled(other, "cat")
+
+
+def test_a_path_is_told_to_be_read():
+    with pytest.raises(ImageError, match=r"cat: 'a\.png' is a path, not an image; give liaam\.read_image\(path\)"):
+        as_colour(Path("a.png"), "cat")  # type: ignore[arg-type]
 
 
 def test_floats_that_count_to_255_are_refused():

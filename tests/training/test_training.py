@@ -9,7 +9,7 @@ import pytest
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
-from liaam.io import Contour, Landmarks
+from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_image, write_landmarks
 from liaam.model import SURROUNDINGS
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
@@ -232,6 +232,18 @@ def test_triangles_that_are_none_are_refused(pairs, triangles):
 def test_an_unexposed_image_is_refused_by_name(pairs):
     pairs[1][0][:] = 0.0
     refused(pairs, "image 2: the object is almost completely black")
+
+
+def test_images_and_landmarks_may_be_files(pairs, tmp_path):
+    files = []
+    for i, (image, points) in enumerate(pairs):
+        files.append((tmp_path / f"face{i}.png", str(tmp_path / f"face{i}.ljson")))
+        write_image(files[-1][0], np.rint(image * 255).astype(np.uint8))
+        write_landmarks(files[-1][1], points)
+    arrays = [(read_image(image), read_landmarks(landmarks)) for image, landmarks in files]
+    models = [train(given, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False) for given in (files, arrays)]
+    means = [model.levels[-1].appearances["log"].mean for model in models]
+    np.testing.assert_array_equal(*means)
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):

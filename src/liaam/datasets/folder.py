@@ -57,7 +57,7 @@ class Sample:
         ImageError
             If the file cannot be read (see :func:`liaam.io.read_image`).
         """
-        return read_image(self.image) if isinstance(self.image, Path) else self.image
+        return read_image(self.image) if isinstance(self.image, str | os.PathLike) else self.image
 
 
 @dataclass(frozen=True)

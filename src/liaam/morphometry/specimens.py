@@ -49,6 +49,7 @@ class Specimen:
     """How its fit ended (:class:`liaam.FitStatus`), or empty."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "points", np.asarray(self.points, np.float64))
         n = len(self.points)
         spread = np.zeros((n, 2, 2)) if self.covariances is None else np.nan_to_num(self.covariances, nan=0)
         if np.shape(self.points) != (n, 2) or np.shape(spread) != (n, 2, 2):

@@ -134,7 +134,7 @@ def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) 
     numbers = {str(number): number - 1 for number in range(1, n + 1)} | {name: i for i, name in enumerate(names)}
     for landmark in landmarks:
         if landmark not in numbers:
-            known = f" or their names ({', '.join(names[:5])} …)" if names else ""
+            known = f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
             raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{known}")
     return [numbers[landmark] for landmark in landmarks]
 

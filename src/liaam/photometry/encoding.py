@@ -4,6 +4,7 @@ An image is encoded to float32 channels: usually three colours, and last the wei
 This module alone defines the result for NaN, black, saturated, 16-bit and float images.
 """
 
+import os
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -64,6 +65,8 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
     Integers range from 0 to their type's maximum, floats from 0 to 1. A fourth channel (alpha) is dropped. Raises an
     ImageError that begins with the name if the array is not an image of at least 8 by 8 pixels.
     """
+    if isinstance(image, str | os.PathLike):
+        raise ImageError(f"{name}: {os.fspath(image)!r} is a path, not an image; give liaam.read_image(path)")
     image = np.asarray(image)
     if image.ndim == 2:
         image = image[..., None]

@@ -4,11 +4,14 @@ import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from liaam.errors import TrainingError
+from liaam.io import read_image, read_landmarks
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align
@@ -60,8 +63,11 @@ def _entry(item, i: int) -> tuple[Entry, tuple]:
             raise TrainingError(
                 f"training item {i + 1} is not an (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
             ) from None
-        name = f"image {i + 1}"
-        read = lambda: image  # noqa: E731
+        name, read = f"image {i + 1}", lambda: image
+        if isinstance(image, str | os.PathLike):
+            name, read = Path(image).name, partial(read_image, image)
+        if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
+            landmarks = read_landmarks(landmarks, image_name=name)
     try:
         points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     except (TypeError, ValueError):

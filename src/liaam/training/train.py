@@ -50,8 +50,8 @@ def train(
     Parameters
     ----------
     data : Dataset, or iterable of Sample or (image, landmarks) pairs
-        Images are (h, w, 3) arrays; landmarks are (n, 2) arrays (x, y) or :class:`liaam.io.Landmarks`. All must have
-        the same number of points, in the same order.
+        Images are (h, w, 3) arrays or paths; landmarks are (n, 2) arrays (x, y), :class:`liaam.io.Landmarks` or paths.
+        All must have the same number of points, in the same order.
     options : TrainingOptions, optional
         How to train. The defaults suit most data.
     camera : CameraModel, optional

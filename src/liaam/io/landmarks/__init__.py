@@ -237,15 +237,20 @@ def write_landmarks(
     dump = FORMATS[_suffix(Path(path))].dump
     if dump is None:
         writable = ", ".join(suffix for suffix, known in FORMATS.items() if known.dump is not None)
-        raise LandmarkError(f"{path} cannot be written: {Path(path).suffix} is only read. Use {writable}.")
-    if not isinstance(landmarks, Landmarks):
-        landmarks = Landmarks(landmarks)
-    write_text_atomically(path, dump(in_pixels(path, landmarks, image_size)), LandmarkError)
+        many = FORMATS[_suffix(Path(path))].dump_collection is not None
+        fault = "holds many images, so it is written by write_collection" if many else "is only read"
+        raise LandmarkError(f"{path} cannot be written: {Path(path).suffix} {fault}. Use {writable}.")
+    placed = in_pixels(path, _as_landmarks(landmarks), image_size)
+    write_text_atomically(path, dump(placed), LandmarkError)
+
+
+def _as_landmarks(points: Landmarks | np.ndarray) -> Landmarks:
+    return points if isinstance(points, Landmarks) else Landmarks(points)
 
 
 def write_collection(
     path: str | os.PathLike[str],
-    collection: Mapping[str, Landmarks],
+    collection: Mapping[str, Landmarks | np.ndarray],
     image_sizes: Mapping[str, Size] | None = None,
 ) -> None:
     """Write the landmarks of many images, by file name, atomically as one ``.csv``, ``.tps`` or COCO ``.json``.
@@ -263,7 +268,7 @@ def write_collection(
 
 def collection_text(
     path: str | os.PathLike[str],
-    collection: Mapping[str, Landmarks],
+    collection: Mapping[str, Landmarks | np.ndarray],
     image_sizes: Mapping[str, Size] | None = None,
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
@@ -277,8 +282,8 @@ def collection_text(
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
     sizes = image_sizes or {}
     placed = {
-        name: in_pixels(path, replace(landmarks, image_name=name), sizes.get(name))
-        for name, landmarks in collection.items()
+        name: in_pixels(path, replace(_as_landmarks(own), image_name=name), sizes.get(name))
+        for name, own in collection.items()
     }
     return coco.dump_collection(placed, sizes) if suffix == ".json" else dump(placed)
 

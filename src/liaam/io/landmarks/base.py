@@ -86,6 +86,9 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.points, dtype) if copy else np.asarray(self.points, dtype)
+
     def __repr__(self) -> str:
         return f"Landmarks({len(self)} points, {self.missing.sum()} missing, {len(self.contours)} contours)"
 
