@@ -14,23 +14,36 @@ PATIENCE = 2.0
 
 
 @contextmanager
-def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iterator[Callable[[int], None]]:
+def reported(what: str, progress: Progress | bool | None) -> Iterator[Progress]:
+    """Yield the callback of a long call: the one given, or one that shows a progress bar as :func:`progress_bar`."""
+    if callable(progress):
+        yield progress
+        return
+    with progress_bar(what, None, progress, counted=False) as tell:
+        yield lambda done, total, _: tell(done, total)
+
+
+@contextmanager
+def progress_bar(
+    what: str, total: int | None, show: bool | None = None, counted: bool = True
+) -> Iterator[Callable[..., None]]:
     """Show a progress bar with the remaining time on standard error. Yield a function to call with the number done.
 
-    ``what`` names the items, such as ``images``; their total may be unknown. If ``show``, it is shown from the start,
+    ``what`` names the items, such as ``images``; their total may be unknown, or told with the number done. They are
+    ``counted``, or else a percentage is shown. If ``show``, it is shown from the start,
     or without a terminal as one line at the end; if False, never; by default temporarily, on a terminal only, after
     :data:`PATIENCE` seconds.
     """
     if show is False or (show is None and not sys.stderr.isatty()):
-        yield lambda done: None
+        yield lambda done, total=None: None
         return
     begin, bars = perf_counter(), []
 
-    def tell(done: int) -> None:
+    def tell(done: int, total: int | None = total) -> None:
         if not bars and (show or perf_counter() - begin > PATIENCE):
-            bars.append(_bar(what, total))
+            bars.append(_bar(what, total, counted))
         for bar in bars:
-            bar.update(bar.task_ids[0], completed=done)
+            bar.update(bar.task_ids[0], completed=done, total=total)
 
     try:
         yield tell
@@ -39,14 +52,15 @@ def progress_bar(what: str, total: int | None, show: bool | None = None) -> Iter
             bar.stop()
 
 
-def _bar(what: str, total: int | None) -> Any:
+def _bar(what: str, total: int | None, counted: bool) -> Any:
     # Slow to import.
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     console = Console(stderr=True)
-    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}, left:"), TimeRemainingColumn()
+    done = MofNCompleteColumn() if counted else TaskProgressColumn()
+    columns = BarColumn(), done, TextColumn("{task.description}, left:"), TimeRemainingColumn()
     bar = Bar(*columns, console=console, transient=console.is_terminal)
     bar.add_task(what, total=total)
     bar.start()

@@ -86,6 +86,14 @@ def test_two_exchanged_landmarks_are_found(shapes):
     assert fault.picture == 9
 
 
+def test_two_exchanged_neighbours_do_not_start_elsewhere(shapes):
+    order = np.arange(len(shapes[0]))
+    a = int(np.linalg.norm(np.diff(shapes[0], axis=0), axis=1).argmax())
+    order[[a, a + 1]] = [a + 1, a]
+    (fault,) = find_label_faults(exchanged(shapes, 9, order))
+    assert (fault.kind, fault.points) == ("exchanged", (a, a + 1))
+
+
 def test_left_and_right_exchanged_are_found():
     rng = np.random.default_rng(3)
     half = np.column_stack([rng.uniform(5, 40, 14), np.linspace(-60, 60, 14)])

@@ -125,11 +125,11 @@ def test_one_start_is_told_from_several(given, one):
 @pytest.mark.parametrize(
     ("n_images", "init", "message"),
     [
-        (2, [(9, 9, 99, 99)], "there are 2 images but 1 starts; give one start for all images, or one for each"),
-        (0, [(9, 9, 99, 99)], "there are 0 images but 1 starts"),
-        (2, [], "there are 2 images but 0 starts"),
-        (2, iter([(90, 90, 99)]), "there are more than 1 images but 1 starts"),
-        (2, iter([(90, 90, 99)] * 3), "there are 2 images but more starts"),
+        (2, [(9, 9, 99, 99)], "2 images but 1 start; give one start for all images, or one for each"),
+        (0, [(9, 9, 99, 99)], "0 images but 1 start;"),
+        (2, [], "2 images but 0 starts"),
+        (2, iter([(90, 90, 99)]), "more than 1 image but 1 start"),
+        (2, iter([(90, 90, 99)] * 3), "2 images but more starts"),
         (2, 7, "init 7 is not valid; give one start"),
         (2, "starts", "init 'starts' is not valid; give one start"),
     ],

@@ -109,6 +109,12 @@ def test_progress_is_told(pairs):
     assert done[0] == 0 and done[-1] == total[0] and (np.diff(done) > 0).all()
 
 
+def test_progress_is_shown_if_asked_for(pairs, capsys):
+    for progress, shown in ((True, True), (False, False), (None, False)):  # by default on a terminal only
+        train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False, progress=progress)
+        assert ("training" in capsys.readouterr().err) == shown
+
+
 def test_progress_counts_copies_where_parts_are_left_out(pairs):
     seen = []
     train(pairs * 4, diagonal=40.0, camera=LINEAR, progress=lambda *step: seen.append(step))
@@ -175,7 +181,7 @@ def test_aia_and_varied_are_one_where_all_modes_are_kept(scenes, lamps, lit_scen
 
 @pytest.mark.parametrize("n", [0, 1, 2])
 def test_fewer_than_three_images_are_refused(pairs, n):
-    refused(pairs[:n], f"{n} landmarked images are too few to learn from; at least 3")
+    refused(pairs[:n], f"{n} landmarked images?: too few to learn from; at least 3")
 
 
 def test_counts_that_differ_are_refused(pairs):
@@ -244,6 +250,12 @@ def test_images_and_landmarks_may_be_files(pairs, tmp_path):
     models = [train(given, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False) for given in (files, arrays)]
     means = [model.levels[-1].appearances["log"].mean for model in models]
     np.testing.assert_array_equal(*means)
+
+
+def test_images_of_which_half_are_mirrored_are_told_so():
+    image, points = np.full((60, 60, 3), 0.5), np.array([[10.0, 10], [30, 20], [12, 50], [20, 30], [10, 30], [14, 40]])
+    mirrored = points * [-1, 1] + [59, 0]
+    refused([(image, points), (image, mirrored)] * 2, "their mean lies on one line: many images seem to be mirrored")
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):

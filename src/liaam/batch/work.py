@@ -4,7 +4,7 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -41,7 +41,7 @@ class Settings:
     ----------
     method : str
         See :data:`liaam.fitting.METHODS`.
-    init : str, optional
+    init : str or sequence of float, optional
         Where fits start: a box ``x0,y0,x1,y1`` or ``x,y,size`` for all; a landmark file for all; a folder with a
         landmark or ``.box`` file named like each image; or ``beside`` for such files beside the images. By default
         the object is searched for.
@@ -58,12 +58,16 @@ class Settings:
     """
 
     method: str = DEFAULT_METHOD
-    init: str | None = None
+    init: str | Sequence[float] | None = None
     iterations: int = 50
     camera: CameraModel | None = None
     response: str | None = None
     covariance: bool = True
     rotations: str = "upright"
+
+    def __post_init__(self) -> None:
+        if self.init is not None and not isinstance(self.init, str):
+            object.__setattr__(self, "init", ",".join(str(float(number)) for number in self.init))
 
     def describe(self) -> dict[str, Any]:
         """Return the settings as JSON types."""
@@ -171,11 +175,11 @@ class Job:
         init = self.settings.init
         if init == BESIDE:
             return str(Path(self.folder, path).parent)
-        return None if init is None else self.absolute(init)
+        return None if init is None else self.absolute(str(init))
 
     def _as_named(self, message: str, path: str) -> str:
         """Replace the absolute paths of image and start in a message by the paths as the user gave them."""
-        start = Path(path).parent if self.settings.init == BESIDE else Path(self.settings.init or path)
+        start = Path(path).parent if self.settings.init == BESIDE else Path(str(self.settings.init or path))
         named = {str(Path(self.folder, start)): str(start), str(Path(self.folder, path)): path}
         named.pop(os.sep, None)  # it is in all paths
         places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))

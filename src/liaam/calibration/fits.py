@@ -43,11 +43,10 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
         )
     used = [r for r in results if r.status is FitStatus.CONVERGED and np.isfinite(r.theta)]
     unobservable = sum(r.status is FitStatus.LIGHT_UNOBSERVABLE for r in results)
-    missing = len(results) - len(used)
-    unused = f"{missing} of {len(results)} fits give no angle ({unobservable} without a change of light)"
+    unused = f"{len(used)} of {len(results)} fits give an angle ({unobservable} of the others see no change of light)"
     remedy = "fit more images, under lights other than in training"
     if len(used) < FEWEST_FITS:
-        message = f"{unused}; at least {FEWEST_FITS} fits with an angle are needed: {remedy}"
+        message = f"{unused}, and at least {FEWEST_FITS} must: {remedy}"
         return AngleEstimate(nan, float("inf"), message, nan, len(used))
     angles = np.array([r.theta for r in used])
     centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # angles have a period of pi

@@ -8,7 +8,7 @@ import typer
 from liaam.cli.terminal import complain, say
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
-from liaam.io.files import real_path
+from liaam.io.files import count_of, real_path
 
 
 def measure(
@@ -47,7 +47,7 @@ def measure(
     columns = measured(specimens, measures or (), scale)
     write_measurements(output, columns)
     unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
-    say(f"{output}: {len(specimens)} specimens{unit}")
+    say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
     unused = [name for name, size in zip(columns["specimen"], columns["centroid_size"], strict=True) if size != size]
     if unused:
         complain(

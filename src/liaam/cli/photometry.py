@@ -286,8 +286,8 @@ def vignetting_command(
 def corner_sentence(lens: "VignettingEstimate") -> str:
     """Describe a vignetting estimate in a sentence."""
     if not lens.observable:
-        return f"vignetting: {lens.message}"
-    return f"the corners receive {lens.corner:.0%} ± {lens.corner_error:.0%} of the light. {lens.message}"
+        return lens.message
+    return f"the corners receive {lens.corner:.1%} ± {lens.corner_error:.1%} of the light. {lens.message}"
 
 
 @calibrate.command("noise")

@@ -166,8 +166,6 @@ def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitRes
         advice[text].append(image.name)
     if result.detection_doubtful and not result.status.unusable:
         advice[LOW_SCORE].append(image.name)
-    elif np.isnan(result.quality):
-        place = "" if result.found is None else f", search score {result.found.score:.2f}"
-        text = f"quality unknown{place}: the model has no calibrated quality; check the result"
-        advice[text].append(image.name)
+    elif np.isnan(result.quality) and result.status.ok:
+        advice["quality unknown: the model has no calibrated quality; check the result"].append(image.name)
     return not result.status.ok

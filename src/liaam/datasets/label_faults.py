@@ -295,6 +295,8 @@ def _as_run(order: np.ndarray, squares: np.ndarray) -> np.ndarray:
 
 
 def _kind_of(order: np.ndarray, run: np.ndarray) -> str:
+    if len(run) == 2:
+        return "exchanged"
     for kind, orders in _turns(len(run)).items():
         if (run[orders] == order).all(axis=1).any():
             return kind

@@ -14,6 +14,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
+from liaam.io.files import count_of
 from liaam.model import AAM
 from liaam.progress import progress_bar
 from liaam.workers import all_cores, in_order, one_thread
@@ -209,7 +210,7 @@ def _starts(init, n_images: int | None) -> Iterable:
         raise StartError(f"init {init!r} is not valid; {_ONE_OR_EACH}")
     n_starts = _length(init)
     if n_images is not None and n_starts is not None and n_starts != n_images:
-        raise StartError(f"there are {n_images} images but {n_starts} starts; {_ONE_OR_EACH}")
+        raise StartError(f"{count_of(n_images, 'image')} but {count_of(n_starts, 'start')}; {_ONE_OR_EACH}")
     return init
 
 
@@ -235,10 +236,11 @@ def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
         try:
             start = next(rest)
         except StopIteration:
-            raise StartError(f"there are more than {number} images but {number} starts; {_ONE_OR_EACH}") from None
+            fault = f"more than {count_of(number, 'image')} but {count_of(number, 'start')}"
+            raise StartError(f"{fault}; {_ONE_OR_EACH}") from None
         yield _Task(number, image, start)
     if not isinstance(starts, repeat) and next(rest, _END) is not _END:
-        raise StartError(f"there are {number + 1} images but more starts; {_ONE_OR_EACH}")
+        raise StartError(f"{count_of(number + 1, 'image')} but more starts; {_ONE_OR_EACH}")
 
 
 _END = object()

@@ -155,7 +155,7 @@ class FitResult:
         ``soft-li``) by the model's errors, and is scaled up if left-out images showed larger errors.
     landmark_covariances : (n, 2, 2) float64
         Covariance of each landmark, image pixels squared: that of p propagated to the landmarks, plus the errors
-        measured on left-out training images.
+        measured on left-out training images. Meaningful only if ``status.ok``.
     residual_variance : float
         Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
         grow with it.
@@ -217,7 +217,10 @@ class FitResult:
 
     @property
     def deviations(self) -> np.ndarray:
-        """Standard deviation of each landmark, (n,) float64, image pixels: from the mean variance of x and y."""
+        """Standard deviation of each landmark, (n,) float64, image pixels: from the mean variance of x and y.
+
+        Meaningful only if ``status.ok``: a fit that failed may have small ones.
+        """
         return np.sqrt(0.5 * np.trace(self.landmark_covariances, axis1=1, axis2=2))
 
     @property

@@ -12,6 +12,7 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.io import read_image, read_landmarks
+from liaam.io.files import count_of, some_names
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align
@@ -46,9 +47,8 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray]:
         entries.append(entry)
         contours = contours or own
     if len(entries) < 3:
-        raise TrainingError(
-            f"{len(entries)} landmarked images are too few to learn from; at least 3 are needed, 5 to 20 are better"
-        )
+        few = count_of(len(entries), "landmarked image")
+        raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
     edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
     return entries, contours, np.array(edges, dtype=int).reshape(-1, 2)
 
@@ -80,7 +80,7 @@ def _entry(item, i: int) -> tuple[Entry, tuple]:
         )
     missing = ~np.isfinite(points).all(axis=1)
     if missing.any():
-        which = ", ".join(str(j + 1) for j in np.flatnonzero(missing)[:5])
+        which = some_names([str(j + 1) for j in np.flatnonzero(missing)])
         raise TrainingError(
             f"{name}: {missing.sum()} of {len(points)} landmarks are missing (NaN; point {which} counting from 1); "
             "place them or remove this image"
@@ -96,10 +96,16 @@ def image_of(name: str) -> str:
     return re.sub(r"#\d+$", "", name)
 
 
-def check_flat(mean: np.ndarray) -> None:
-    """Raise if a shape is so flat that its mesh has hardly any pixels."""
+def check_flat(mean: np.ndarray, shapes: np.ndarray) -> None:
+    """Raise if the mean of shapes (m, n, 2) is so flat that its mesh has hardly any pixels."""
     along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
     if across < FLATTEST * along:
+        spreads = np.linalg.svd(shapes - shapes.mean(axis=1, keepdims=True), compute_uv=False)
+        if np.median(spreads[:, 1] / spreads[:, 0]) > 2 * FLATTEST:
+            raise TrainingError(
+                "the landmarks of each image are spread out, but their mean lies on one line: many images seem to be "
+                "mirrored, or to have their landmarks in another order; 'liaam check' shows them"
+            )
         raise TrainingError(
             "the landmarks lie on one line or at one point, or almost so (their minor spread is "
             f"{across / along:.1%} of the major one, {FLATTEST:.0%} are needed); check their order and units, or add "

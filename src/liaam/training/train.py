@@ -16,7 +16,7 @@ from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_mo
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
-from liaam.progress import Progress
+from liaam.progress import Progress, reported
 from liaam.training import faces
 from liaam.training.entries import Entry, check_flat, check_fold, mesh_of, read_entries
 from liaam.training.features import encoder_of
@@ -42,7 +42,7 @@ def train(
     points: Points | None = None,
     features: FeatureFunction | None = None,
     name: str = "",
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **changes: Any,
 ) -> AAM:
     """Train an active appearance model.
@@ -73,8 +73,9 @@ def train(
         more.
     name : str
         Name of the model, for display.
-    progress : callable, optional
-        Called with (done, total, what) before each step and at the end, in units of about the same time.
+    progress : bool or callable, optional
+        Whether to show a progress bar on standard error; by default on a terminal, after two seconds. Or a function
+        that is called with (done, total, what) before each step and at the end, in units of about the same time.
     **changes
         Fields of :class:`TrainingOptions` that replace those of ``options``, such as ``diagonal=100``.
 
@@ -100,7 +101,7 @@ def train(
     mean = scaled_mean(shapes, options.diagonal)
     recipes = {prior: choose_recipe(mean, shapes, prior, folds) for prior in dict.fromkeys(priors.values())}
     learnt = {prior: shape_model_on(mean, shapes, options.variance, r, folds) for prior, r in recipes.items()}
-    check_flat(mean)
+    check_flat(mean, shapes)
     triangles = mesh_of(mean, options.triangles, edges)
 
     model = AAM(
@@ -130,21 +131,22 @@ def train(
         features=None if encoder is None else encoder.features,
     )
     blurs, kept = options.blurs_by_view, options.appearance_variances
-    steps = _steps(model, options, folds, progress)
-    sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
-    for view in VIEWS:
-        levels = []
-        for i, blur in enumerate(blurs[view]):
-            steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
-            levels.append(Level(float(blur), level_appearances(sampled, view, i, camera.theta, kept[view], folds)))
-        model = model.with_view(view, levels=tuple(levels))
+    with reported("training", progress) as report:
+        steps = _steps(model, options, folds, report)
+        sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
+        for view in VIEWS:
+            levels = []
+            for i, blur in enumerate(blurs[view]):
+                steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
+                levels.append(Level(float(blur), level_appearances(sampled, view, i, camera.theta, kept[view], folds)))
+            model = model.with_view(view, levels=tuple(levels))
 
-    if options.leave_out:
-        default = METHODS[DEFAULT_METHOD].view
-        settings = (recipes[priors[default]], options.variance, kept[default])
-        reliability = reliability_of(model, checked, shapes, sampled, copied, settings, folds, steps)
-        model = model.with_view(default, reliability=reliability)
-    steps.next("trained", 0)
+        if options.leave_out:
+            default = METHODS[DEFAULT_METHOD].view
+            settings = (recipes[priors[default]], options.variance, kept[default])
+            reliability = reliability_of(model, checked, shapes, sampled, copied, settings, folds, steps)
+            model = model.with_view(default, reliability=reliability)
+        steps.next("trained", 0)
     return model
 
 
@@ -160,7 +162,7 @@ def _copies(
     return replace(copied, offset=sideways_offset(entries, copied.order, warp, model.camera, blur))
 
 
-def _steps(model: AAM, options: TrainingOptions, folds: list, progress: Progress | None) -> Steps:
+def _steps(model: AAM, options: TrainingOptions, folds: list, progress: Progress) -> Steps:
     """Return the steps of training from its images on: sampling, learning, and fitting what is left out."""
     left_out = folds if options.leave_out else []
     n_models = sum(map(len, options.blurs_by_view.values())) + len(left_out)
