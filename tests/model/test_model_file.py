@@ -813,6 +813,17 @@ def test_the_camera_is_kept_to_the_last_digit(tiny_file, tmp_path):
     assert load_model(tmp_path / "face.liaam").camera == camera
 
 
+def test_names_of_landmarks_are_as_many_as_landmarks(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    del header["landmark_names"]
+    assert load_model(forge(tmp_path / "old.liaam", header, tensors)).landmark_names == ()
+    named = header | {"landmark_names": ["a", "b", "c", "d"]}
+    assert load_model(forge(tmp_path / "a.liaam", named, tensors)).landmark_names == ("a", "b", "c", "d")
+    for names in (["a"], "abcd", {}, None, 4):
+        with pytest.raises(ModelFileError, match="there are not 4 names of landmarks"):
+            load_model(forge(tmp_path / "b.liaam", header | {"landmark_names": names}, tensors))
+
+
 def test_long_names_are_cut(tiny_file, tmp_path):
     header, tensors = parts(tiny_file)
     assert load_model(forge(tmp_path / "a.liaam", header | {"name": "x" * 1000}, tensors)).name == "x" * 1000

@@ -9,10 +9,11 @@ import pytest
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
-from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_image, write_landmarks
-from liaam.model import SURROUNDINGS
+from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_fit, write_image, write_landmarks
+from liaam.model import SURROUNDINGS, load_model
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
+from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
 from liaam.training import TrainingOptions, train
 from liaam.training.left_out import folds_of
@@ -256,6 +257,32 @@ def test_images_of_which_half_are_mirrored_are_told_so():
     image, points = np.full((60, 60, 3), 0.5), np.array([[10.0, 10], [30, 20], [12, 50], [20, 30], [10, 30], [14, 40]])
     mirrored = points * [-1, 1] + [59, 0]
     refused([(image, points), (image, mirrored)] * 2, "their mean lies on one line: many images seem to be mirrored")
+
+
+def test_names_of_landmarks_are_kept_until_they_are_measured(pairs, tmp_path):
+    n = len(pairs[0][1])
+    names = tuple(f"p{i}" for i in range(n))
+    named = [(image, Landmarks(points, names=names)) for image, points in pairs[:2]]
+    train([*named, pairs[2]], diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False).save(tmp_path / "m")
+    model = load_model(tmp_path / "m")
+    assert model.landmark_names == names
+    result = Fitter(model).fit(pairs[0][0], pairs[0][1])
+    assert result.landmark_names == names
+    write_fit(tmp_path, "a", Landmarks(result.landmarks, names=names), result.to_dict(), (180, 240))
+    distance = measure(read_specimens(tmp_path), ["distance:p3-p9"])["distance_p3_p9"]
+    assert distance[0] == pytest.approx(np.linalg.norm(result.landmarks[3] - result.landmarks[9]))
+
+
+def test_names_in_another_order_are_refused(pairs):
+    n = len(pairs[0][1])
+    names = [f"point {i}" for i in range(n)]
+    other = [*names[:4], names[5], names[4], *names[6:]]
+    for i, own in enumerate((names, names, other)):
+        pairs[i] = (pairs[i][0], Landmarks(pairs[i][1], names=tuple(own)))
+    refused(pairs, "landmark 5 is 'point 4' in image 1 but 'point 5' in image 3; every image needs the same points")
+    pairs[2] = (pairs[2][0], Landmarks(pairs[2][1], names=tuple(f"other {i}" for i in range(n))))
+    model = train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False)
+    assert model.landmark_names == ()  # images do not agree
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):

@@ -190,7 +190,7 @@ def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: O
     result = fitter.fit(pixels, start, image.name)
     contours = Contour.all_of(model.contours)
     scale = start.scale if isinstance(start, Landmarks) else None
-    landmarks = Landmarks(result.landmarks, contours, image_name=image.name, scale=scale)
+    landmarks = Landmarks(result.landmarks, contours, result.landmark_names, image_name=image.name, scale=scale)
     facts = result.to_dict() | {"image": image.name, "scale": scale}
     write_fit(outputs.folder, stem, landmarks, facts, pixels.shape[1::-1])
     drawn = result.landmark_covariances if outputs.ellipses else None

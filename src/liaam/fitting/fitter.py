@@ -212,7 +212,8 @@ class Fitter:
         if self.restarts and self._falls_short(_with_prior(result, prior)):
             result = self._fit_again(target, result)
         path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
-        return replace(_with_prior(result, prior), found=found, contours=self.model.contours, image=path)
+        result, model = _with_prior(result, prior), self.model
+        return replace(result, found=found, contours=model.contours, landmark_names=model.landmark_names, image=path)
 
     def _fit_from(self, target: Target, options: SolverOptions | None = None) -> FitResult:
         levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]

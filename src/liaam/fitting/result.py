@@ -173,6 +173,8 @@ class FitResult:
         also ``history`` and ``start``, describe the fit that was kept.
     contours : tuple of (indices, closed)
         Lines between landmarks, for drawing.
+    landmark_names : tuple of str
+        One name per landmark, or empty if the training images have none.
     image : array or Path, optional
         The image that was fitted: its path, or the array if :func:`liaam.fit` was given one. Other functions keep no
         arrays, so that many results do not fill the memory.
@@ -197,6 +199,7 @@ class FitResult:
     found: Candidate | None = None
     n_starts: int = 1
     contours: Contours = ()
+    landmark_names: tuple[str, ...] = ()
     image: np.ndarray | Path | None = None
 
     def __repr__(self) -> str:
@@ -267,6 +270,7 @@ class FitResult:
             "landmark_deviations_px": finite_list(np.round(self.deviations, 3)),
             "landmark_covariances_px2": finite_list(np.round(self.landmark_covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
             "liaam": __version__,
+            "landmark_names": list(self.landmark_names),
             "landmarks": finite_list(self.landmarks),
         }
 

@@ -33,6 +33,8 @@ class AAM:
         Number of training images.
     contours : tuple of (indices, closed)
         Lines between landmarks, for drawing.
+    landmark_names : tuple of str
+        One name per landmark, or empty.
     name : str
         Description of the training data, for display.
     n_textures : int
@@ -53,6 +55,7 @@ class AAM:
     camera: CameraModel
     n_images: int
     contours: tuple[tuple[tuple[int, ...], bool], ...] = ()
+    landmark_names: tuple[str, ...] = ()
     name: str = ""
     n_textures: int = 0
     n_lamps: int = 0

@@ -109,6 +109,7 @@ def _header(model: "AAM") -> dict:
         "n_textures": model.n_textures,
         "n_lamps": model.n_lamps,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
+        "landmark_names": list(model.landmark_names),
         "name": model.name,
         **({} if model.features is None else {"features": model.features.name}),
     }
@@ -177,6 +178,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "camera": _camera(header),
         "n_images": n_images,
         "contours": _contours(header["contours"], n),
+        "landmark_names": _names(header.get("landmark_names", []), n),
         "name": writable(str(header["name"]))[:LONGEST_NAME],
         "n_textures": n_textures,
         "n_lamps": int(header.get("n_lamps", 0)),
@@ -356,6 +358,12 @@ def _finite(value: float) -> float:
     if not np.isfinite(value):
         raise ValueError(f"{value} is not a finite number")
     return float(value)
+
+
+def _names(names: list, n: int) -> tuple[str, ...]:
+    if not isinstance(names, list) or len(names) not in (0, n):
+        raise ValueError(f"there are not {n} names of landmarks")
+    return tuple(writable(str(name))[:LONGEST_NAME] for name in names)
 
 
 def _contours(rows: list, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:

@@ -138,7 +138,8 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             xx, xy, yy = _numbers(covariances).reshape(len(points), 3).T
             spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
         scale = facts.get("scale")
-        return Specimen(name, points, spread, scale=scale and float(scale), status=str(facts["status"]))
+        names = tuple(map(str, facts.get("landmark_names") or ()))
+        return Specimen(name, points, spread, names, scale and float(scale), str(facts["status"]))
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
 

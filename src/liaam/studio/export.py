@@ -80,7 +80,7 @@ def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, by
     if kind == "image/png":
         data = png_bytes(_picture(fits, fit, what, light))
         return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, data
-    landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours))
+    landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours), fit.model.landmark_names)
     if what == "json":
         text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name})
     else:

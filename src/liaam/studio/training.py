@@ -130,6 +130,7 @@ class Trainer:
             done,
             self.project.to_propose(self.project.settings.proposals_per_training),
             template.contours,
+            template.names,
             self.project.state.path(MODEL_FILE),
             self.project.state.path(QUICK_FILE),
             order,

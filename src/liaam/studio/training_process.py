@@ -45,6 +45,8 @@ class Job:
     waiting: list[tuple[str, Path]]
     """Name and path of the pictures for which landmarks are proposed."""
     contours: tuple[Contour, ...]
+    names: tuple[str, ...]
+    """Names of the landmarks."""
     model: Path
     """Output file of the model."""
     quick: Path
@@ -98,9 +100,9 @@ def _work(job: Job, pipe: Any) -> None:
 class _Picture:
     """A picture for :func:`liaam.training.train`; records its error."""
 
-    def __init__(self, item: Annotated, contours: tuple[Contour, ...]) -> None:
+    def __init__(self, item: Annotated, job: Job) -> None:
         self.name = item.name
-        self.landmarks = Landmarks(item.points, contours)
+        self.landmarks = Landmarks(item.points, job.contours, job.names)
         self.path = item.path
         self.fault: str | None = None
 
@@ -148,7 +150,7 @@ class _Worker:
         from liaam.training import train
 
         unused = {*self.left_out, *(() if leave_out else self.job.held_out)}
-        items = [_Picture(item, self.job.contours) for item in self.job.done if item.name not in unused]
+        items = [_Picture(item, self.job) for item in self.job.done if item.name not in unused]
         while True:
             try:
                 with warnings.catch_warnings(record=True) as caught:

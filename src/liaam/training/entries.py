@@ -31,14 +31,19 @@ class Entry:
     points: np.ndarray
 
 
-def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray]:
-    """Read and validate samples; also return the contours and connectivity of the first sample that has any."""
+def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[str, ...]]:
+    """Read and validate samples.
+
+    Also return the contours and connectivity of the first sample that has any, and the names of the landmarks if all
+    samples that name them agree.
+    """
     entries: list[Entry] = []
     contours: tuple = ()
+    named: dict[tuple[str, ...], str] = {}  # and the first image that uses these names
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
     for i, item in enumerate(data):
-        entry, own = _entry(item, i)
+        entry, own, names = _entry(item, i)
         if entries and len(entry.points) != len(entries[0].points):
             raise TrainingError(
                 f"{entry.name} has {len(entry.points)} landmarks but {entries[0].name} has {len(entries[0].points)}; "
@@ -46,14 +51,30 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray]:
             )
         entries.append(entry)
         contours = contours or own
+        if names:
+            named.setdefault(names, entry.name)
     if len(entries) < 3:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
     edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
-    return entries, contours, np.array(edges, dtype=int).reshape(-1, 2)
+    return entries, contours, np.array(edges, dtype=int).reshape(-1, 2), _common_names(named)
 
 
-def _entry(item, i: int) -> tuple[Entry, tuple]:
+def _common_names(named: dict[tuple[str, ...], str]) -> tuple[str, ...]:
+    """Return the names of the landmarks, or none if images have others. Raise if they have them in another order."""
+    if len(named) < 2:
+        return next(iter(named), ())
+    first, other = list(named)[:2]
+    if sorted(first) == sorted(other):
+        at = next(i for i, (a, b) in enumerate(zip(first, other, strict=True)) if a != b)
+        raise TrainingError(
+            f"landmark {at + 1} is {first[at]!r} in {named[first]} but {other[at]!r} in {named[other]}; every image "
+            "needs the same points in the same order"
+        )
+    return ()
+
+
+def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
     if hasattr(item, "landmarks"):
         name, landmarks, read = item.name, item.landmarks, item.read_image
     else:
@@ -88,7 +109,7 @@ def _entry(item, i: int) -> tuple[Entry, tuple]:
     if np.ptp(points, axis=0).max() < 2:
         raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
-    return Entry(name, read, points), contours
+    return Entry(name, read, points), contours, tuple(getattr(landmarks, "names", ()))
 
 
 def image_of(name: str) -> str:

@@ -94,7 +94,7 @@ def train(
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     check_camera(camera)
-    entries, contours, edges = read_entries(data)
+    entries, contours, edges, names = read_entries(data)
     shapes, folds = np.array([entry.points for entry in entries]), folds_of([entry.name for entry in entries])
 
     priors = options.priors(shapes.shape[1])
@@ -110,6 +110,7 @@ def train(
         camera=camera,
         n_images=len(entries),
         contours=contours,
+        landmark_names=names,
         name=name,
     )
     checked, grey = check_images(entries, model.warp)
