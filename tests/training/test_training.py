@@ -16,7 +16,7 @@ from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
 from liaam.training import TrainingOptions, train
-from liaam.training.left_out import folds_of
+from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 
@@ -435,6 +435,9 @@ def test_pictures_of_one_object_are_left_out_together():
 
 def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_folds():
     assert [fold.tolist() for fold in folds_of(["face1", "face2", "face3"])] == [[0], [1], [2]]
+    assert describe_objects(["face1", "face2", "face3"]) == describe_objects(["anna", "bob", "carl"]) == ""
+    together = "images of one object, by their names, are left out together: anna (2), bob (1), carl (1)"
+    assert describe_objects(["anna-1", "bob-1", "anna-2", "carl-1"]) == together
     folds = folds_of([f"face{i}" for i in range(50)])
     assert len(folds) == 5
     assert sorted(np.concatenate(folds)) == list(range(50))

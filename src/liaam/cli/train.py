@@ -100,6 +100,7 @@ def train(
     Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one .tps, dlib .xml, COCO .json or .csv for all.
     """
     from liaam.training import train as train_model
+    from liaam.training.left_out import describe_objects
 
     if theta is not None and not 60 <= theta <= 180:
         raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
@@ -119,6 +120,8 @@ def train(
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     light = parse_lamps(lamps, training_lamp, recursive, camera)
     warn_of_faults(data, folder)
+    if leave_out and (together := describe_objects([sample.name for sample in data])):
+        say(together)
     with progress_bar(counted=False) as progress:
         model = train_model(
             data,

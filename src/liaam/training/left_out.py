@@ -1,12 +1,13 @@
 """Fit left-out images to calibrate the quality of fits."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.io.files import some_names
 from liaam.lamps import Copies
 from liaam.model import AAM, Level, Reliability
 from liaam.model.appearance import train_appearance_model
@@ -58,13 +59,29 @@ def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
     return fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]
 
 
-def folds_of(names: list[str]) -> list[np.ndarray]:
-    """Folds of samples, by object if names such as 07-1, 07-2 or anna1, anna2 identify it."""
+def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
+    """Group samples by object if names such as 07-1, 07-2 or anna1, anna2 identify it; else return nothing.
+
+    There must be at least three objects, none of which has more than half of the images.
+    """
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(map(image_of, names)):
         groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name)), []).append(i)
-    several = len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2
-    members = list(groups.values()) if several else [[i] for i in range(len(names))]
+    return groups if len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2 else {}
+
+
+def describe_objects(names: Sequence[str]) -> str:
+    """Return which samples are left out together, if any are."""
+    counts = {name: len(members) for name, members in objects_of(names).items()}
+    if max(counts.values(), default=1) == 1:
+        return ""
+    shown = some_names([f"{name} ({count})" for name, count in counts.items()], 4)
+    return f"images of one object, by their names, are left out together: {shown}"
+
+
+def folds_of(names: Sequence[str]) -> list[np.ndarray]:
+    """Folds of samples, by object if their names identify it (:func:`objects_of`)."""
+    members = list(objects_of(names).values()) or [[i] for i in range(len(names))]
     parts = np.array_split(np.arange(len(members)), min(len(members), LEFT_OUT_FOLDS))
     return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
 
