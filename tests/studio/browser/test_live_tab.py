@@ -19,6 +19,12 @@ STATUS = "[data-testid=live-status]"
 
 TRACKED = "() => window.liaamStudio.live.shown()?.fit.ok"
 
+SEEK = """(time) => {
+  const slider = document.querySelector("[data-testid=live-time]");
+  slider.value = time;
+  slider.dispatchEvent(new Event("input"));
+}"""
+
 WITHOUT_SHADING = "() => window.liaamStudio.live.shown()?.flat"
 
 MORE = "n => window.liaamStudio.live.track().rows.size >= n"
@@ -109,6 +115,7 @@ def test_the_camera_is_off_in_other_tabs(live):
     open_live(live)
     live.locator("[data-testid=live-camera]").wait_for()
     assert live.locator(STATUS).inner_text() == "No video."
+    live.locator(".toast", has_text="its track of").wait_for()
 
 
 def test_a_video_is_tracked_and_its_frames_are_kept(live, picture, artefacts, tmp_path):
@@ -120,11 +127,18 @@ def test_a_video_is_tracked_and_its_frames_are_kept(live, picture, artefacts, tm
     wait_for(live, TRACKED)
     wait_for(live, "() => window.liaamStudio.live.video().ended")
     live.locator("[data-testid=live-play]", has_text="Play").wait_for()
-    time = live.locator("[data-testid=live-time]")
-    time.evaluate("(slider) => { slider.value = '0.5'; slider.dispatchEvent(new Event('input')); }")
+    live.evaluate(SEEK, "0.5")
     wait_for(live, "() => Math.abs(window.liaamStudio.live.shown().time - 0.5) < 0.06")
     wait_for(live, TRACKED)
     shoot(live, artefacts, "live-timeline")
+    strip = live.locator("#tab-live .live-strip")
+    before = strip.evaluate("strip => strip.toDataURL()")
+    live.locator("[data-testid=tab-fit]").click()
+    live.evaluate(SEEK, "0.2")  # its frame is drawn while the tab is hidden
+    wait_for(live, "() => Math.abs(window.liaamStudio.live.shown().time - 0.2) < 0.06")
+    wait_for(live, TRACKED)
+    open_live(live)
+    assert strip.evaluate("strip => strip.toDataURL()") == before
     file = saved(live, "live-save", tmp_path)
     assert file.name == "talk_track.csv"
     assert 1 < len(list(csv.DictReader(file.open()))) <= 20

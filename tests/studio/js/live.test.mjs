@@ -4,7 +4,8 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import test from "node:test";
 
-import { isJump, parseRow, sentSize, Track } from "./modules/live-track.js";
+import { FrameMeter } from "./modules/fit-schedule.js";
+import { isJump, parseRow, sentSize, Track, verdictOfFrame } from "./modules/live-track.js";
 
 const [header, found, lost] = readFileSync(process.env.LIAAM_ROWS, "utf8").split(/(?<=\n)/);
 
@@ -60,4 +61,28 @@ test("the timeline has a mark for each frame", () => {
   track.set(0.5, lost);
   assert.deepEqual(track.marks(0.8), [[0, "good"], [0.5, "bad"]]);
   assert.deepEqual(track.marks(0.9)[0], [0, "warn"]);
+});
+
+test("advice is for a camera or for a file, and only about what is known", () => {
+  const [frame, gone] = [found, lost].map((row) => ({ fit: parseRow(row), flat: null, asked: false }));
+  const said = (shown, of = {}) => verdictOfFrame(shown, { isFile: false, isFlat: false, rate: null, ...of }).text;
+  assert.match(said(gone), /facing the camera/);
+  assert.equal(said(gone, { isFile: true }), "The object is lost in this frame.");
+  assert.equal(said(frame), "The object is found, quality 88 %.");
+  assert.equal(said(frame, { isFlat: true }), said(frame)); // the frame was sent before
+  assert.match(said({ ...frame, asked: true }, { isFlat: true }), /must have colour/);
+  assert.match(said(frame, { rate: 7.25 }), /slow: 7.3 frames/);
+  assert.equal(said(frame, { rate: 25 }), said(frame));
+});
+
+test("the speed is not known before enough frames were counted, nor after a pause", () => {
+  const meter = new FrameMeter(3, Infinity);
+  for (const time of [0, 1000, 2000]) {
+    assert.ok(!meter.isFull);
+    meter.tick(time);
+  }
+  assert.ok(meter.isFull);
+  assert.equal(meter.rate(), 1);
+  meter.reset();
+  assert.deepEqual([meter.isFull, meter.rate()], [false, 0]);
 });

@@ -46,16 +46,24 @@ export class LatestWins {
 
 const GAP = 400; // milliseconds without a frame after which another drag begins
 
-/** Frames per second of the `most` newest frames of one drag. */
+/** Frames per second of the `most` newest frames of one drag; gap: milliseconds that end it. */
 export class FrameMeter {
   #times = [];
 
-  constructor(most = 600) {
+  constructor(most = 600, gap = GAP) {
     this.most = most;
+    this.gap = gap;
+  }
+
+  /** Whether enough frames are counted. */
+  get isFull() { return this.#times.length === this.most; }
+
+  reset() {
+    this.#times = [];
   }
 
   tick(now = performance.now()) {
-    if (now - this.#times.at(-1) > GAP) this.#times = [];
+    if (now - this.#times.at(-1) > this.gap) this.reset();
     this.#times.push(now);
     if (this.#times.length > this.most) this.#times.shift();
   }

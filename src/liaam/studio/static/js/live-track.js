@@ -1,5 +1,7 @@
 // The track of a video: the row of each frame as the server writes it. This module is independent of the page.
 
+import { verdictOf } from "./fit-run.js";
+
 const FACTS = 6; // columns before those of the points
 const PER_POINT = 7; // x, y, fitted x and y, variances and covariance
 
@@ -8,6 +10,8 @@ const MOST = 480_000;
 
 /** Seconds between two frames from which on the object is searched anew. */
 const JUMP = 0.5;
+
+const SLOW = 15; // frames per second below which the user sees a message
 
 /** Size at which a video's frames are sent. */
 export function sentSize(width, height) {
@@ -34,6 +38,22 @@ export function parseRow(row) {
 }
 
 const key = (time) => Math.round(1000 * time);
+
+/**
+ * What to say of a frame and its fit: {kind: "warn" or as that of a fit, text}; asked: whether the frame was sent to
+ * remove its shading; rate: frames per second that are fitted, null while too few are counted.
+ */
+export function verdictOfFrame({ fit, flat, asked }, { isFile, isFlat, rate }) {
+  const warn = (text) => ({ kind: "warn", text });
+  if (!fit.ok)
+    return warn(`The object is lost${isFile ? " in this frame." : ". Move it into the picture, facing the camera."}`);
+  if (isFlat && asked && !flat)
+    return warn("The shading cannot be removed: the video and the model must have colour.");
+  if (rate !== null && rate < SLOW)
+    return warn(`This machine is slow: ${rate.toFixed(1)} frames per second are fitted.`);
+  const { kind, title } = verdictOf(fit);
+  return { kind, text: `The object is ${title}.` };
+}
 
 /** Rows of a table with a header, by their time in seconds. */
 export class Track {

@@ -14,7 +14,7 @@ export class LiveView {
   constructor(root, app, act) {
     this.shown = null;
     this.delays = []; // milliseconds from each frame to its painted fit
-    this.meter = new FrameMeter(LATELY);
+    this.meter = new FrameMeter(LATELY, Infinity); // however slow, until it is reset
     const container = h("div.fit-viewer");
     this.viewer = new Viewer(container, { label: "Live picture" });
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
@@ -112,11 +112,12 @@ export class LiveView {
     this._facts.replaceChildren(...(this.shown ? entries(rows) : []));
   }
 
-  /** Draw the timeline: green, amber or red where frames are tracked. */
+  /** Draw the timeline: green, amber or red where frames are tracked. It has no width while the tab is hidden. */
   drawTime({ currentTime, duration }, track) {
+    if (!duration || !this._strip.clientWidth) return;
     Object.assign(this._slider, { max: String(duration), value: String(currentTime) });
     this._time.textContent = `${currentTime.toFixed(1)} / ${duration.toFixed(1)} s`;
-    const width = (this._strip.width = this._strip.clientWidth || 1);
+    const width = (this._strip.width = this._strip.clientWidth);
     const [ctx, style] = [this._strip.getContext("2d"), getComputedStyle(this._strip)];
     for (const [time, kind] of track.marks(SURE)) {
       ctx.fillStyle = style.getPropertyValue(`--${kind}`);

@@ -1,14 +1,12 @@
 // The Live tab: follow the object in the picture of a camera, or in a video.
 
 import { api } from "./api.js";
-import { verdictOf } from "./fit-run.js";
 import { LiveSource } from "./live-source.js";
-import { isJump, parseRow, sentSize, Track } from "./live-track.js";
+import { isJump, parseRow, sentSize, Track, verdictOfFrame } from "./live-track.js";
 import { LiveView } from "./live-view.js";
 import { isPlain, press, saveFile } from "./ui.js";
 
 const AT_ONCE = 3; // frames that the server works on
-const SLOW = 15; // frames per second below which the user sees a message
 
 const SHORTCUTS = [
   { keys: "P", what: "Play, pause" },
@@ -36,6 +34,7 @@ class LiveTab {
     this.recorded = new Blob();
     this._stop();
     const { source: { video }, view } = this;
+    video.addEventListener("play", () => view.meter.reset());
     for (const type of ["play", "pause", "ended"]) video.addEventListener(type, () => this._dress());
     video.addEventListener("resize", () => view.viewer.setPicture(null, video.videoWidth, video.videoHeight));
     app.state.addEventListener("project", () => this._dress());
@@ -50,11 +49,17 @@ class LiveTab {
   /** @param {{file?: File}} options file: a video to follow */
   show({ file } = {}) {
     if (file) this._start(() => this.source.openFile(file));
+    else if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
   }
 
   hide() {
-    if (this.source.isFile) this.source.video.pause();
-    else this._stop(); // the camera is on only while the tab is open
+    if (this.source.isFile) {
+      this.source.video.pause();
+      return;
+    }
+    const lost = this.track.rows.size;
+    if (lost) this.app.toast(`The camera is off, and its track of ${lost} frames is gone: export it before you leave.`);
+    this._stop(); // the camera is on only while the tab is open
   }
 
   key(event) {
@@ -104,7 +109,7 @@ class LiveTab {
     this._missed = waits ? time : null;
     if (waits) return;
     const canvas = this.source.grab(sentSize(video.videoWidth, video.videoHeight));
-    const frame = { time, grabbed: performance.now(), canvas };
+    const frame = { time, grabbed: performance.now(), canvas, asked: this.isFlat };
     if (known) this._take(frame, known, null);
     else this._send(frame);
   }
@@ -113,7 +118,7 @@ class LiveTab {
     const { canvas: { width, height }, time } = frame;
     const { videoWidth: of_width, videoHeight: of_height } = this.source.video;
     const { data } = frame.canvas.getContext("2d").getImageData(0, 0, width, height);
-    const flags = { flat: Number(this.isFlat), fresh: Number(isJump(this._before, time)) };
+    const flags = { flat: Number(frame.asked), fresh: Number(isJump(this._before, time)) };
     const query = { width, height, of_width, of_height, number: this._number, time, ...flags };
     this._before = time;
     this._number += 1;
@@ -183,18 +188,11 @@ class LiveTab {
   }
 
   _verdict() {
-    const { view: { shown, meter }, source: { isOpen, video } } = this;
-    const rate = meter.rate();
+    const { view: { shown, meter }, source: { isOpen, isFile, video } } = this;
     if (this._message) return { kind: "bad", text: this._message };
     if (!shown) return { kind: "", text: isOpen ? "Searching…" : "No video." };
-    if (!shown.fit.ok)
-      return { kind: "warn", text: "The object is lost. Move it into the picture, facing the camera." };
-    if (this.isFlat && !shown.flat && !video.paused)
-      return { kind: "warn", text: "The shading cannot be removed: the video and the model must have colour." };
-    if (this.track.rows.size > 50 && rate < SLOW && !video.paused)
-      return { kind: "warn", text: `This machine is slow: ${rate.toFixed(0)} frames per second are fitted.` };
-    const { kind, title } = verdictOf(shown.fit);
-    return { kind, text: `The object is ${title}.` };
+    const rate = meter.isFull && !video.paused ? meter.rate() : null;
+    return verdictOfFrame(shown, { isFile, isFlat: this.isFlat, rate });
   }
 }
 
