@@ -11,10 +11,10 @@ from liaam.io import Landmarks, write_image, write_landmarks
 pytestmark = pytest.mark.slow
 
 COUNT = 400
-DROP = """([data, name]) => {
+DROP = """([data, ...names]) => {
   const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
   const transfer = new DataTransfer();
-  transfer.items.add(new File([bytes], name));
+  for (const name of names) transfer.items.add(new File([bytes], name));
   document.querySelector("canvas").dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true }));
 }"""
 
@@ -102,6 +102,14 @@ def test_slow_work_is_shown_and_fast_work_is_not(long):
 def test_a_picture_is_dropped_on_any_tab(serve, page, marked):
     page.goto(serve(marked).address)
     opened(page, NAMES[0])
-    page.evaluate(DROP, [base64.b64encode((marked / NAMES[1]).read_bytes()).decode(), "dropped.png"])
+    data = base64.b64encode((marked / NAMES[1]).read_bytes()).decode()
+    page.evaluate(DROP, [data, "dropped.png"])
     page.locator("[data-testid=tab-fit][aria-selected=true]").wait_for()
     page.locator(".fit-source-name", has_text="dropped.png").first.wait_for()
+    page.locator("[data-testid=tab-live]").click()
+    page.evaluate(DROP, [data, "first.png", "second.png", "third.png"])
+    page.locator("[data-testid=tab-fit][aria-selected=true]").wait_for()
+    page.locator(".fit-source-name", has_text="first.png").first.wait_for()
+    page.locator(".toast", has_text="Only the first of 3 files was opened: first.png").wait_for()
+    page.evaluate(DROP, [data, "talk.mkv"])
+    page.locator("[data-testid=tab-live][aria-selected=true]").wait_for()

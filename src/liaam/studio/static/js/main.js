@@ -34,6 +34,8 @@ const COMMON_KEYS = [
 
 const PANELS = { i: ["strip"], d: ["side"], z: ["strip", "side"] }; // by key
 
+const VIDEO = /\.(avi|flv|mkv|mov|mts|wmv)$/i; // names of videos whose type the browser may not know
+
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
 let open = null;
@@ -195,10 +197,10 @@ function actions() {
 
 /** A file was dropped or pasted: fit the picture, follow the video, use the model, or take over unsaved work. */
 function take(file) {
-  if (file.type.startsWith("video/")) return openTab("live", { file });
+  if (file.type.startsWith("video/") || VIDEO.test(file.name)) return openTab("live", { file });
   if (/\.json$/i.test(file.name)) return restore(file);
   if (/\.liaam$/i.test(file.name)) return openModel(app, file).catch((error) => toast(error, "bad"));
-  if (open === "annotate") openTab("fit");
+  if (!["fit", "compare"].includes(open)) openTab("fit"); // the other tabs show no such picture
   return app.sources.take(file);
 }
 
