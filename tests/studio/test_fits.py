@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from liaam.datasets.scenes import Scene
-from liaam.fitting import Fitter
+from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
 from liaam.model import AAM, SURROUNDINGS
@@ -109,6 +109,11 @@ class TestFit:
             again = json.loads(json.dumps(one.as_json(), allow_nan=False))
             assert len(again["shape"]) == one.model.n_points
             assert set(again["layers"]) <= set(layers.LAYERS)
+
+    def test_advises_nothing_that_the_page_has_no_control_for(self, fitted):
+        result = replace(fitted.result, status=FitStatus.MAX_ITERATIONS)
+        message = replace(fitted, result=result).as_json()["message"]
+        assert message == "The fit did not converge within its iterations; start nearer to the object."
 
     def test_compares_with_the_picture_s_own_landmarks(self, fitted, scene):
         expected = np.linalg.norm(fitted.result.landmarks - scene.landmarks, axis=1).mean()
@@ -363,6 +368,7 @@ class TestLight:
 
     def test_on_request(self, page):
         made = page.fit(picture="face.png").json()
+        assert made["no_flat"] is None
         answer = page.ask("GET", f"/api/fits/{made['id']}/relit?light={LIGHT}&size=80")
         assert (answer.status_code, answer.headers["content-type"]) == (200, "image/jpeg")
         assert decode_image(answer.content).shape == (80, 60, 3)
@@ -619,6 +625,8 @@ class TestRequests:
         answer = page.ask("GET", f"/api/fits/{made['id']}/layers/flat")
         assert answer.status_code == 422
         assert "the picture is grey" in answer.json()["error"]
+        assert made["layers"] == ["residual"]
+        assert made["no_flat"] == "the picture is grey, but shading needs colour: use a colour picture"
 
     def test_without_a_model(self, folder, tmp_path):
         shutil.copy(folder / "face.png", tmp_path)

@@ -100,7 +100,8 @@ class Fit:
             "method": result.method.name,
             "status": str(result.status),
             "ok": result.status.ok,
-            "message": result.message,
+            # The page has no such setting.
+            "message": result.message.replace(" or allow more iterations", ""),
             "quality": finite_or_none(result.quality),
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
             "shape": numbers(result.landmarks, 3),
@@ -125,6 +126,7 @@ class Fit:
             "width": self.source.size[0],
             "height": self.source.size[1],
             "layers": self.layers,
+            "no_flat": self.no_flat,
             "scale": {
                 "residual": {"limit": self.residual.limit, "what": self.residual.what},
                 "shading": {"limit": layers.SHADING_LIMIT, "what": "natural logarithm of light"},

@@ -25,6 +25,14 @@ RELIT = """() => window.liaamStudio.fit.view === "relit" && window.liaamStudio.f
   && !window.liaamStudio.fit.relightBusy"""
 
 
+MIDDLES = """() => [...document.querySelectorAll("#tab-fit .fit-empty > *, #tab-fit .invitation > *")]
+  .filter((each) => each.checkVisibility())
+  .map((each) => each.getBoundingClientRect()).map(({ left, right }) => (left + right) / 2)"""
+
+BLANK = """() => [...document.querySelectorAll("#tab-fit .panel, #tab-fit .fit-bar")]
+  .filter((each) => each.checkVisibility() && !each.innerText.trim()).map((each) => each.outerHTML)"""
+
+
 @pytest.fixture
 def empty(tmp_path):
     """Give an empty folder."""
@@ -54,8 +62,14 @@ def fit_a_head(page, number: int) -> None:
     wait_for_layer(page, "flat")
 
 
-def test_a_newcomer_sees_the_light_come_off_with_one_click(serve, page, empty):
+def test_a_newcomer_sees_the_light_come_off_with_one_click(serve, page, empty, artefacts):
     page.goto(serve(empty).address)
+    page.locator("[data-testid=tab-fit]").click()
+    page.locator("[data-testid=head-6]:visible").wait_for()
+    shoot(page, artefacts, "29-nothing-to-fit")
+    middles = page.evaluate(MIDDLES)
+    assert np.ptp(middles) < 1, middles
+    assert page.evaluate(BLANK) == []
     fit_a_head(page, 2)
     fit = hook(page, "fit")
     assert fit["ok"]
@@ -82,7 +96,7 @@ def test_a_dropped_model_fits_pictures_without_a_template(serve, page, folder, m
     drop_anywhere(page, "kate.liaam", model_bytes)  # on the tab Annotate
     wait_for(page, "() => window.liaamStudio.fit.fit?.picture === 'portrait-01.png'")
     assert page.locator("[data-testid=top-model]").inner_text() == "Fit only: kate"
-    assert "the model kate (58 points)" in page.locator("[data-testid=guest]").inner_text()
+    assert "fitted with kate.liaam (58 points)" in page.locator("[data-testid=guest]").inner_text()
     page.locator("[data-testid=export-menu]").click()
     assert page.locator("[data-testid=export-annotation]").is_hidden()
     shoot(page, artefacts, "30-guest")

@@ -109,6 +109,10 @@ def test_a_file_that_is_no_picture_is_refused_and_the_fit_before_stays(fit_tab, 
     fit_tab.wait_for_selector("[data-testid=fit-status] .error-text")
     assert "notes.png" in fit_tab.locator("[data-testid=fit-status]").inner_text()
     assert hook(fit_tab, "fit.id") == before
+    assert fit_tab.locator(".toast").count() == 0
+    fit_tab.keyboard.press("d")  # the panel slides away
+    drop(fit_tab, tmp_path / "notes.png")
+    fit_tab.locator(".toast.bad", has_text="notes.png").wait_for()
 
 
 def test_theta_is_dragged_and_moved_by_keys(fit_tab, lit_file, artefacts):

@@ -274,4 +274,5 @@ def test_both_sides_of_a_comparison_are_visible_on_a_phone(fitted, artefacts):
         picture = fitted.locator(f"[data-testid=compare-{side}] .viewer").bounding_box()
         assert box["y"] + box["height"] <= 844
         assert picture["height"] > 110
+        assert "Quality" in fitted.locator(f"[data-testid=compare-{side}] .compare-result").inner_text()
     shoot(fitted, artefacts, "35-compare-phone")

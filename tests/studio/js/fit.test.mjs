@@ -465,6 +465,14 @@ test("the comparison names which is nearer, and says when nobody knows", () => {
   assert.equal(betterOf(near, far), near);
 });
 
+test("landmarks that are a fit's own do not tell which fit is better", () => {
+  const own = fit({ error: { pixels: 0.004, percent: 0.001 } });
+  const other = fit({ method: "rgb", error: { pixels: 3, percent: 1.5 } });
+  assert.match(comparison(own, other, 3), /^The landmarks come from the fit with soft-li.*3 px apart/);
+  assert.equal(comparison(other, own, 3), comparison(own, other, 3));
+  assert.equal(betterOf(own, other), null);
+});
+
 test("without landmarks, fits are compared by their quality", () => {
   const [good, poor] = [fit({ quality: 0.9 }), fit({ method: "rgb", quality: 0.6 })];
   assert.match(comparison(poor, good, 2.5), /soft-li is more likely to be right: quality 90 %, rgb: 60 %.*2.5 px apart/);
@@ -579,6 +587,26 @@ test("the picture that is selected is shown, although another one was opening", 
   assert.deepEqual([sources.current.name, sources.current.width, sources.current.ofFolder], ["new.png", 6, false]);
   state.dispatchEvent(new Event("project"));
   assert.equal(sources.current.name, "new.png");
+});
+
+test("a file that the server refuses does not stay, although the browser can show it", async () => {
+  const state = Object.assign(new EventTarget(), { current: "a", project: { limits: { upload_bytes: 9 } } });
+  state.picture = () => ({ tag: "1" });
+  const sources = new Sources(state, { fetch: async (name) => ({ bitmap: name, width: 5, height: 5 }) });
+  const shown = [];
+  sources.addEventListener("change", () => shown.push(sources.current?.name));
+  sources.addEventListener("failed", ({ detail }) => shown.push(detail.error.message));
+  sources.watch("fit");
+  await settled();
+  globalThis.createImageBitmap = async () => ({ width: 3, height: 2 });
+  globalThis.fetch = async () => {
+    await settled();
+    return new Response('{"error": "moving.gif has several frames"}', { status: 422 });
+  };
+  await sources.take({ name: "moving.gif", size: 5 });
+  assert.deepEqual(shown, ["a", "moving.gif", "a", "moving.gif has several frames"]);
+  state.dispatchEvent(new Event("project"));
+  assert.equal(sources.current.name, "a");
 });
 
 test("a fit that becomes the landmarks is saved in the name of the person", async () => {

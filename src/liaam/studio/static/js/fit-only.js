@@ -98,7 +98,7 @@ export class GuestPanel {
     const guest = isGuest(project) ? project.model : null;
     this.element.hidden = !guest;
     if (!guest) return;
-    const what = guest.name === HEADS ? "the model of the generated heads" : `the model ${guest.name}`;
+    const what = guest.name === HEADS ? "the model of the generated heads" : `${guest.name}.liaam`;
     this._words.textContent = `Pictures are fitted with ${what} (${guest.n_points} points). `
       + "Nothing is trained, and no landmarks are saved.";
     this._gallery.hidden = guest.name !== HEADS;

@@ -15,14 +15,16 @@ export class ResultPanel {
     this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this._status, this._remedies, this._facts);
   }
 
-  /** Show a message in place of a fit; kind: "info" or "bad". */
+  /** Show a message in place of a fit, or nothing for ""; kind: "info" or "bad". */
   showMessage(kind, message) {
+    this.element.hidden = !message;
     this._status.replaceChildren(h(kind === "bad" ? "p.error-text" : "p.small", message));
     this._remedies.hidden = true;
     this._facts.replaceChildren();
   }
 
   show(fit) {
+    this.element.hidden = false;
     const { kind, title, advice } = verdictOf(fit);
     const lines = [
       h("span.badge", { class: kind, dataset: { status: fit.status } }, title),

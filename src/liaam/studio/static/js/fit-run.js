@@ -130,11 +130,12 @@ export function factsOf(fit) {
   return rows;
 }
 
-/** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}; null if
- *  neither is known. */
+/** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}, or
+ *  {by: "copy"} if the landmarks are those of a fit; null if neither is known. */
 function compared(left, right) {
   if (left?.error && right?.error) {
     const [a, b] = [left.error.pixels, right.error.pixels];
+    if (Math.min(a, b) < 0.01) return { by: "copy", gain: 0 };
     return { by: "error", gain: Math.abs(a - b) < 0.005 * Math.max(a, b) ? 0 : b - a };
   }
   if (left?.quality == null || right?.quality == null) return null;
@@ -157,6 +158,10 @@ export function comparison(left, right, distance) {
   const larger = " The model was trained on this picture, so its errors on new pictures are larger.";
   const trained = left.trained_on ? larger : "";
   const apart = `The two fits are ${short(distance)} px apart on average.`;
+  if (by === "copy") {
+    const { method } = left.error.pixels < right.error.pixels ? left : right;
+    return `The landmarks come from the fit with ${method}, so they do not show which fit is better. ${apart}`;
+  }
   if (by === "error" && !better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
   if (by === "error") {
     const errors = `${errorText(better)}, ${worse.method}: ${errorText(worse)}`;

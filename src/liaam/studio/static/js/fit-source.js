@@ -104,6 +104,7 @@ export class Sources extends EventTarget {
       this._say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`) });
       return;
     }
+    const before = this.current;
     this._wanted = source;
     this._chosen = false;
     source.ready = this._send(source, file);
@@ -122,7 +123,8 @@ export class Sources extends EventTarget {
       if (this._wanted === source) this._show(source);
     } catch (error) {
       if (this._wanted !== source) return;
-      this._wanted = this.current;
+      this._wanted = before;
+      if (this.current === source) this._show(before); // the browser can show what the server refuses
       this._say("failed", { error });
     }
   }

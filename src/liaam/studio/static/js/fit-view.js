@@ -133,8 +133,7 @@ export class FitView {
     if (!this.fit) return "This picture has not been fitted yet.";
     const layer = name === "relit" ? "flat" : name;
     if (this.fit.layers.includes(layer)) return "";
-    return `A fit with ${this.fit.method} has no such layer: choose another method, such as soft-li, and a colour ` +
-      "picture.";
+    return `${this.fit.no_flat[0].toUpperCase()}${this.fit.no_flat.slice(1)}.`;
   }
 
   async _load() {

@@ -264,9 +264,10 @@ class FitTab {
     this.result.showMessage("info", model ? what : "");
   }
 
-  /** Show why the fit failed. */
+  /** Show why the fit failed, also where the panel is away. */
   _refused(error) {
     this.result.showMessage("bad", error.message);
+    if (document.documentElement.dataset.side === "away") this.app.toast(error, "bad");
   }
 
   /** Why the model does not match the folder's template, or "". */
@@ -286,6 +287,7 @@ class FitTab {
     this._offerExport();
     for (const panel of this._ofFits) panel.hidden = !model;
     this.view.container.classList.toggle("without", !source);
+    this.view.bar.hidden = !source;
     this._empty.show(!source, this.visible && !model);
   }
 }
