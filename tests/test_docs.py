@@ -12,8 +12,10 @@ from typing import Any
 import pytest
 import typer
 
+import liaam
 from liaam import FitResult
 from liaam.cli.main import app
+from liaam.tracking.files import arrays_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -46,9 +48,13 @@ def blocks(path: Path, language: str) -> list[str]:
 def anchors(path: Path) -> set[str]:
     """Anchors of a page: its headings, as GitHub and MyST name them, and labels."""
     text = BLOCK.sub("", text_of(path))
-    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    slugs = {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
-    return slugs | set(re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE))
+    return headings(text) | set(re.findall(r"^\(([\w-]+)\)=$", text, re.MULTILINE))
+
+
+def headings(text: str) -> set[str]:
+    """Anchors of headings."""
+    found = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in found}
 
 
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
@@ -97,6 +103,39 @@ def test_commands_in_pages_have_these_options(path):
             for word in words[1:]:
                 if re.match(r"-{1,2}[a-z]", word):
                     assert word.partition("=")[0] in known, f"{line}: there is no {word}"
+
+
+def words_of(path: Path) -> set[str]:
+    return set(re.findall(r"\w+", text_of(path)))
+
+
+def test_the_theory_names_code_that_exists():
+    text = text_of(ROOT / "docs/explanation/theory.md")
+    code = {path.relative_to(ROOT).as_posix(): words_of(path) for path in (ROOT / "src/liaam").rglob("*.py")}
+    everywhere = set().union(*code.values())
+    for name in re.findall(r"`([A-Za-z_][\w.]*)`", text):
+        if not name.endswith(".py"):
+            assert set(name.split(".")) <= everywhere, f"no code has {name}"
+    for file, names in re.findall(r"`([\w/]+\.py)`(?::((?:,?\s+`[\w.]+`)+))?", text):
+        words = [known for path, known in code.items() if f"/{path}".endswith(f"/{file}")]
+        assert words, f"there is no {file}"
+        for name in re.findall(r"[\w.]+", names):
+            assert any(set(name.split(".")) <= known for known in words), f"{file} has no {name}"
+
+
+def test_links_of_the_readme_also_work_where_labels_do_not():
+    for name, anchor in re.findall(r"\]\(([^():\s]+)#([^()\s]+)\)", text_of(ROOT / "README.md")):
+        assert anchor in headings(text_of(ROOT / name)), f"{name}#{anchor} is no heading"
+
+
+def test_the_arrays_of_a_track_are_described():
+    section = text_of(ROOT / "docs/reference/output-files.md").partition("## Track of a video")[2]
+    rows = re.findall(r"^\| (`.*?) \|", section.partition("\n## ")[0], re.MULTILINE)
+    assert set(re.findall(r"`(\w+)`", " ".join(rows))) - {"index"} == set(arrays_of([], 5))
+
+
+def test_the_package_offers_its_public_names_only():
+    assert {name for name in dir(liaam) if not name.startswith("__")} == {*liaam.__all__, *liaam._SUBMODULES}
 
 
 def test_the_readme_is_short_and_says_how_to_install_and_test():

@@ -166,4 +166,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_SUBMODULES})
+    return sorted({*filter(lambda name: name.startswith("__"), globals()), *__all__, *_SUBMODULES})
