@@ -1,21 +1,34 @@
 """The documentation: links between files of the repository hold, code names what exists, and the tutorial runs."""
 
 import ast
+import inspect
+import pkgutil
 import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 
 import liaam
 from liaam import FitResult
 from liaam.cli.main import app
+from liaam.datasets import label_faults
+from liaam.fitting import search, solver
+from liaam.io.video import VIDEO_SUFFIXES, video_writer
+from liaam.lamps.bank import DARK, Lamps
+from liaam.model.views import VIEWS
+from liaam.relighting import Lamp, Relighter
+from liaam.relighting.lamp import STRONGEST
+from liaam.relighting.relighter import LONGEST
 from liaam.tracking.files import arrays_of
+from liaam.training import options
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -132,6 +145,53 @@ def test_the_arrays_of_a_track_are_described():
     section = text_of(ROOT / "docs/reference/output-files.md").partition("## Track of a video")[2]
     rows = re.findall(r"^\| (`.*?) \|", section.partition("\n## ")[0], re.MULTILINE)
     assert set(re.findall(r"`(\w+)`", " ".join(rows))) - {"index"} == set(arrays_of([], 5))
+
+
+def public_classes() -> list[type]:
+    """Data types of the API reference."""
+    names = re.findall(r"^   ([a-zA-Z_.]+)$", text_of(ROOT / "docs/reference/api.rst"), re.MULTILINE)
+    found = [pkgutil.resolve_name(f"liaam:{name}" if "." not in name else f"liaam.{name}") for name in names]
+    return [each for each in found if isinstance(each, type) and is_dataclass(each)]
+
+
+@pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
+def test_data_types_describe_their_fields_in_help_and_print_no_arrays(kind):
+    text = inspect.getdoc(kind) or ""
+    for each in fields(kind):
+        described = re.search(rf"^(\w+, )*{each.name}(, \w+)* : ", text, re.MULTILINE)
+        assert described or each.name.startswith("_"), f"{kind.__name__}.{each.name}"
+        if each.type in ("np.ndarray", np.ndarray) and kind is not liaam.Registration:  # its matrix is small
+            assert not hasattr(kind.__repr__, "__wrapped__"), f"{kind.__name__} prints {each.name}"
+
+
+@pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
+def test_data_types_refer_to_names_that_readers_can_look_up(kind):
+    texts = [inspect.getdoc(kind), *(inspect.getdoc(each) for name, each in vars(kind).items() if name[0] != "_")]
+    for name in re.findall(r":data:`(.*?)`", "\n".join(text or "" for text in texts)):
+        assert name.startswith("liaam.") and pkgutil.resolve_name(name) is not None, name
+
+
+def test_values_in_docstrings_are_those_of_the_code():
+    blurs = " and ".join(f"{blurs} for the view ``{view}``" for view, blurs in options.BLURS.items())
+    (expected, first), (own, more) = solver.EARLY["expected"], solver.EARLY["own"]
+    for kind, text in (
+        (liaam.TrainingOptions, f"at most {options.KEPT} for the view"),
+        (liaam.TrainingOptions, f"Default: {blurs}"),
+        (liaam.TrainingOptions, f"Default: {options.COPIES}, or 0"),
+        (liaam.SolverOptions, f"{expected} in the first {first} steps"),
+        (liaam.SolverOptions, f"{own} in the first {more}"),
+        (liaam.SolverOptions, f"up to {solver.SCORING_STEPS} such steps"),
+        (liaam.find, f"up to {search.MOST}."),
+        (liaam.find, f"such as {search.DOUBTFUL}."),
+        (liaam.Candidate.doubtful, f"below {search.DOUBTFUL}."),
+        (liaam.find_label_faults, f"fewer than {label_faults.LEAST_PICTURES} images"),
+        (Lamp, f"0 to {STRONGEST:g}."),
+        (Relighter.under_lamps, f"up to a factor {LONGEST}"),
+        (Lamps, f"plus {DARK * 255:g}/255"),
+        (video_writer, ", ".join(f"``{suffix}``" for suffix in VIDEO_SUFFIXES)),
+        (liaam.AAM, ", ".join(f"``{name}``" for name in VIEWS)),
+    ):
+        assert " ".join(text.split()) in " ".join((inspect.getdoc(kind) or "").split()), text
 
 
 def test_the_package_offers_its_public_names_only():

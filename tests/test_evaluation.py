@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from liaam import TrackedFrame
 from liaam.evaluation import angle_difference, cumulative_errors, error_statistics, nme, point_error
+from liaam.fitting import FitStatus
+from liaam.tracking import TrackStatus
 
 
 def test_point_error_leaves_out_unknown_landmarks_and_counts_lost_ones():
@@ -35,3 +38,15 @@ def test_angles_differ_by_half_a_turn_at_most(angle, expected):
 
 def test_cumulative_errors_count_nan_as_failure():
     assert np.allclose(cumulative_errors(np.array([0.1, np.nan, 0.3, 0.2]), np.array([0.05, 0.2, 1.0])), [0, 0.5, 0.75])
+
+
+def test_the_text_of_an_object_has_shapes_of_arrays():
+    points, squares = np.zeros((58, 2)), np.zeros((58, 2, 2))
+    frame = TrackedFrame(
+        7, 0.25, TrackStatus.FOUND, FitStatus.CONVERGED, 1 / 3, np.nan, points, points, squares, squares
+    )
+    assert repr(frame) == (
+        "TrackedFrame(index=7, time=0.25, status='found', fit_status='converged', quality=0.333333, theta=nan, "
+        "landmarks=(58, 2) float64, raw=(58, 2) float64, covariances=(58, 2, 2) float64, "
+        "raw_covariances=(58, 2, 2) float64)"
+    )

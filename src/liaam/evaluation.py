@@ -1,6 +1,8 @@
 """Error measures of landmarks, and formatting of numbers."""
 
 from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -92,3 +94,17 @@ def finite_list(values: np.ndarray) -> list:
     plain = np.asarray(values, dtype=object)
     plain[~np.isfinite(values)] = None
     return plain.tolist()
+
+
+def short_repr(self: Any) -> str:
+    """Return the fields of a dataclass as text, arrays by shape and type: the ``__repr__`` of classes with arrays."""
+    values = {each.name: _short(getattr(self, each.name)) for each in fields(self)}
+    return f"{type(self).__name__}({', '.join(f'{name}={value}' for name, value in values.items())})"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.shape} {value.dtype}"
+    if isinstance(value, float):
+        return f"{value:g}"
+    return repr(str(value)) if isinstance(value, str) else repr(value)  # str() of an enumeration is its value

@@ -612,6 +612,7 @@ def test_landmarks_are_a_frozen_copy() -> None:
     with pytest.raises(ValueError, match="read-only"):
         marks.points[0] = 1
     assert repr(marks) == "Landmarks(3 points, 0 missing, 0 contours)"
+    assert repr(Landmarks(points[:1], (Contour((0,)),))) == "Landmarks(1 point, 0 missing, 1 contour)"
 
 
 # Writing -------------------------------------------------------------------------------------------

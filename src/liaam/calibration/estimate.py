@@ -7,7 +7,7 @@ import numpy as np
 from liaam.evaluation import angle_difference
 
 PHYSICAL = (float(np.deg2rad(90.0)), float(np.deg2rad(135.0)))
-"""Angles of physical cameras, radians (DESIGN section 1)."""
+"""Angles of physical cameras, radians (docs/explanation/how-it-works.md)."""
 
 WIDEST_ERROR = float(np.deg2rad(8.0))
 """Standard error above which an angle counts as unobservable, radians."""

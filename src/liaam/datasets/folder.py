@@ -28,6 +28,7 @@ from liaam.datasets.advice import (
     unread_landmarks,
 )
 from liaam.errors import ImageError, LandmarkError, LiaamError
+from liaam.evaluation import short_repr
 from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import image_size, read_image
 from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
@@ -38,16 +39,27 @@ _PARTIAL = "one of several objects in an image lacks landmarks"
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One landmarked object in an image."""
+    """One landmarked object in an image.
+
+    Attributes
+    ----------
+    name : str
+        Unique in its data set: the path inside the folder, without suffix. If the image holds several objects, those
+        after the largest have a number: ``party``, ``party#2``, ``party#3``.
+    image : (height, width, 3) uint8, uint16 or float32, or Path
+        The image in RGB order, or the file to read it from.
+    landmarks : Landmarks
+        Landmarks of the object, pixels.
+    landmark_file : Path, optional
+        Where the landmarks were read from.
+    """
 
     name: str
-    """Unique in its data set: the path inside the folder, without suffix. If the image holds several objects, those
-    after the largest have a number: ``party``, ``party#2``, ``party#3``."""
     image: np.ndarray | Path
-    """(height, width, 3) uint8, uint16 or float32 in RGB order, or the file to read it from."""
     landmarks: Landmarks
     landmark_file: Path | None = None
-    """Where the landmarks were read from."""
+
+    __repr__ = short_repr
 
     def read_image(self) -> np.ndarray:
         """Return the image, (height, width, 3). A file is read at each call.
@@ -62,29 +74,46 @@ class Sample:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A file that was not used."""
+    """A file that was not used.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    reason : str
+        One sentence; the part before the first colon groups files in the report.
+    partly : bool
+        Whether other parts of the file are used.
+    """
 
     path: Path
     reason: str
-    """One sentence; the part before the first colon groups files in the report."""
     partly: bool = False
-    """Whether other parts of the file are used."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
-    """Landmarked images with the same number of landmarks."""
+    """Landmarked images with the same number of landmarks.
+
+    Attributes
+    ----------
+    samples : tuple of Sample
+        The landmarked objects, in order.
+    left_out : tuple of LeftOut
+        Files that were not used, with the reason.
+    source : str
+        Origin of the samples, for the report.
+    """
 
     samples: tuple[Sample, ...]
     left_out: tuple[LeftOut, ...] = ()
     source: str = ""
-    """Origin of the samples, for the report."""
 
     def __len__(self) -> int:
         return len(self.samples)
 
     def __repr__(self) -> str:
-        return f"Dataset({len(self)} samples, {len(self.left_out)} left out, source={self.source!r})"
+        return f"Dataset({count_of(len(self), 'sample')}, {len(self.left_out)} left out, source={self.source!r})"
 
     def __iter__(self) -> Iterator[Sample]:
         return iter(self.samples)

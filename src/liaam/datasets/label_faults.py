@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.evaluation import ranges_of, root_mean_square
+from liaam.evaluation import ranges_of, root_mean_square, short_repr
 from liaam.io.landmarks import Landmarks
 from liaam.model.shape import diagonal_of, mirror_order, procrustes_mean
 from liaam.progress import Progress
@@ -73,6 +73,8 @@ class LabelFault:
     corrected_distance: float
     expected: np.ndarray
 
+    __repr__ = short_repr
+
     @property
     def is_order(self) -> bool:
         """Whether another order corrects the error."""
@@ -117,7 +119,7 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
     Raises
     ------
     LiaamError
-        If there are fewer than :data:`LEAST_PICTURES` images.
+        If there are fewer than 8 images.
     """
     if len(shapes) < LEAST_PICTURES:
         raise LiaamError(

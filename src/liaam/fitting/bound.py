@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.errors import MethodError
+from liaam.evaluation import short_repr
 from liaam.fitting.methods import Method, get_method
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.problem import FitProblem
@@ -40,6 +41,8 @@ class Bound:
     landmarks: np.ndarray
     rms: float
     theta: float
+
+    __repr__ = short_repr
 
     @property
     def mean_distance(self) -> float:

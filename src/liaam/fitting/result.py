@@ -9,10 +9,11 @@ import numpy as np
 
 from liaam.drawing import Contours, new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_list
+from liaam.evaluation import finite_list, short_repr
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
 from liaam.fitting.search import Candidate
+from liaam.io.files import count_of
 from liaam.model.shape import Similarity
 
 if TYPE_CHECKING:
@@ -117,6 +118,8 @@ class Iteration:
     theta: float
     level: int = 0
 
+    __repr__ = short_repr
+
 
 LEAST_QUALITY = 0.5
 """Quality below which a converged fit is doubtful."""
@@ -203,7 +206,7 @@ class FitResult:
     image: np.ndarray | Path | None = None
 
     def __repr__(self) -> str:
-        counts = f"{len(self.landmarks)} landmarks, {self.n_iterations} iterations"
+        counts = f"{len(self.landmarks)} landmarks, {count_of(self.n_iterations, 'iteration')}"
         return f"FitResult({self.method.name}: {self.status}, quality {self.quality_text}, {counts})"
 
     @property

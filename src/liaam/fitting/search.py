@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam.errors import MethodError, ModelFileError
-from liaam.evaluation import point_error
+from liaam.evaluation import point_error, short_repr
 from liaam.fitting.methods import get_method
 from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import described, load_picture
@@ -130,9 +130,11 @@ class Candidate:
     rotation: float
     scale: float
 
+    __repr__ = short_repr
+
     @property
     def doubtful(self) -> bool:
-        """Whether the detection is uncertain: the score is below :data:`DOUBTFUL`."""
+        """Whether the detection is uncertain: the score is below 0.52."""
         return self.score < DOUBTFUL
 
 
@@ -443,9 +445,9 @@ def find(
     model : AAM
     image : (h, w, 3) or (h, w) uint8, uint16 or float array, or path
     limit : int or None
-        Largest number of objects; None for all, up to :data:`MOST`.
+        Largest number of objects; None for all, up to 20.
     least : float
-        Minimum score, such as :data:`DOUBTFUL`.
+        Minimum score, such as 0.52.
     response : Response, optional
         Response of the image's camera; by default the training camera's.
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import VideoError, installing
+from liaam.evaluation import short_repr
 from liaam.io.atomic import atomic_path
 from liaam.io.files import existing_file
 
@@ -69,6 +70,8 @@ class VideoFrame:
     index: int
     time: float
     image: np.ndarray
+
+    __repr__ = short_repr
 
 
 class VideoReader:
@@ -521,7 +524,8 @@ def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_
     Parameters
     ----------
     path : path-like
-        Has a suffix in :data:`VIDEO_SUFFIXES`. The codec is H.264, or VP9 for ``.webm``.
+        Has one of the suffixes ``.mp4``, ``.m4v``, ``.mov``, ``.mkv``, ``.avi``, ``.webm``. The codec is H.264, or VP9
+        for ``.webm``.
     rate : Fraction or float
         Frames per second.
 

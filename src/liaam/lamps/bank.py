@@ -15,7 +15,7 @@ import numpy as np
 
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
-from liaam.io.files import json_object
+from liaam.io.files import count_of, json_object
 from liaam.io.tensors import Shapes, read_tensors
 from liaam.model.file import LAMPS_FORMAT
 from liaam.model.light import BRIGHTEST, SIDE, LightBasis
@@ -63,7 +63,7 @@ class Lamps:
     mean : (n, 2) float64
         Mean shape. The centre of its bounding box is the origin, and the diagonal 1.
     fields : (k, SIDE, SIDE, 3) float16
-        Log ratio of stored sRGB values plus :data:`DARK`, under each lamp and under the training light, in RGB order.
+        Log ratio of stored sRGB values plus 4/255, under each lamp and under the training light, in RGB order.
     names : tuple of str
         Names of the lamps, for display.
     """
@@ -76,7 +76,7 @@ class Lamps:
         return len(self.fields)
 
     def __repr__(self) -> str:
-        return f"Lamps({len(self)} lamps, {len(self.mean)} landmarks)"
+        return f"Lamps({count_of(len(self), 'lamp')}, {len(self.mean)} landmarks)"
 
     def check_landmarks(self, n: int, whose: str) -> None:
         """Raise unless the lamps were learnt with n landmarks; ``whose`` names the objects in the message."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.errors import ModelFileError
+from liaam.io.files import count_of
 from liaam.model.file import file_bytes, read_fields
 from liaam.model.light import LightBasis
 from liaam.model.mesh import ReferenceFrame
@@ -24,7 +25,7 @@ class AAM:
     Attributes
     ----------
     views : dict of str to View
-        Views by name, keys of :data:`VIEWS`. ``mesh`` is always present.
+        Views by name: ``mesh``, ``surroundings``. ``mesh`` is always present.
     triangles : (t, 3) int32
         The mesh.
     camera : CameraModel
@@ -64,7 +65,8 @@ class AAM:
     features: Features | None = None
 
     def __repr__(self) -> str:
-        return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {self.n_images} images)"
+        images = count_of(self.n_images, "image")
+        return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {images})"
 
     def with_view(self, name: str, **changes) -> "AAM":
         """Return a copy of the model with some fields of a view changed."""

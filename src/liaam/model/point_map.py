@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from liaam.evaluation import short_repr
 from liaam.model.shape import ShapeModel, align
 
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
@@ -47,6 +48,8 @@ class PointMap:
     weights: np.ndarray
     errors: np.ndarray
     noise: float
+
+    __repr__ = short_repr
 
     @property
     def n_theirs(self) -> int:

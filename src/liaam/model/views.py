@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from liaam.io.files import count_of
 from liaam.model.appearance import AppearanceModel
 from liaam.model.shape import ShapeModel
 from liaam.model.warp import PiecewiseAffineWarp, mesh_warp, surrounded_warp
@@ -101,6 +102,9 @@ class View:
     warp: PiecewiseAffineWarp
     levels: tuple[Level, ...]
     reliability: Reliability | None = None
+
+    def __repr__(self) -> str:
+        return f"View({self.warp.frame.n_pixels} pixels, {count_of(len(self.levels), 'level')})"
 
     @property
     def shape_model(self) -> ShapeModel:

@@ -89,12 +89,17 @@ _REMEDY = (
 
 @dataclass(frozen=True)
 class Measure:
-    """A distance, an angle or an area."""
+    """A distance, an angle or an area.
+
+    Attributes
+    ----------
+    kind : {"distance", "angle", "area"}
+    landmarks : tuple of str
+        Landmarks by number, counted from 1, or by name.
+    """
 
     kind: str
-    """``distance``, ``angle`` or ``area``."""
     landmarks: tuple[str, ...]
-    """Numbers, counted from 1, or names."""
 
     @classmethod
     def parse(cls, text: str) -> Measure:
@@ -133,12 +138,18 @@ class Measure:
 
 @dataclass(frozen=True)
 class ScaleBar:
-    """Two landmarks at the ends of a scale bar of known length."""
+    """Two landmarks at the ends of a scale bar of known length.
+
+    Attributes
+    ----------
+    ends : tuple of str
+        Landmarks by number, counted from 1, or by name.
+    length : float
+        Length, in the unit of the results.
+    """
 
     ends: tuple[str, ...]
-    """Numbers, counted from 1, or names."""
     length: float
-    """Length, in the unit of the results."""
 
 
 def parse_scale(text: str) -> float | ScaleBar:

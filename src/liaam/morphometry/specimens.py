@@ -14,6 +14,7 @@ import numpy as np
 
 from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
+from liaam.evaluation import short_repr
 from liaam.io.files import existing_file, natural_key
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
 from liaam.io.results import corrected_file, read_fit
@@ -29,6 +30,21 @@ _ROUNDING = 1e-5
 class Specimen:
     """The landmarks of one specimen.
 
+    Attributes
+    ----------
+    name : str
+        Name, such as the image's file name without suffix.
+    points : (n, 2) float64
+        x and y in pixels, y downwards; NaN where missing.
+    covariances : (n, 2, 2) float64, optional
+        Covariances of x and y, square pixels; NaN or None if unknown.
+    names : tuple of str
+        One name per landmark, or empty.
+    scale : float, optional
+        Length of a pixel in the specimen's units; None if unknown.
+    status : str
+        How its fit ended (:class:`liaam.FitStatus`), or empty.
+
     Raises
     ------
     LandmarkError
@@ -36,17 +52,13 @@ class Specimen:
     """
 
     name: str
-    """Such as the image's file name without suffix."""
     points: np.ndarray
-    """(n, 2) float64: x, y in pixels, y downwards; NaN where missing."""
     covariances: np.ndarray | None = None
-    """(n, 2, 2) float64, square pixels; NaN or None if unknown."""
     names: tuple[str, ...] = ()
-    """One name per landmark, or empty."""
     scale: float | None = None
-    """Length of a pixel in the specimen's units; None if unknown."""
     status: str = ""
-    """How its fit ended (:class:`liaam.FitStatus`), or empty."""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", np.asarray(self.points, np.float64))

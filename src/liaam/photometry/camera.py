@@ -33,7 +33,7 @@ LARGEST = 10_000_000
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise of linear light: variance = slope * rho + offset (DESIGN section 1), rho in [0, 1].
+    """Noise of linear light: variance = slope * rho + offset, rho in [0, 1].
 
     Attributes
     ----------

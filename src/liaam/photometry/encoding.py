@@ -1,4 +1,4 @@
-"""Encodings: the channels in which a method compares images (DESIGN section 1, column "encoding").
+"""Encodings: the channels in which a method compares images (docs/explanation/theory.md, "One objective").
 
 An image is encoded to float32 channels: usually three colours, and last the weight of the pixel (1 usable, 0 not).
 This module alone defines the result for NaN, black, saturated, 16-bit and float images.

@@ -22,7 +22,7 @@ CHROMATICITY = np.array(
 
 THETA_DEFAULT = float(np.deg2rad(122.0))
 """Angle assumed for an unknown camera, radians: that of the shift of the logarithm of linear sRGB under Planckian
-lights of 3000-8000 K. Published sensor sensitivities give 116-122 degrees (DESIGN section 1)."""
+lights of 3000-8000 K. Published sensor sensitivities give 116-122 degrees."""
 
 
 def invariant_row(theta: float) -> np.ndarray:

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.errors import MethodError
+from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.picture import load_picture
 from liaam.fitting.problem import correlated_pixels
@@ -38,6 +39,8 @@ class ShadowFree:
     lam: np.ndarray
     deviations: np.ndarray
     light: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    __repr__ = short_repr
 
 
 def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) -> ShadowFree:

@@ -28,7 +28,7 @@ class Lamp:
     colour : (3,) float
         Linear red, green and blue, 0 to 1. Default: white.
     strength : float
-        Factor of its light, 0 to :data:`STRONGEST`.
+        Factor of its light, 0 to 10.
     softness : float
         Size of the lamp, 0 (a point, with a sharp edge between light and shadow) to 1 (the light wraps around the
         object).

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.errors import LiaamError, MethodError
+from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.picture import load_picture
 from liaam.model import AAM
@@ -84,6 +85,8 @@ class Relighter:
     share: np.ndarray
     normals: np.ndarray
 
+    __repr__ = short_repr
+
     @classmethod
     def of(cls, fitter: Fitter, image, result: FitResult, prior: float = 1.0, name: str = "image") -> "Relighter":
         """Separate a fitted image into appearance and shading.
@@ -146,7 +149,7 @@ class Relighter:
 
         Uses Lambert's law on the inflated surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
         object is as in :meth:`flat`. A lamp from the side gives less light on average. Half of this loss (in
-        logarithms) is compensated by the exposure, up to a factor :data:`LONGEST`, and so is half of the gain of
+        logarithms) is compensated by the exposure, up to a factor 1.5, and so is half of the gain of
         several lamps.
 
         Parameters

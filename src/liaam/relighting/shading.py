@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from liaam.evaluation import short_repr
 from liaam.model import AAM
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import align
@@ -53,6 +54,8 @@ class Shading:
     """(n_pixels,) float32: its variance, which is large at the edges of cast shadows."""
     model_variance: np.ndarray
     """(n_pixels,) float32: variance of the model's appearance."""
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

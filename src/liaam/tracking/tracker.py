@@ -16,7 +16,7 @@ import numpy as np
 
 from liaam.drawing import plot_landmarks
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.evaluation import finite_list, finite_or_none
+from liaam.evaluation import finite_list, finite_or_none, short_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
@@ -133,6 +133,8 @@ class TrackedFrame:
     raw: np.ndarray
     covariances: np.ndarray
     raw_covariances: np.ndarray
+
+    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:

@@ -56,7 +56,7 @@ class TrainingOptions:
         Fraction of the shapes' variance to keep, in (0, 1], or a number of modes. ``auto`` chooses the number of modes
         under which left-out images are most likely.
     appearance_variance : float, int, "auto" or mapping of views to these, optional
-        The same for appearances. Default: ``variance``, and at most :data:`KEPT` for the view ``surroundings``.
+        The same for appearances. Default: ``variance``, and at most 0.85 for the view ``surroundings``.
     prior : {"sample", "smooth", "shrunk"} or mapping of views to these, optional
         How the covariance of the shapes is estimated, for all views or by name of :data:`liaam.model.VIEWS`.
         ``sample``: the sample covariance, as in the paper. ``smooth``: shrunk towards smooth deformations, with
@@ -64,14 +64,16 @@ class TrainingOptions:
         variances of left-out shapes. Default: ``sample`` for ``mesh``; for ``surroundings`` (method ``soft-li``)
         ``smooth``, or ``sample`` if all of the variance is kept or there are more than 200 landmarks.
     blurs : tuple of float or mapping of views to these, optional
-        Blur of the levels of a fit, from coarse to fine, pixels of the reference frame. Default: :data:`BLURS`.
+        Blur of the levels of a fit, from coarse to fine, pixels of the reference frame. Default: (3.0, 0.5) for the
+        view ``mesh`` and (4.0, 2.0, 1.0) for the view ``surroundings``, where it is smaller in frames with a diagonal
+        below 150.
     triangles : (t, 3) int, optional
         The mesh. Default: the connectivity of the landmark files if it is a mesh, else the Delaunay triangulation of
         the mean shape.
     copies : int, optional
         Relit copies of each image that the default method, the search, ``varied`` and ``aia`` also learn from. Every
         other copy is mirrored if the object is symmetric; without lamps there is one mirrored copy. With many
-        images there are fewer copies of each. Default: :data:`COPIES`, or 0 if all of the variance is kept.
+        images there are fewer copies of each. Default: 3, or 0 if all of the variance is kept.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.

@@ -15,26 +15,39 @@ TABLE_SIZE = 400
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera with three Gaussian sensitivities."""
+    """A camera with three Gaussian sensitivities.
+
+    Attributes
+    ----------
+    peaks_nm : (float, float, float)
+        Wavelengths of the channels R, G, B, nm.
+    widths_nm : (float, float, float)
+        Standard deviations of the sensitivities, nm. At 0 (line sensors) the paper's theory is exact.
+    white_K : float
+        Temperature of the light under which white appears white (fixed gains, no automatic white balance).
+    exposure : float, optional
+        Gain from reflectance times irradiance to linear values; None: bright parts of the face reach 0.8.
+    vignetting : float
+        Loss of light in the corners, 0 to 1.
+    response : {"srgb", "linear"} or float
+        A number is the exponent g of an encoding value**(1/g).
+    read_noise : float
+        Standard deviation of the noise in the dark, in linear units (1 is white).
+    shot_noise : float
+        Slope a of the variance of the linear value rho: variance = a rho + read_noise**2.
+    bits : int, optional
+        8 or 16 for integers; None for float32 in 0..1.
+    """
 
     peaks_nm: tuple[float, float, float] = (600.0, 540.0, 460.0)
-    """Wavelengths of the channels R, G, B, nm."""
     widths_nm: tuple[float, float, float] = (28.0, 30.0, 24.0)
-    """Standard deviations of the sensitivities, nm. At 0 (line sensors) the paper's theory is exact."""
     white_K: float = 5000.0  # noqa: N815 - a kelvin is a K
-    """Temperature of the light under which white appears white (fixed gains, no automatic white balance)."""
     exposure: float | None = None
-    """Gain from reflectance times irradiance to linear values; None: bright parts of the face reach 0.8."""
     vignetting: float = 0.08
-    """Loss of light in the corners, 0 to 1."""
     response: Response = "srgb"
-    """"srgb", "linear", or the exponent g of an encoding value**(1/g)."""
     read_noise: float = 0.0015
-    """Standard deviation of the noise in the dark, in linear units (1 is white)."""
     shot_noise: float = 0.0001
-    """Slope a of the variance of the linear value rho: variance = a rho + read_noise**2."""
     bits: int | None = 8
-    """8 or 16 for integers; None for float32 in 0..1."""
 
     def __post_init__(self) -> None:
         if len(self.peaks_nm) != 3 or not all(380 <= p <= 720 for p in self.peaks_nm):

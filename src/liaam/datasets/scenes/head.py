@@ -16,16 +16,24 @@ HairStyle = Literal["short", "long"]
 
 @dataclass(frozen=True)
 class Head:
-    """A person. Every trait is drawn from ``seed``; a given trait overrides the drawn one."""
+    """A person. Every trait is drawn from ``seed``; a given trait overrides the drawn one.
+
+    Attributes
+    ----------
+    seed : int
+        Identity.
+    skin : float, optional
+        Depth of the skin's tone, 0 (fair) to 1 (dark).
+    hair : {"short", "long"}, optional
+        Hair style.
+    stubble : float, optional
+        Density of the stubble, 0 to 1.
+    """
 
     seed: int = 0
-    """Identity."""
     skin: float | None = None
-    """Depth of the skin's tone, 0 (fair) to 1 (dark)."""
     hair: HairStyle | None = None
-    """Hair style."""
     stubble: float | None = None
-    """Density of the stubble, 0 to 1."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.seed, int | np.integer) or self.seed < 0:
@@ -39,20 +47,30 @@ class Head:
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of the head: rotation in radians, size relative to the portrait framing, shift in pixels."""
+    """Pose of the head: rotation in radians, size relative to the portrait framing, shift in pixels.
+
+    Attributes
+    ----------
+    yaw : float
+        Rotation of the face towards the right of the image.
+    pitch : float
+        Rotation of the face upwards.
+    roll : float
+        Tilt of the head, clockwise in the image.
+    scale : float
+        Size; at 1 the head covers about three quarters of the image's height.
+    x : float
+        Shift to the right, pixels.
+    y : float
+        Shift downwards, pixels.
+    """
 
     yaw: float = 0.0
-    """Rotation of the face towards the right of the image."""
     pitch: float = 0.0
-    """Rotation of the face upwards."""
     roll: float = 0.0
-    """Tilt of the head, clockwise in the image."""
     scale: float = 1.0
-    """Size; at 1 the head covers about three quarters of the image's height."""
     x: float = 0.0
-    """Shift to the right, pixels."""
     y: float = 0.0
-    """Shift downwards, pixels."""
 
     def __post_init__(self) -> None:
         for name in ("yaw", "pitch", "roll"):
@@ -74,18 +92,27 @@ class Pose:
 
 @dataclass(frozen=True)
 class Expression:
-    """Expression of the face; all zeros is the neutral face."""
+    """Expression of the face; all zeros is the neutral face.
+
+    Attributes
+    ----------
+    mouth_open : float
+        0 (closed) to 1 (wide open).
+    smile : float
+        -1 (corners down) to 1 (smile).
+    brow_raise : float
+        -1 (lowered) to 1 (raised).
+    eye_close : float
+        0 (open) to 1 (closed).
+    pucker : float
+        0 (relaxed) to 1 (lips pushed together).
+    """
 
     mouth_open: float = 0.0
-    """0 (closed) to 1 (wide open)."""
     smile: float = 0.0
-    """-1 (corners down) to 1 (smile)."""
     brow_raise: float = 0.0
-    """-1 (lowered) to 1 (raised)."""
     eye_close: float = 0.0
-    """0 (open) to 1 (closed)."""
     pucker: float = 0.0
-    """0 (relaxed) to 1 (lips pushed together)."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -41,16 +41,24 @@ def _check_source(owner: str, temperature: float, strength: float) -> None:
 
 @dataclass(frozen=True)
 class PointLight:
-    """A distant lamp."""
+    """A distant lamp.
+
+    Attributes
+    ----------
+    direction : (float, float, float)
+        Direction towards the lamp (right in the image, up, towards the camera), of any length.
+    temperature_K : float
+        Colour temperature, kelvin.
+    strength : float
+        Irradiance of a surface that faces the lamp.
+    softness : float
+        Angular radius of the lamp, radians; it determines the width of the penumbra.
+    """
 
     direction: tuple[float, float, float] = (0.0, 0.3, 1.0)
-    """Direction towards the lamp (right in the image, up, towards the camera), of any length."""
     temperature_K: float = 5000.0  # noqa: N815 - a kelvin is a K
-    """Colour temperature, kelvin."""
     strength: float = 1.0
-    """Irradiance of a surface that faces the lamp."""
     softness: float = 0.025
-    """Angular radius of the lamp, radians; it determines the width of the penumbra."""
 
     def __post_init__(self) -> None:
         if not np.all(np.isfinite(self.direction)) or len(self.direction) != 3 or not np.any(self.direction):
@@ -68,12 +76,18 @@ class PointLight:
 
 @dataclass(frozen=True)
 class Ambient:
-    """Light from all directions, slightly more from above, occluded in concavities."""
+    """Light from all directions, slightly more from above, occluded in concavities.
+
+    Attributes
+    ----------
+    temperature_K : float
+        Colour temperature, kelvin.
+    strength : float
+        Irradiance of an open surface that faces the camera.
+    """
 
     temperature_K: float = 6500.0  # noqa: N815
-    """Colour temperature, kelvin."""
     strength: float = 1.0
-    """Irradiance of an open surface that faces the camera."""
 
     def __post_init__(self) -> None:
         _check_source("Ambient", self.temperature_K, self.strength)

@@ -12,6 +12,7 @@ import numpy as np
 from liaam.datasets.scenes.camera import Camera, matrices_at
 from liaam.datasets.scenes.light import Radiator, check_kelvin
 from liaam.errors import LiaamError
+from liaam.evaluation import short_repr
 
 CHART_ROWS, CHART_COLUMNS = 4, 6
 GREYS = (0.88, 0.58, 0.36, 0.19, 0.09, 0.035)
@@ -42,6 +43,8 @@ class PlaneLight:
 
     strength: np.ndarray
     mired: np.ndarray
+
+    __repr__ = short_repr
 
 
 def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from liaam.datasets.scenes.paint import Textures, look_up, look_up_periodic, ski
 from liaam.datasets.scenes.raster import draw
 from liaam.datasets.scenes.surface import face_of, landmark_points
 from liaam.errors import LiaamError
+from liaam.evaluation import short_repr
 
 Mixing = Literal["additive", "planckian"]
 VIEWING_DISTANCE = 14.0  # head units: a camera at 1.4 m
@@ -25,26 +26,41 @@ BRIGHTEST = 0.8  # linear value given to the 98th percentile of the face
 
 @dataclass(frozen=True)
 class Scene:
-    """An image of size ``(h, w)`` and its ground truth."""
+    """An image of size ``(h, w)`` and its ground truth.
+
+    Attributes
+    ----------
+    image : (h, w, 3) uint8, uint16 or float32
+        The encoded image, with noise.
+    linear : (h, w, 3) float32
+        Linear values before noise and saturation.
+    landmarks : (58, 2) float64
+        x and y in pixels, with the origin at the centre of the top-left pixel, in the IMM set's order.
+    contours : tuple of (tuple of int, bool)
+        Landmarks that form lines, and whether the line is closed.
+    theta : float
+        True invariant angle of the camera, radians.
+    reflectance : (h, w, 3) float32
+        Linear values under a unit of the camera's white light, without shading.
+    shading : (h, w) float32
+        Irradiance, summed over the lights.
+    shadow : (h, w) float32
+        Fraction of the lamps' light that is missing, 0 (lit) to 1 (cast or attached shadow).
+    mask : (h, w) bool
+        Inside the hull of the landmarks.
+    """
 
     image: np.ndarray
-    """(h, w, 3) uint8, uint16 or float32: the encoded image, with noise."""
     linear: np.ndarray
-    """(h, w, 3) float32: linear values before noise and saturation."""
     landmarks: np.ndarray
-    """(58, 2) float64: (x, y), pixels, origin at the centre of the top-left pixel; in the IMM set's order."""
     contours: tuple[tuple[tuple[int, ...], bool], ...]
-    """Landmarks that form lines, and whether the line is closed."""
     theta: float
-    """True invariant angle of the camera, radians."""
     reflectance: np.ndarray
-    """(h, w, 3) float32: linear values under a unit of the camera's white light, without shading."""
     shading: np.ndarray
-    """(h, w) float32: irradiance, summed over the lights."""
     shadow: np.ndarray
-    """(h, w) float32: fraction of the lamps' light that is missing, 0 (lit) to 1 (cast or attached shadow)."""
     mask: np.ndarray
-    """(h, w) bool: inside the hull of the landmarks."""
+
+    __repr__ = short_repr
 
 
 def render(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.files import read_bytes
+from liaam.io.files import count_of, read_bytes
 
 MAX_BYTES = 500_000_000
 """Size limit of landmark files, in bytes."""
@@ -23,12 +23,18 @@ _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "
 
 @dataclass(frozen=True)
 class Contour:
-    """A line through landmarks, such as an eyelid or the jaw."""
+    """A line through landmarks, such as an eyelid or the jaw.
+
+    Attributes
+    ----------
+    indices : tuple of int
+        Landmarks along the line, counted from 0. A closed line does not repeat the first.
+    closed : bool
+        Whether the last landmark is connected to the first.
+    """
 
     indices: tuple[int, ...]
-    """Landmarks along the line, counted from 0. A closed line does not repeat the first."""
     closed: bool = False
-    """Whether the last landmark is connected to the first."""
 
     @classmethod
     def all_of(cls, pairs: Iterable[tuple[Iterable[int], bool]]) -> "tuple[Contour, ...]":
@@ -40,6 +46,23 @@ class Contour:
 class Landmarks:
     """The landmarks of one image.
 
+    Attributes
+    ----------
+    points : (n, 2) float64
+        Read-only x and y in pixels; a missing landmark is (NaN, NaN).
+    contours : tuple of Contour
+        Lines through the landmarks, if the file has them.
+    names : tuple of str
+        One name per landmark, or empty.
+    image_name : str, optional
+        The image's file name, if the landmark file gives it.
+    invisible : tuple of int
+        Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them.
+    scale : float, optional
+        Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it.
+    others : tuple of Landmarks
+        Smaller objects of the same image, the larger ones first. Only ``.xml`` and ``.json`` store several.
+
     Raises
     ------
     LandmarkError
@@ -48,19 +71,12 @@ class Landmarks:
     """
 
     points: np.ndarray
-    """(n, 2) float64, read-only: x, y in pixels; a missing landmark is (NaN, NaN)."""
     contours: tuple[Contour, ...] = ()
-    """Lines through the landmarks, if the file has them."""
     names: tuple[str, ...] = ()
-    """One name per landmark, or empty."""
     image_name: str | None = None
-    """The image's file name, if the landmark file gives it."""
     invisible: tuple[int, ...] = ()
-    """Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them."""
     scale: float | None = None
-    """Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it."""
     others: "tuple[Landmarks, ...]" = ()
-    """Smaller objects of the same image, the larger ones first. Only ``.xml`` and ``.json`` store several."""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
@@ -90,7 +106,8 @@ class Landmarks:
         return np.array(self.points, dtype) if copy else np.asarray(self.points, dtype)
 
     def __repr__(self) -> str:
-        return f"Landmarks({len(self)} points, {self.missing.sum()} missing, {len(self.contours)} contours)"
+        points, contours = count_of(len(self), "point"), count_of(len(self.contours), "contour")
+        return f"Landmarks({points}, {self.missing.sum()} missing, {contours})"
 
     @property
     def missing(self) -> np.ndarray:
