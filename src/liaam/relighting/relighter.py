@@ -1,5 +1,6 @@
 """Relighting of one fitted image under any number of lights."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,7 +36,7 @@ from liaam.relighting.shading import Seen, Shading, find_shading, stored_noise
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
 
-BRIGHT = np.log(0.6)
+BRIGHT = math.log(0.6)
 """Logarithm of light from which brightened pixels approach white gradually instead of being clipped."""
 
 
