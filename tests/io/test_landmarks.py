@@ -251,6 +251,7 @@ def test_coco_is_written_with_names_contours_sizes_and_visibility(tmp_path: Path
     found = read_collection(tmp_path / "a.json")
     assert list(found) == ["a.jpg", "sub/b.jpg"]
     assert np.array_equal(found["a.jpg"].points, points, equal_nan=True)
+    assert (found["a.jpg"].invisible, found["sub/b.jpg"].invisible) == ((1,), ())
     assert (found["sub/b.jpg"].names, found["sub/b.jpg"].contours) == (marks.names, contours)
     content = json.loads((tmp_path / "a.json").read_text())
     assert content["images"][0] == {"id": 1, "file_name": "a.jpg", "width": 40, "height": 30}

@@ -57,7 +57,7 @@ class Landmarks:
     image_name : str, optional
         The image's file name, if the landmark file gives it.
     invisible : tuple of int
-        Occluded landmarks with known positions, ascending. Only ``.ljson`` stores them.
+        Occluded landmarks with known positions, ascending. Only ``.ljson`` and ``.json`` store them.
     scale : float, optional
         Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it.
     others : tuple of Landmarks

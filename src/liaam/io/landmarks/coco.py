@@ -2,7 +2,7 @@
 
 COCO defines keypoints as "a 0-indexed location x, y". Annotators clicked on whole pixels, so the numbers are taken as
 pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is missing; one of visibility 1 (labelled
-but hidden) is not. One file holds many images. Each annotation with keypoints is an object. The category's keypoint
+but hidden) is invisible. One file holds many images. Each annotation with keypoints is an object. The category's keypoint
 names become the names, and its skeleton (pairs counted from 1) the contours.
 """
 
@@ -117,5 +117,6 @@ def _landmarks(path: Path, annotation: Any, lines: _Lines, image: str) -> Landma
     numbers = [check_number(path, value, f"the keypoints of image '{image}'") for value in values]
     triples = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
     points = [(x, y) if v else (math.nan, math.nan) for x, y, v in triples]
+    invisible = (i for i, v in enumerate(numbers[2::3]) if v == 1)
     names, contours = lines
-    return make_landmarks(path, points, contours, names, image)
+    return make_landmarks(path, points, contours, names, image, invisible)
