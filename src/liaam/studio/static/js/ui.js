@@ -195,7 +195,7 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
     document.body.append(box);
     box.showModal();
     // Show the beginning of a long body, regardless of the focus.
-    foot.querySelector(".primary, button")?.focus({ preventScroll: true });
+    (foot.querySelector(".primary") ?? foot.querySelector("button"))?.focus({ preventScroll: true });
     box.scrollTop = content.scrollTop = 0;
   });
 }

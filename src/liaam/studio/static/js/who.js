@@ -8,17 +8,24 @@ export const whoAmI = () => localStorage.getItem(KEY) ?? "";
 
 /** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed. */
 export async function myName(needed) {
-  return needed && localStorage.getItem(KEY) === null ? askName() : whoAmI();
+  return needed && !whoAmI() ? askName() : whoAmI();
 }
 
 export async function askName() {
+  const save = (event) => {
+    if (event.key !== "Enter") return;
+    event.preventDefault(); // the same key press would click the button that gets the focus back
+    input.closest("dialog").querySelector(".primary").click();
+  };
   const input = h("input.text", {
-    maxlength: "60", value: whoAmI(), "aria-label": "Your name", testid: "who",
-    onkeydown: ({ key }) => key === "Enter" && input.closest("dialog").querySelector(".primary").click(),
+    maxlength: "60", value: whoAmI(), "aria-label": "Your name", testid: "who", onkeydown: save,
   });
-  const why = "The history of each picture says who placed and checked its points. The name stays in this browser.";
+  const why = "The history of each picture says who placed and checked its points. This browser remembers the name; " +
+    "it is saved with your changes in the folder.";
   const actions = [{ label: "Save", kind: "primary", value: "save", testid: "who-save" }];
-  if ((await dialog("Your name", h("div.column", why, input), actions)) === null) return null;
+  const answer = dialog("Your name", h("div.column", why, input), actions);
+  input.select();
+  if ((await answer) === null) return null;
   localStorage.setItem(KEY, input.value.trim());
   return whoAmI();
 }
