@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.model import SURROUNDINGS
+from liaam.model import SURROUNDINGS, load_model
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
     ModelStore,
@@ -120,6 +120,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     assert shown(store.current, again)["stale"] == 1
     forget_studio_model(again, store)
     assert store.current is None and not (again.root / STATE / "model.liaam").exists()
+    assert load_model(again.root / STATE / "kept" / "model.liaam").n_points == 58
 
 
 def test_a_fault_in_the_server_ends_the_training(setting, caplog):

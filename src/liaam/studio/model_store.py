@@ -170,11 +170,15 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
-    """Withdraw the studio's model and remove its files, because the template changed. A given model stays."""
+    """Withdraw the studio's model and remove its files, because the template changed. A given model stays.
+
+    A copy of the careful model is kept.
+    """
     own = models.own
     if own is not None and own.facts["source"] == "studio":
         models.withdraw()
-    project.state.remove(MODEL_FILE, FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
+    project.state.set_aside(MODEL_FILE)
+    project.state.remove(FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
 
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:

@@ -140,6 +140,19 @@ class StateFiles:
                 remove(self.path(name))
             self.writes += 1
 
+    def set_aside(self, name: str) -> None:
+        """Move a file to ``kept`` if it exists, in place of an earlier one."""
+        with self._lock:
+            path = self.path(name)
+            try:
+                if path.exists():
+                    path.replace(self.path(f"kept/{name}"))
+            except OSError as fault:
+                raise LiaamError(
+                    f"{path} cannot be moved ({fault.strerror or fault}): check the rights on it."
+                ) from fault
+            self.writes += 1
+
     def note(self, key: str, fault: str | None) -> None:
         """Set or clear the error of a file."""
         with self._lock:

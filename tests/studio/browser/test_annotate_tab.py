@@ -64,6 +64,18 @@ def test_a_picture_that_is_being_saved_is_not_opened_again(blank):
     blank.locator(".toast", has_text="All pictures are done").wait_for()
 
 
+def test_the_page_is_not_left_with_unsaved_changes_of_the_template_without_asking(serve, page, marked):
+    page.goto(serve(marked).address)
+    opened(page, NAMES[0])
+    page.locator("[data-testid=template-edit]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'template'")
+    page.keyboard.press("p")
+    asked = []
+    page.once("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+    page.reload()
+    assert asked == ["beforeunload"]
+
+
 def test_a_picture_that_the_model_leaves_out_says_so(serve, page, marked):
     """Training leaves out the picture that is cut short, which keeps its points."""
     for i in (4, 5):

@@ -120,9 +120,11 @@ def test_a_common_set_of_points_starts_the_template(serve, page, folder):
     wait_for(page, "() => window.liaamStudio.annotate.points().length === 68")
     points = points_of(page)
     assert (points.min(axis=0) >= 0).all() and (points.max(axis=0) <= (320, 240)).all()
+    page.reload()
+    page.get_by_role("button", name="The points are in place").wait_for()
     page.locator("[data-testid=template-done]").click()
-    wait_for(page, "() => window.liaamStudio.annotate.source() === 'file'")
-    saved(page)
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'layout'")
+    assert not list(folder.glob("*.ljson"))  # no point was moved
     names = page.evaluate("() => window.liaamStudio.state.project.template.names")
     assert (len(names), names[8], names[36]) == (68, "chin", "right_eye_outer_corner")
     assert page.evaluate("() => window.liaamStudio.state.project.template.mirror[36]") == 45

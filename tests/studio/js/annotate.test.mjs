@@ -702,6 +702,18 @@ test("deleting keeps paths, twins and origins right", () => {
   assert.equal(template.deletePoints(draft, [0, 1, 2]).contours.length, 0);
 });
 
+test("before points change, what is lost is named: files, the model, checks", () => {
+  const draft = template.deletePoints(template.draftOf({ names: ["a", "b", "c", "d"], contours: [], points: FACE }), [3]);
+  const said = (pictures, model = null) => template.consequences(draft, 4, { pictures, model });
+  assert.equal(said([{ placed: 0, state: "new" }]), "");
+  assert.equal(
+    said([{ placed: 4, state: "done", checked: "Ann" }], { source: "studio", careful: true }),
+    "The landmark files of 1 picture will be rewritten: 1 point will be deleted. The trained model and its proposed " +
+      "points will be removed. A copy of the model stays in .liaam-studio/kept. The checks of 1 picture will be withdrawn.",
+  );
+  assert.equal(said([{ placed: 0, state: "new" }], { source: "file" }), ""); // a model given by the user stays
+});
+
 test("reordering carries everything along", () => {
   const draft = template.draftOf({
     names: ["a", "b", "c"],

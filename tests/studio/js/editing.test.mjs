@@ -271,6 +271,33 @@ test("points of a file are put in place before single ones are edited", () => {
   assert.deepEqual([made.placing, made.framed()], [true, []]);
 });
 
+test("the frame of loaded points is undone, redone and stored with them", () => {
+  const { made } = drafting();
+  made.load("a.pts", TEMPLATE, TRIANGLE);
+  made.endLayout();
+  const shown = (way) => (made.travel(way), [made.layingOut, made.names.length]);
+  assert.deepEqual(["undo", "undo", "redo", "redo"].map(shown), [[true, 3], [false, 0], [true, 3], [false, 3]]);
+  made.travel("undo");
+  const again = drafting().made;
+  again.start(null, null, JSON.parse(JSON.stringify(made.draft)));
+  assert.deepEqual([again.layout.file, again.placing], ["a.pts", false]);
+  again.deleteChosen([0, 1, 2]);
+  assert.equal(again.placing, true);
+});
+
+test("loaded points are unmoved until one is moved or they are said to be in place", () => {
+  const { made } = drafting();
+  assert.equal(made.isUnmoved, false);
+  made.load("a.pts", TEMPLATE, TRIANGLE);
+  made.deleteChosen([0]);
+  assert.equal(made.isUnmoved, true);
+  made.endLayout();
+  assert.equal(made.isUnmoved, false);
+  made.travel("undo");
+  made.commit([[31, 20], [20, 30]], "move");
+  assert.equal(made.isUnmoved, false);
+});
+
 test("what was made goes on under a template that is another now, as one step", () => {
   const { made, click } = drafting();
   made.start(TEMPLATE, TRIANGLE);

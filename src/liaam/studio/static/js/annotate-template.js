@@ -1,7 +1,6 @@
 // The template in the Annotate tab: creating, editing and saving it, and following changes made elsewhere.
 
 import { drawDrafting } from "./annotate-drawing.js";
-import { several } from "./annotate-words.js";
 import { Drafting } from "./drafting.js";
 import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
 import { createTemplatePanel } from "./template-panel.js";
@@ -87,7 +86,7 @@ export function createTemplates(tab) {
   }
 
   async function done() {
-    const { draft, saved, isFresh } = doc;
+    const { draft, saved, isFresh, isUnmoved } = doc;
     const wrong = drafts.fault(draft);
     if (wrong) {
       panel.message.textContent = wrong;
@@ -99,7 +98,7 @@ export function createTemplates(tab) {
     if (mapping && !(await mayRewrite())) return;
     panel.setBusy(true);
     try {
-      await save(template, mapping, draft.points, isFresh);
+      await save(template, mapping, draft.points, { isFresh, isUnmoved });
       kept.set(null);
     } catch (error) {
       panel.message.textContent = error.message;
@@ -109,16 +108,14 @@ export function createTemplates(tab) {
     }
   }
 
-  /** Ask whether landmark files may be rewritten. */
+  /** Ask whether landmark files may be rewritten, and the model removed. */
   async function mayRewrite() {
-    const files = state.project.pictures.filter(({ placed: n, state: now }) => n > 0 && now !== "proposed").length;
-    if (files === 0) return true;
-    const what = drafts.changes(doc.draft, doc.saved.names.length).join("; ");
-    const text = `The landmark files of ${several(files, "picture")} will be rewritten: ${what}.`;
-    return confirm("Change the template?", `${text} This cannot be undone.`, `Rewrite ${several(files, "file")}`);
+    const text = drafts.consequences(doc.draft, doc.saved.names.length, state.project);
+    return !text || confirm("Change the template?", `${text} This cannot be undone.`, "Change the template");
   }
 
-  async function save(template, mapping, points, isFresh) {
+  /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). */
+  async function save(template, mapping, points, { isFresh, isUnmoved }) {
     const isNew = !tab.template;
     // Editing the template places new points on this picture, but not those that were missing.
     await tab.saver.flush();
@@ -135,7 +132,7 @@ export function createTemplates(tab) {
       const marks = await tab.saving.fetchMarks(tab.name);
       leave();
       await tab.opening.take(tab.name, marks);
-      if (isFresh && marks.source !== "file") marking.change({ points }, "template", null, true);
+      if (isFresh && !isUnmoved && marks.source !== "file") marking.change({ points }, "template", null, true);
       else if (before?.source === "file") {
         const origins = mapping ?? indicesOf(points);
         const isMissing = (i) => origins[i] !== null && !before.points[origins[i]];
@@ -152,7 +149,7 @@ export function createTemplates(tab) {
     } finally {
       saving = false;
     }
-    toast(isNew ? "Template and points of this picture saved." : "Template saved.", "good");
+    toast(isNew && !isUnmoved ? "Template and points of this picture saved." : "Template saved.", "good");
   }
 
   /** Follow a template that was changed elsewhere; return whether it was. */
@@ -186,7 +183,7 @@ export function createTemplates(tab) {
   /** Whether another picture may be opened. A change of the template must be finished first, on its own picture. */
   function mayLeave(before) {
     if (!editing) return true;
-    if (doc.saved !== null && doc.history.canUndo && state.picture(before)) {
+    if (isUnsaved() && state.picture(before)) {
       toast("Finish the template first: press Done or Cancel on the right.");
       state.select(before);
       return false;
@@ -194,6 +191,10 @@ export function createTemplates(tab) {
     if (tab.template) leave();
     return true;
   }
+
+  // Changes of a saved template are stored nowhere before Done.
+  const isUnsaved = () => editing && doc.saved !== null && doc.history.canUndo;
+  addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
     n: () => doc.startPath(), c: () => doc.close(), x: () => panel.toggleMirror(), p: () => doc.addInTheMiddle(),

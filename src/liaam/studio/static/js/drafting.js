@@ -4,7 +4,7 @@
 import { called, several } from "./annotate-words.js";
 import { AxisGrip } from "./axis-grip.js";
 import { History } from "./history.js";
-import { flip, indicesOf, place, withTwins } from "./points.js";
+import { flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
 
 const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on it
@@ -27,8 +27,6 @@ export class Drafting {
   start(template, points, draft = null) {
     this.saved = template; // the edited template, or null for a new one
     this.isFresh = template === null; // whether there was no template at the start
-    this.loaded = ""; // the file from which a new template was loaded
-    this.layingOut = false; // whether the layout as a whole is being placed
     this.axis = null; // x of the mirror line while mirroring
     this.choose([]);
     this.shown = null; // points during a gesture
@@ -44,6 +42,15 @@ export class Drafting {
     this.history.push(this.draft, "earlier changes");
     this.shown = null;
     this.changed();
+  }
+
+  /** {file, points} of a loaded template whose layout as a whole is being placed; otherwise null. It is a part of the
+   *  draft, so that it is undone and stored with it. */
+  get layout() { return (this.started && this.draft.layout) || null; }
+  get layingOut() { return this.layout !== null; }
+  /** Whether the points still lie where they were loaded. */
+  get isUnmoved() {
+    return this.layingOut && this.draft.points.every((p) => this.layout.points.some((q) => samePoint(p, q)));
   }
 
   get names() { return this.draft.names; }
@@ -76,7 +83,6 @@ export class Drafting {
     if (!state) return;
     this.draft = state;
     this.shown = null;
-    if (!this.started) this.layingOut = false;
     this.changed();
   }
 
@@ -220,18 +226,15 @@ export class Drafting {
 
   /** Start with the points of a file, at `points` on the picture. */
   load(file, template, points) {
-    this.layingOut = true;
-    this.loaded = file;
     this.choose([]);
     const draft = drafts.draftOf(template, points);
-    this.apply({ ...draft, origins: template.names.map(() => null) }, "load");
+    this.apply({ ...draft, origins: template.names.map(() => null), layout: { file, points } }, "load");
     this.say(`${several(template.names.length, "point")} loaded. Move them into place`);
   }
 
   /** The loaded points are in place: edit single points from now on. */
   endLayout() {
-    this.layingOut = false;
     this.select([]);
-    this.changed();
+    this.apply({ ...this.draft, layout: null }, "put in place");
   }
 }

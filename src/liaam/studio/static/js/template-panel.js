@@ -54,9 +54,9 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
 
   /** What to do, above the buttons. */
   function steps() {
-    const { draft, saved, layingOut, loaded } = drafting;
+    const { draft, saved, layout } = drafting;
     const hint = (text) => [h("p.muted.small", text)];
-    if (layingOut) return [h("p", loaded ? `Points of ${loaded}. ` : "", LAY_OUT), settled];
+    if (layout) return [h("p", `Points of ${layout.file}. ${LAY_OUT}`), settled];
     if (saved) return hint(EDIT);
     if (draft.names.length) return hint(CONTINUE);
     const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");

@@ -3,7 +3,7 @@
 //
 // A draft is {names, points, contours: [{indices, closed}], mirror: twin of each point (itself if none), origins:
 //  index of each point in the saved template or null, path: the contour that clicks continue or -1, twinPath: its
-//  mirror image or -1}
+//  mirror image or -1, layout: see Drafting.layout, if there is one}
 
 import { several } from "./annotate-words.js";
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
@@ -130,7 +130,7 @@ function arranged(draft, order) {
   const alive = kept.map((contour, k) => contour.indices.length > (k === draft.path || k === draft.twinPath ? 0 : 1));
   const newPlace = (k) => (k < 0 || !alive[k] ? -1 : alive.slice(0, k).filter(Boolean).length);
   return {
-    names: pick(draft.names), points: pick(draft.points), origins: pick(draft.origins),
+    ...draft, names: pick(draft.names), points: pick(draft.points), origins: pick(draft.origins),
     mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i), contours: kept.filter((_, k) => alive[k]),
     path: newPlace(draft.path), twinPath: newPlace(draft.twinPath),
   };
@@ -224,4 +224,16 @@ export function changes(draft, count) {
     added > 0 && `${several(added, "point")} will be added, and will be missing in the other pictures`,
     moved && "the order of the points will change",
   ].filter(Boolean);
+}
+
+/** What a change of the points does to the folder, to be confirmed; "" if nothing is lost. */
+export function consequences(draft, count, { pictures, model }) {
+  const files = pictures.filter(({ placed, state }) => placed > 0 && state !== "proposed").length;
+  const checks = pictures.filter(({ checked }) => checked).length;
+  const copy = model?.careful ? " A copy of the model stays in .liaam-studio/kept." : "";
+  return [
+    files && `The landmark files of ${several(files, "picture")} will be rewritten: ${changes(draft, count).join("; ")}.`,
+    model?.source === "studio" && `The trained model and its proposed points will be removed.${copy}`,
+    checks && `The checks of ${several(checks, "picture")} will be withdrawn.`,
+  ].filter(Boolean).join(" ");
 }
