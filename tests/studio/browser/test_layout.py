@@ -87,6 +87,24 @@ def test_every_control_is_visible_and_the_picture_is_large(sized, artefacts):
             assert side["y"] >= free["y"] + free["height"] - 1, "the panel is not under the picture"
 
 
+@pytest.mark.parametrize("size", [(640, 360), (1280, 360), (1000, 700)], ids=lambda size: f"{size[0]}x{size[1]}")
+def test_a_low_or_narrow_page_scrolls_and_cuts_nothing_off(open_page, serve, marked, five_point_model, size, artefacts):
+    page = open_page(*size)
+    page.goto(serve(marked, "--model", str(five_point_model)).address)
+    opened(page, NAMES[0])
+    side = page.locator("section:not([hidden]) .side").bounding_box()
+    skip = page.locator("[data-testid=skip-next]").bounding_box()
+    assert skip["x"] + skip["width"] <= side["x"] + side["width"]
+    for tab in ("annotate", "fit", "compare"):
+        page.locator(f"[data-testid=tab-{tab}]").click()
+        viewer = page.locator("section:not([hidden]) .viewer:visible").first
+        assert viewer.bounding_box()["height"] >= 240
+        viewer.scroll_into_view_if_needed()
+        box = viewer.bounding_box()
+        assert box["y"] + box["height"] <= size[1]
+        shoot(page, artefacts, f"{size[0]}x{size[1]}-{tab}")
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_axe_finds_no_violation(sized, theme):
     sized.emulate_media(color_scheme=theme, reduced_motion="reduce")

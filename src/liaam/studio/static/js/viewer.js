@@ -68,7 +68,7 @@ export class Viewer extends EventTarget {
     this._fitted = true;
     const { w, h } = this._size();
     if (!this.width || !w || !h) return;
-    const margin = Math.min(14, 0.03 * w);
+    const margin = Math.min(14, 0.03 * Math.min(w, h));
     this.scale = Math.min((w - 2 * margin) / this.width, (h - 2 * margin) / this.height, LARGEST);
     this.left = (w - this.scale * this.width) / 2;
     this.top = (h - this.scale * this.height) / 2;
