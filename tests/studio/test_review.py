@@ -39,14 +39,14 @@ def entries(project):
 def test_a_check_holds_for_the_landmarks_that_were_checked(placed):
     answer = act(placed, "checked", "p1.png", "p10.png")
     assert answer["changed"] == ["p1.png"]
-    assert answer["refused"] == {"p10.png": "not all of its points are placed: place them first"}
+    assert answer["refused"] == {"p10.png": "not all points are placed: place them first"}
     before = placed.marks("p1.png")["revision"]
     assert by_name(Project(placed.root))["p1.png"]["checked"] == "Ann"
     put(placed, "p1.png", MOVED, before)
     assert by_name(placed)["p1.png"]["checked"] is None
     put(placed, "p1.png", POINTS, placed.marks("p1.png")["revision"])  # as by undo
     assert by_name(placed)["p1.png"]["checked"] == "Ann"
-    assert act(placed, "unchecked", "p1.png", "p2.png")["refused"] == {"p2.png": "it is not checked"}
+    assert act(placed, "unchecked", "p1.png", "p2.png")["refused"] == {"p2.png": "not checked"}
     assert by_name(placed)["p1.png"]["checked"] is None
 
 
@@ -132,6 +132,7 @@ def test_deleted_landmarks_are_not_restored_from_a_changed_copy_or_for_another_t
     placed.save_template({**TRIANGLE, "names": ["a", "b"], "contours": [], "mirror": None, "mapping": [0, 1]})
     assert "earlier template" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
     (copy,) = (placed.root / STATE / "kept").iterdir()
+    assert copy.name.startswith("p1.deleted.")
     copy.write_text(copy.read_text().replace("30.5", "31.5"))
     assert "was changed" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
     copy.unlink()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import PurePosixPath
 from typing import Any
 
 from liaam.errors import LandmarkError
@@ -22,6 +23,9 @@ from liaam.studio.review import ReviewLog
 from liaam.studio.safety import Refusal
 from liaam.studio.state_files import StateFiles
 from liaam.studio.template_store import TemplateStore
+
+LONGEST_STEM = 50
+"""Characters of a picture's name in the name of a copy, so that it does not become too long for the disk."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,51 +80,51 @@ class ReviewActions:
 
     def _checked(self, file: File) -> str | None:
         if not self.states.is_done(file):
-            raise Refusal(409, "not all of its points are placed: place them first")
+            raise Refusal(409, "not all points are placed: place them first")
         revision = self.landmarks.of(file).revision
         if self.log.checked_by(file.name, revision):
-            raise Refusal(409, "it is checked already")
+            raise Refusal(409, "checked already")
         return revision
 
     def _unchecked(self, file: File) -> str | None:
         revision = self.landmarks.of(file).revision
         if self.log.checked_by(file.name, revision) is None:
-            raise Refusal(409, "it is not checked")
+            raise Refusal(409, "not checked")
         return revision
 
     def _flag(self, file: File, on: bool) -> None:
         if (self.log.left_out_by(file.name) is not None) == on:
-            raise Refusal(409, "it is left out of training already" if on else "it is not left out of training")
+            raise Refusal(409, "left out of training already" if on else "not left out of training")
 
     def _discarded(self, file: File) -> str | None:
         proposal = self.states.proposal_of(file)
         if proposal is None or self.landmarks.of(file).n_placed:
-            raise Refusal(409, "it has no proposed points")
+            raise Refusal(409, "no proposed points")
         return revision_of_proposal(proposal)
 
     def _restored(self, file: File) -> str | None:
         revision = self.log.discarded(file.name)
         if revision is None:
-            raise Refusal(409, "no proposed points of it were discarded")
+            raise Refusal(409, "no proposed points were discarded")
         return revision
 
     def _deleted(self, file: File) -> str | None:
         """Keep a copy of the landmarks."""
         marks = self.landmarks.of(file)
         if marks.landmarks is None or not marks.n_placed:
-            raise Refusal(409, "it has no landmarks")
+            raise Refusal(409, "no landmarks")
         data = text_of(marks.landmarks, ".ljson").encode()
-        self.state.write(_copy(revision_of(data)), data)
+        self.state.write(_copy(file, revision_of(data)), data)
         return revision_of(data)
 
     def _undeleted(self, file: File) -> str | None:
         if self.landmarks.of(file).n_placed:
-            raise Refusal(409, "it has landmarks again")
+            raise Refusal(409, "there are landmarks again")
         revision = self.log.deleted(file.name)
         if revision is None:
-            raise Refusal(409, "no landmarks of it were deleted here")
-        if len(self._copy_of(revision)) != len(self.templates.needed):
-            raise Refusal(409, "its deleted landmarks belong to an earlier template")
+            raise Refusal(409, "no landmarks were deleted here")
+        if len(self._copy_of(file, revision)) != len(self.templates.needed):
+            raise Refusal(409, "the deleted landmarks belong to an earlier template")
         return revision
 
     # Files ------------------------------------------------------------------------------------------------
@@ -131,19 +135,20 @@ class ReviewActions:
         if revision is None:
             self.landmarks.save(file, template, [None] * len(template), ())
             return
-        landmarks = self._copy_of(revision)
+        landmarks = self._copy_of(file, revision)
         points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
         self.landmarks.save(file, template, points, landmarks.invisible)
 
-    def _copy_of(self, revision: str) -> Landmarks:
+    def _copy_of(self, file: File, revision: str) -> Landmarks:
         """Read a copy of deleted landmarks; raise LandmarkError if it is gone or was changed."""
-        data = read_bytes(self.state.path(_copy(revision)), LandmarkError, self.most_bytes)
+        data = read_bytes(self.state.path(_copy(file, revision)), LandmarkError, self.most_bytes)
         landmarks = parse_landmark_data("copy.ljson", data)
         if revision_of(data) != revision or not isinstance(landmarks, Landmarks):
-            raise LandmarkError("the copy of its deleted landmarks was changed")
+            raise LandmarkError("the copy of the deleted landmarks was changed")
         return landmarks
 
 
-def _copy(revision: str) -> str:
+def _copy(file: File, revision: str) -> str:
     """Return the name of a copy. A revision from the log may hold any characters, so it is hashed."""
-    return f"kept/deleted.{revision_of(revision.encode())}.ljson"
+    stem = PurePosixPath(file.stem).name[:LONGEST_STEM]
+    return f"kept/{stem}.deleted.{revision_of(revision.encode())}.ljson"

@@ -79,6 +79,8 @@ def test_actions_on_several_pictures_are_undone(annotating, marked):
     wait_for(page, "name => window.liaamStudio.state.picture(name).left_out === 'Bob'", NAMES[1])
     assert picture(page, NAMES[2])["left_out"] is None
     action.select_option("deleted")
+    page.locator("dialog", has_text="The landmarks of 2 pictures will be deleted").wait_for()
+    page.locator("[data-testid=confirm]").click()
     in_state(page, NAMES[0], "new")
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'layout'")  # the page no longer shows them
     assert not (marked / NAMES[0]).with_suffix(".ljson").exists()

@@ -37,6 +37,9 @@ test("pictures are found by folder, name and state, and sorted by uncertainty", 
 test("states are described", () => {
   const said = PICTURES.map((picture) => describe(picture, { "a/2.png": "why" }));
   assert.deepEqual(said, ["checked", "left out", "proposed", "doubtful", "left out"]);
+  const partial = { name: "d.png", state: "partial", placed: 68 };
+  assert.equal(describe(partial, {}), "68 placed");
+  assert.equal(describe({ ...partial, error: "d.pts has 68 points" }, {}), "points do not fit");
 });
 
 test("a range goes both ways and needs its beginning", () => {
@@ -45,10 +48,11 @@ test("a range goes both ways and needs its beginning", () => {
 });
 
 test("the outcome of an action is said with what was refused", () => {
-  const refused = { "b.png": "it is checked already", "c.png": "it is checked already" };
+  const refused = { "b.png": "checked already", "c.png": "checked already" };
   assert.equal(outcome("checked", { changed: ["a.png"], refused }),
-    "1 picture marked as checked. 2 pictures not changed: it is checked already.");
-  assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: {} }), "2 pictures without landmarks.");
+    "1 picture marked as checked. 2 pictures not changed: checked already.");
+  assert.equal(outcome("deleted", { changed: ["a.png", "b.png"], refused: { "c.png": "no landmarks" } }),
+    "Landmarks of 2 pictures deleted. 1 picture not changed: no landmarks.");
 });
 
 test("history and accuracy are said", () => {

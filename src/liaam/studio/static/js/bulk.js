@@ -4,16 +4,16 @@ import { several } from "./annotate-words.js";
 import { button, h, iconButton, labelsOf, menu } from "./ui.js";
 import { myName } from "./who.js";
 
-/** By name in the server's log: the label, what was done, and the action that undoes it. */
+/** By name in the server's log: the label, what was done to so many pictures, and the action that undoes it. */
 const ACTIONS = {
-  checked: { label: "Mark as checked", done: "marked as checked", undo: "unchecked" },
-  unchecked: { label: "Mark as not checked", done: "marked as not checked", undo: "checked" },
-  discarded: { label: "Discard proposed points", done: "without proposed points", undo: "restored" },
-  "left out": { label: "Leave out of training", done: "left out of training", undo: "taken in" },
-  "taken in": { label: "Use for training", done: "used for training", undo: "left out" },
-  deleted: { label: "Delete landmarks", done: "without landmarks", undo: "undeleted" },
-  restored: { done: "with proposed points again", undo: "discarded" },
-  undeleted: { done: "with landmarks again", undo: "deleted" },
+  checked: { label: "Mark as checked", done: (of) => `${of} marked as checked`, undo: "unchecked" },
+  unchecked: { label: "Mark as not checked", done: (of) => `${of} marked as not checked`, undo: "checked" },
+  discarded: { label: "Discard proposed points", done: (of) => `Proposed points of ${of} discarded`, undo: "restored" },
+  "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
+  "taken in": { label: "Use for training", done: (of) => `${of} used for training`, undo: "left out" },
+  deleted: { label: "Delete landmarks", done: (of) => `Landmarks of ${of} deleted`, undo: "undeleted" },
+  restored: { done: (of) => `Proposed points of ${of} restored`, undo: "discarded" },
+  undeleted: { done: (of) => `Landmarks of ${of} restored`, undo: "deleted" },
 };
 
 const pictures = ({ length }) => several(length, "picture");
@@ -21,7 +21,7 @@ const pictures = ({ length }) => several(length, "picture");
 /** Message about the answer to an action. */
 export function outcome(did, { changed, refused }) {
   const reasons = Object.values(refused);
-  const done = changed.length && `${pictures(changed)} ${ACTIONS[did].done}.`;
+  const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
   const not = reasons.length && `${pictures(reasons)} not changed: ${[...new Set(reasons)].slice(0, 3).join("; ")}.`;
   return [done, not].filter(Boolean).join(" ");
 }
@@ -51,12 +51,20 @@ export function createBulk({ app, chosen, onall, onend }) {
     h("div.row", count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
     h("div.row", choice, undo));
 
+  /** Whether landmarks may be deleted. */
+  function mayDelete(names) {
+    const some = names.filter((name) => app.state.picture(name)?.placed);
+    const text = `The landmarks of ${pictures(some)} will be deleted. Copies stay in .liaam-studio/kept.`;
+    return !some.length || app.confirm("Delete landmarks?", text, "Delete");
+  }
+
   async function run(did, names) {
+    if (did === "deleted" && !(await mayDelete(names))) return;
     const changed = await act(app, did, names);
     if (!changed.length) return;
     last = { did, names: changed };
     undo.disabled = false;
-    undo.title = `Undo: ${pictures(changed)} ${ACTIONS[did].done}`;
+    undo.title = `Undo: ${ACTIONS[did].done(pictures(changed))}`;
   }
 
   const show = (on) => {

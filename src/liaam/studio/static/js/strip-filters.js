@@ -32,9 +32,9 @@ export function whyLeftOut({ name, state, left_out: who }, left) {
 }
 
 export function describe(picture, left) {
-  const { state, placed, doubtful, checked } = picture;
+  const { state, placed, doubtful, checked, error } = picture;
   if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
-  if (state === "partial") return `${placed} placed`;
+  if (state === "partial") return error ? "points do not fit" : `${placed} placed`;
   if (state === "proposed" && doubtful) return "doubtful";
   return checked ? "checked" : (STATES[state] ?? state);
 }
