@@ -91,6 +91,18 @@ def test_pictures_are_given_once(folder, serve):
     assert client.get("/api/pictures/p1.png/image?size=x").status_code == 422
 
 
+def test_a_picture_that_cannot_be_decoded_is_told_unless_training_will_do_so(folder, serve):
+    root = folder(3, 1)
+    for name in ("p1.png", "p2.png"):
+        (root / name).write_bytes((root / name).read_bytes()[:9000])  # the header is whole
+    client = serve(root).client
+    for name in ("p1.png", "p2.png"):
+        assert client.get(f"/api/pictures/{name}/thumbnail").status_code == 422
+    first, second, third = client.get("/api/project").json()["pictures"]
+    assert [picture["state"] for picture in (first, second, third)] == ["done", "broken", "new"]
+    assert "cut short" in second["error"]
+
+
 def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):
     running = serve(folder(2))
     page = listen(running)

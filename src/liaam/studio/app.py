@@ -22,7 +22,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
-from liaam.errors import LiaamError
+from liaam.errors import ImageError, LiaamError
 from liaam.model import AAM
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
@@ -328,10 +328,10 @@ class _Handlers:
     async def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
         pictures = self.studio.pictures
-        return await self._cached(request, f"{size}", "image/jpeg", lambda picture: pictures.image(picture, size))
+        return await self._shown(request, f"{size}", lambda picture: pictures.image(picture, size))
 
     async def thumbnail(self, request: Request) -> Response:
-        return await self._cached(request, "thumbnail", "image/jpeg", self.studio.pictures.thumbnail)
+        return await self._shown(request, "thumbnail", self.studio.pictures.thumbnail)
 
     async def chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
@@ -342,6 +342,18 @@ class _Handlers:
 
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
         return await self._cached(request, kind, "application/octet-stream", chroma)
+
+    async def _shown(self, request: Request, kind: str, make: Callable[[Source], bytes]) -> Response:
+        """Return a JPEG of a picture; remember if it cannot be decoded."""
+
+        def show(picture: Source) -> bytes:
+            try:
+                return make(picture)
+            except ImageError as fault:
+                self.studio.project.mark_unreadable(picture, fault)
+                raise
+
+        return await self._cached(request, kind, "image/jpeg", show)
 
     async def _cached(self, request: Request, kind: str, media: str, make: Callable[[Source], bytes]) -> Response:
         """Return bytes computed from a picture, or 304 if the browser has them already."""

@@ -227,6 +227,11 @@ class Listing:
             known = self._sizes[picture.name] = (picture.signature, self._read_size(picture))
         return known[1]
 
+    def mark_unreadable(self, picture: File, fault: str) -> None:
+        """Remember that a picture cannot be decoded, although its header can be read."""
+        self._sizes[picture.name] = (picture.signature, self.folder.plain(fault))
+        self.version += 1
+
     def is_read(self, picture: File) -> bool:
         """Whether the header of a picture was read before, so that :meth:`size_of` is quick."""
         known = self._sizes.get(picture.name)

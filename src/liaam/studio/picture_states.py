@@ -129,7 +129,7 @@ class PictureStates:
         if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
             return (
                 f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
-                "place the points again, or remove that file"
+                "place the points again (a copy of the file is kept), or remove that file"
             )
         return marks.error or self._misplaced(file, marks)
 

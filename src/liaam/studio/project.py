@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from liaam.datasets.folder import PICTURE_SUFFIXES
-from liaam.errors import LiaamError
+from liaam.errors import ImageError, LiaamError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import Folder, checked_folder, revision_of
 from liaam.studio.landmark_files import LandmarkFiles
@@ -252,6 +252,16 @@ class Project:
         """
         self.size_of(name)
         return source_of(self.path_of(name), self.settings.pixels, name)
+
+    def mark_unreadable(self, source: Source, fault: ImageError) -> None:
+        """Remember that a picture cannot be decoded.
+
+        One with landmarks keeps its state: training leaves it out and says why.
+        """
+        with self._lock:
+            file = self._listing.files.get(source.name)
+            if file is not None and file.tag == source.tag and not self._landmarks.of(file).n_placed:
+                self._listing.mark_unreadable(file, str(fault))
 
     def annotated(self) -> list[Annotated]:
         """Return the done pictures, which have all their points, except those left out of training.

@@ -3,8 +3,11 @@
 import re
 import shutil
 
+import numpy as np
 import pytest
 from people import NAMES, annotate, client, drag, open_picture, opened, saved, wait_for, wait_for_state, wait_until
+
+from liaam.io import Landmarks, write_landmarks
 
 pytestmark = pytest.mark.slow
 
@@ -62,6 +65,17 @@ def test_a_picture_that_is_being_saved_is_not_opened_again(blank):
     for route in saves:
         route.continue_()
     blank.locator(".toast", has_text="All pictures are done").wait_for()
+
+
+def test_enter_goes_on_from_a_picture_that_cannot_be_opened(blank, marked):
+    (marked / NAMES[1]).write_bytes((marked / NAMES[1]).read_bytes()[:-2000])
+    write_landmarks((marked / NAMES[2]).with_suffix(".ljson"), Landmarks(np.full((4, 2), 60.0)))
+    blank.locator(f"[data-testid=strip] [data-name='{NAMES[2]}']", has_text="points do not fit").wait_for()
+    wait_for_state(blank, NAMES[1], "broken")
+    blank.keyboard.press("Enter")
+    opened(blank, NAMES[2])
+    why = blank.locator("[data-testid=why-next]").inner_text()
+    assert "has 4 points where the template has 5" in why and "a copy of the file is kept" in why
 
 
 def test_the_page_is_not_left_with_unsaved_changes_of_the_template_without_asking(serve, page, marked):

@@ -57,6 +57,9 @@ export function createCommands(tab) {
     /** Whether a picture's points can be edited now. */
     get marks() { return !tab.editing && marking.book !== null; },
 
+    /** Whether another picture can be opened: one is open, or cannot be opened. */
+    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || tab.cover.isShown); },
+
     flick(what) {
       tab.drawn[what] = !tab.drawn[what];
       tab.toolbar.press(what, tab.drawn[what]);
@@ -145,7 +148,10 @@ export function createCommands(tab) {
     },
 
     accept() {
-      if (!commands.marks) return;
+      if (!commands.marks) {
+        commands.skip(); // there is nothing to accept
+        return;
+      }
       if (marking.state.source === "layout") {
         leaveUnchecked();
         return;
@@ -170,7 +176,7 @@ export function createCommands(tab) {
     },
 
     skip() {
-      if (commands.marks) goNext();
+      if (commands.goesOn) goNext();
     },
   };
   return commands;

@@ -36,11 +36,11 @@ export function createKeys(tab) {
   const always = {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
     b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
-    r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
+    r: () => { tab.tool.magnifies = !tab.tool.magnifies; }, n: () => commands.skip(),
   };
   const marks = {
     v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
-    n: () => commands.skip(), p: () => commands.placeChosen(), delete: () => commands.removeChosen(),
+    p: () => commands.placeChosen(), delete: () => commands.removeChosen(),
     backspace: () => commands.removeChosen(),
   };
 

@@ -222,9 +222,10 @@ export function createAssist({ app, accept, skip, confirm }) {
     const then = nextToTeach(state.pictures, state.current);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
+    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? "");
     pass.disabled = !then;
-    why.classList.toggle("warn-text", Boolean(without));
-    if (without) why.textContent = `The model leaves this picture out, because ${without}.`;
+    why.classList.toggle("warn-text", Boolean(fault));
+    if (fault) why.textContent = fault;
     else if (here && here.state !== "done" && here.uncertainty != null && model)
       why.textContent = reason(here, pictures, model);
     else if (!then) why.textContent = left || (done ? "All pictures are done." : "");
