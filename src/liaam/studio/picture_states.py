@@ -41,7 +41,7 @@ class PictureStates:
 
     def unread_json(self, file: File) -> dict[str, Any]:
         """Return a picture whose files have not been read yet as JSON for the page."""
-        nothing = dict.fromkeys(("error", "width", "height", "uncertainty", "rank", "checked", "left_out"))
+        nothing = dict.fromkeys(("error", "width", "height", "uncertainty", "rank", "checked", "left_out", "revision"))
         return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False, **nothing}
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
@@ -67,6 +67,7 @@ class PictureStates:
             "rank": ranks.get(file.name) if proposal else None,
             "checked": self.log.checked_by(file.name, marks.revision) if state == "done" else None,
             "left_out": self.log.left_out_by(file.name),
+            "revision": marks.revision,
         }
 
     def marks_json(self, file: File) -> dict[str, Any]:

@@ -26,10 +26,12 @@ def blank(serve, page, marked):
 def test_enter_on_an_untouched_mean_shape_saves_nothing(blank, marked):
     blank.keyboard.press("v")  # a change of visibility is not a check, either
     blank.keyboard.press("Enter")
-    blank.locator(".toast", has_text="no point of it was moved").wait_for()
+    warning = blank.locator(".toast", has_text="no point of it was moved")
+    warning.wait_for()
     assert annotate(blank, "name()") == NAMES[1]
     blank.keyboard.press("Enter")
     opened(blank, NAMES[2])
+    assert warning.count() == 0
     wait_for_state(blank, NAMES[1], "unchecked")
     blank.locator(f"[data-testid=strip] [data-name='{NAMES[1]}']", has_text="not checked").wait_for()
     assert not list(marked.glob("portrait-02.*json"))

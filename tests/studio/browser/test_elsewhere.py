@@ -22,7 +22,7 @@ from people import (
     wait_until,
 )
 
-from liaam.io import read_image, read_landmarks, write_image
+from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
 
 pytestmark = pytest.mark.slow
 
@@ -123,6 +123,27 @@ def test_pictures_come_and_go_by_themselves(serve, page, marked):
     page.wait_for_selector("[data-testid=strip] [data-name='portrait-09.png']")
     (marked / "portrait-09.png").unlink()
     page.wait_for_selector("[data-testid=strip] [data-name='portrait-09.png']", state="detached")
+
+
+def test_files_that_are_skipped_are_named_before_a_template_and_a_folder_that_is_gone_is_told(serve, page, folder):
+    (folder / "phone.heic").write_bytes(b"")
+    page.goto(serve(folder).address)
+    page.locator("[data-testid=notices]:visible", has_text="phone.heic").wait_for()
+    folder.rename(folder.with_name("elsewhere"))
+    told = page.locator(".toast.bad", has_text="is the folder still there?")
+    told.wait_for()
+    folder.with_name("elsewhere").rename(folder)
+    told.wait_for(state="detached")
+
+
+def test_a_file_that_another_program_writes_is_shown_after_changes_on_the_page(serve, page, marked):
+    page.goto(serve(marked).address)
+    open_picture(page, NAMES[0])
+    drag(page, client(page, 1), [v + 25 for v in client(page, 1)])
+    saved(page)
+    theirs = points_of(page) + 7
+    write_landmarks(marked / "portrait-01.ljson", Landmarks(theirs))
+    wait_for_point(page, 1, theirs[1].tolist())
 
 
 def test_a_deleted_landmark_file_is_said_to_be_and_can_be_written_again(serve, page, marked):

@@ -13,6 +13,7 @@ import * as points from "./modules/points.js";
 import { contentOf, Saver } from "./modules/saving.js";
 import { State } from "./modules/state.js";
 import * as template from "./modules/template.js";
+import { complaints } from "./modules/ui.js";
 import { Page, Unsaved } from "./modules/unsaved.js";
 
 const FACE = [
@@ -148,6 +149,16 @@ test("all is done only if the model was trained on all pictures", () => {
   const both = project(["new", "broken", "done", "done"], { "2.png": "grey", "3.png": "grey" });
   assert.equal(assist.unfinished(both), "2 pictures are not done, and the model leaves out 2 pictures.");
   assert.equal(assist.unfinished({ ...project(["done"]), model: null }), "");
+});
+
+test("an error is shown once, until it ends or is another one", () => {
+  const log = [];
+  const complain = complaints((text) => {
+    log.push(text);
+    return () => log.push(`not ${text}`);
+  });
+  for (const text of ["", "a", "a", "b", "", ""]) complain(text);
+  assert.deepEqual(log, ["a", "not a", "b", "not b"]);
 });
 
 // Undo --------------------------------------------------------------------------------------------------------------

@@ -195,6 +195,23 @@ test("marks that were fetched before this page saved newer ones do not replace t
   await assert.rejects(reload(), { message: "taken: 2" });
 });
 
+test("marks that another program has changed are fetched, also after changes of this page", () => {
+  const fetched = [];
+  const picture = { tag: "t", state: "done", revision: "1" };
+  const tab = {
+    name: "a", template: {}, editing: false, tool: {}, state: { picture: () => picture },
+    marking: { book: { tag: "t" }, history: { canUndo: true } },
+    saver: { isDirty: () => false, entry: () => ({ revision: "1" }) },
+    saving: { tryToFetch: async (name) => { fetched.push(name); return null; } },
+  };
+  const opening = createOpening(tab, () => "click");
+  opening.refresh();
+  assert.deepEqual(fetched, []);
+  picture.revision = "2";
+  opening.refresh();
+  assert.deepEqual(fetched, ["a"]);
+});
+
 // The template ------------------------------------------------------------------------------------------------------
 
 /** A template that is made on a picture of 100 x 60 at twice its size. */

@@ -23,6 +23,8 @@ interface Picture {
   /** Who checked its landmarks, and who left it out of training. */
   checked: string | null;
   left_out: string | null;
+  /** Of the landmark file; null if there is none. */
+  revision: string | null;
 }
 
 interface Template {

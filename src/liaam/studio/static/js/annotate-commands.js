@@ -1,7 +1,7 @@
 // Commands of the Annotate tab's buttons and keys.
 
 import { called, missingText, several, UNTOUCHED } from "./annotate-words.js";
-import { nextToTeach, unfinished } from "./assist.js";
+import { allDone, nextToTeach, unfinished } from "./assist.js";
 import { placed } from "./points.js";
 
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
@@ -10,6 +10,7 @@ const EDGE = 20; // css pixels; a point closer to the border of the view is scro
 export function createCommands(tab) {
   const { app, state, marking, viewer, say } = tab;
   let warned = null; // picture with a warning about missing points
+  let closeWarning = () => {};
 
   /** Scroll a point into view, and announce it. */
   function reveal(index) {
@@ -21,12 +22,17 @@ export function createCommands(tab) {
     if (x < EDGE || y < EDGE || x > w - EDGE || y > h - EDGE) viewer.panBy(w / 2 - x, h / 2 - y);
   }
 
+  /** Warn once about the open picture. */
+  function warn(text) {
+    warned = tab.name;
+    closeWarning = app.toast(text);
+  }
+
   /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
   async function leaveUnchecked() {
     const { name } = tab;
     if (warned !== name) {
-      warned = name;
-      app.toast(UNTOUCHED);
+      warn(UNTOUCHED);
       return;
     }
     await tab.saving.markUnchecked(name);
@@ -36,6 +42,7 @@ export function createCommands(tab) {
   async function goNext() {
     const { name, saver } = tab;
     warned = null;
+    closeWarning();
     // The states of the pictures that are being saved are out of date.
     const known = state.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
     const next = nextToTeach(known, name);
@@ -47,8 +54,7 @@ export function createCommands(tab) {
     tab.leavePicture(name);
     await saver.flush(); // updates the states of the pictures
     const left = unfinished({ pictures: state.pictures, model: state.project.model });
-    const all = state.folder ? `All pictures of ${state.folder} are done.` : "All pictures are done.";
-    app.toast(left || `${all} Open Fit to try the model.`, left ? "info" : "good");
+    app.toast(left || `${allDone(state.folder)} Open Fit to try the model.`, left ? "info" : "good");
   }
 
   const commands = {
@@ -79,7 +85,8 @@ export function createCommands(tab) {
 
     toggleMirrored() {
       if (!tab.template?.mirror) {
-        const remedy = "Edit it with Mirror on, or load one with left and right in its names.";
+        const remedy = "Mirror pairs new points only: add them with Mirror on, or load a template with left and right in " +
+          "its names.";
         app.toast(`The template has no mirrored points. ${remedy}`);
         return;
       }
@@ -159,9 +166,8 @@ export function createCommands(tab) {
       marking.accept();
       const left = marking.missing;
       if (left.length && warned !== tab.name) {
-        warned = tab.name; // warn once, since points may be left out on purpose
         marking.select([left[0]]);
-        app.toast(missingText(marking.names, left));
+        warn(missingText(marking.names, left)); // once, since points may be left out on purpose
         return;
       }
       goNext();

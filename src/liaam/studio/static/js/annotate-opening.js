@@ -45,7 +45,7 @@ export function createOpening(tab, begins) {
     } catch (error) {
       if (own !== turn) return;
       const isGone = error.status === 0;
-      const again = "Start 'liaam studio' again, and the picture opens. Your changes are kept.";
+      const again = "Start 'liaam studio' again, and open the address that it prints. Your changes are kept.";
       const title = isGone ? "The server is not reachable" : `${name} cannot be opened`;
       showInstead({ icon: "warning", title, text: isGone ? again : error.message });
     }
@@ -142,7 +142,15 @@ export function createOpening(tab, begins) {
     } else if (isPristine() && book.key !== keyOf(tab.name)) {
       book.key = keyOf(tab.name);
       reload();
+    } else if (!tab.editing && isIdle() && isForeign(tab.name)) {
+      reload();
     }
+  }
+
+  /** Whether another program has changed the marks of a picture. */
+  function isForeign(name) {
+    const picture = state.picture(name);
+    return picture !== null && picture.state !== "reading" && picture.revision !== tab.saver.entry(name).revision;
   }
 
   /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */

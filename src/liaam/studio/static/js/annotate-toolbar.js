@@ -1,6 +1,6 @@
 // The Annotate tab's toolbar, with the status of saving.
 
-import { button, h, iconButton, press } from "./ui.js";
+import { button, complaints, h, iconButton, press } from "./ui.js";
 
 /** act(event, work): runs the action of a button. Returns {element, refresh(), press(name, on)}. */
 export function createToolbar({ state, commands, status, act }) {
@@ -56,14 +56,7 @@ const WRONG = ["offline", "failing", "refused", "conflict"];
 export function createStatus({ toast, say, ondecide }) {
   const element = h("span.save-status", { dataset: { testid: "save-status", state: "saved" } }, TEXTS.saved);
   const decide = button("Decide…", { small: true, hidden: true, onclick: ondecide });
-  let complaint = { text: "", close() {} };
-
-  /** Show an error message until it is resolved. */
-  function complain(text) {
-    if (text === complaint.text) return;
-    complaint.close();
-    complaint = { text, close: text ? toast(text, "bad") : () => {} };
-  }
+  const complain = complaints(toast);
 
   return {
     element,

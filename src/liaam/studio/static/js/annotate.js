@@ -186,7 +186,8 @@ export class AnnotateTab {
   refresh() {
     if (!this.tool) return; // the parts are not complete yet
     const { assist, editing, marking, panel, templates } = this;
-    const shown = editing ? [templates.panel] : [assist.element, this.review, ...panel.elements];
+    const making = this.template ? [templates.panel] : [templates.panel, assist.notes];
+    const shown = editing ? making : [assist.element, assist.notes, this.review, ...panel.elements];
     if (this.side.firstChild !== shown[0]) {
       this.side.replaceChildren(...shown);
       this.side.scrollTop = 0;

@@ -38,6 +38,9 @@ export function unfinished({ pictures, model }) {
   return text && `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
+/** That all pictures of a subfolder, or all of them, are done. */
+export const allDone = (folder) => (folder ? `All pictures of ${folder} are done.` : "All pictures are done.");
+
 /** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are
  *  done. */
 export function nextToTeach(pictures, current) {
@@ -93,7 +96,8 @@ export function mismatch({ model, template }) {
 
 /**
  * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting;
- * confirm(): the mean shape is right. Returns {element, sure: the button for confirm, left(): a picture was left}.
+ * confirm(): the mean shape is right. Returns {element, notes: a panel of notices, sure: the button for confirm,
+ * left(): a picture was left}.
  * @param {{app: App, [handler: string]: any}} options
  */
 export function createAssist({ app, accept, skip, confirm }) {
@@ -133,10 +137,10 @@ export function createAssist({ app, accept, skip, confirm }) {
     title: "Save the mean shape although no point was moved",
   });
   const why = h("p.small.muted", { testid: "why-next" });
-  const notes = h("div.column.assist-notes", { hidden: true, testid: "notices" });
+  const notes = h("section.panel.assist-notes", { hidden: true, "aria-label": "Notices", testid: "notices" });
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
     h("div.row.assist-head", icon("spark"), count, h("span.grow"), train),
-    running, failure, h("div.row.assist-go", next, pass), sure, why, notes,
+    running, failure, h("div.row.assist-go", next, pass), sure, why,
     h("label.check.small", { title: often }, auto, "Train automatically"));
 
   async function start() {
@@ -228,7 +232,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     if (fault) why.textContent = fault;
     else if (here && here.state !== "done" && here.uncertainty != null && model)
       why.textContent = reason(here, pictures, model);
-    else if (!then) why.textContent = left || (done ? "All pictures are done." : "");
+    else if (!then) why.textContent = left || (done ? allDone(state.folder) : "");
     else if (model) why.textContent = `Next: ${then.name}. ${reason(then, pictures, model)}`;
     else if (done < AUTO_FIRST)
       why.textContent = `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`;
@@ -263,5 +267,5 @@ export function createAssist({ app, accept, skip, confirm }) {
   state.addEventListener("project", watch);
   refresh();
   watch();
-  return { element, sure, left };
+  return { element, notes, sure, left };
 }

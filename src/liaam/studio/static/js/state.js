@@ -3,6 +3,7 @@
 import { nameIn, remember } from "./address.js";
 import { api, ApiError } from "./api.js";
 import { isIn } from "./strip-filters.js";
+import { complaints } from "./ui.js";
 import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
@@ -103,7 +104,9 @@ export class State extends EventTarget {
   }
 
   _watch() {
-    const look = () => this.look().catch(() => {}); // a lost connection is reported by the event stream
+    const complain = complaints();
+    // 503: the folder is gone. A lost connection is reported by the event stream.
+    const look = () => this.look().then(() => complain(""), ({ status, message }) => status === 503 && complain(message));
     addEventListener("focus", look);
     document.addEventListener("visibilitychange", look);
     setInterval(look, LOOK_EVERY);

@@ -230,6 +230,16 @@ export function toast(message, kind = "info") {
   return remove;
 }
 
+/** Returns a function that shows an error until it is called with another text, or with "". */
+export function complaints(show = toast) {
+  let shown = { text: "", close() {} };
+  return (text) => {
+    if (text === shown.text) return;
+    shown.close();
+    shown = { text, close: text ? show(text, "bad") : () => {} };
+  };
+}
+
 /** Whether a key has no modifier but Shift, and is not the Enter that a button needs. */
 export const isPlain = ({ key, ctrlKey, metaKey, altKey, target }) =>
   !ctrlKey && !metaKey && !altKey && !(key === "Enter" && target.matches?.("button, a, [role=radio]"));
