@@ -10,10 +10,11 @@ import httpx
 import numpy as np
 import pytest
 
-from liaam.errors import LiaamError
+from liaam.errors import ImageError, LiaamError
 from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
 from liaam.model import load_model
 from liaam.relighting.lamp import AMBIENT
+from liaam.studio.project import Project
 from liaam.studio.serving import open_port
 from liaam.studio.serving import serve as serve_until_interrupted
 
@@ -101,6 +102,15 @@ def test_a_picture_that_cannot_be_decoded_is_told_unless_training_will_do_so(fol
     first, second, third = client.get("/api/project").json()["pictures"]
     assert [picture["state"] for picture in (first, second, third)] == ["done", "broken", "new"]
     assert "cut short" in second["error"]
+
+
+def test_a_picture_that_is_away_for_a_moment_is_not_unreadable_for_good(folder):
+    project = Project(folder(1, 0))
+    source, path = project.source("p1.png"), project.root / "p1.png"
+    path.rename(path.with_suffix(".away"))
+    project.mark_unreadable(source, ImageError("p1.png cannot be read"))
+    path.with_suffix(".away").rename(path)
+    assert project.overview().pictures[0]["state"] == "new"
 
 
 def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):

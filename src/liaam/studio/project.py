@@ -260,7 +260,9 @@ class Project:
         """
         with self._lock:
             file = self._listing.files.get(source.name)
-            if file is not None and file.tag == source.tag and not self._landmarks.of(file).n_placed:
+            if file is None or file.tag != source.tag or not self._listing.is_current(file):
+                return  # it may be readable when it comes back
+            if not self._landmarks.of(file).n_placed:
                 self._listing.mark_unreadable(file, str(fault))
 
     def annotated(self) -> list[Annotated]:
