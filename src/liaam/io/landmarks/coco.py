@@ -2,8 +2,8 @@
 
 COCO defines keypoints as "a 0-indexed location x, y". Annotators clicked on whole pixels, so the numbers are taken as
 pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is missing; one of visibility 1 (labelled
-but hidden) is invisible. One file holds many images. Each annotation with keypoints is an object. The category's keypoint
-names become the names, and its skeleton (pairs counted from 1) the contours.
+but hidden) is invisible. One file holds many images. Each annotation with keypoints is an object. The category's
+keypoint names become the names, and its skeleton (pairs counted from 1) the contours.
 """
 
 import json

@@ -23,7 +23,7 @@ const TABS = [
 
 const COMMON_KEYS = [
   { keys: "1 2 3 4", what: "Annotate, Fit, Compare, Live" },
-  { keys: "[ ]", what: "Previous, next picture" },
+  { keys: "[ ] PageUp PageDown", what: "Previous, next picture" },
   { keys: "+ - 0", what: "Zoom in, out, whole picture" },
   { keys: "Space drag", what: "Pan (or drag an empty area, use the middle button or two fingers)" },
   { keys: "Wheel", what: "Zoom at the pointer" },
