@@ -10,50 +10,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam import (
         batch as batch,
-    )
-    from liaam import (
         calibration as calibration,
-    )
-    from liaam import (
         datasets as datasets,
-    )
-    from liaam import (
         errors as errors,
-    )
-    from liaam import (
         evaluation as evaluation,
-    )
-    from liaam import (
         fitting as fitting,
-    )
-    from liaam import (
         io as io,
-    )
-    from liaam import (
         lamps as lamps,
-    )
-    from liaam import (
         model as model,
-    )
-    from liaam import (
         morphometry as morphometry,
-    )
-    from liaam import (
         photometry as photometry,
-    )
-    from liaam import (
         plotting as plotting,
-    )
-    from liaam import (
         registration as registration,
-    )
-    from liaam import (
         relighting as relighting,
-    )
-    from liaam import (
         tracking as tracking,
-    )
-    from liaam import (
         training as training,
     )
     from liaam.calibration import theta_from_chart, theta_from_scene

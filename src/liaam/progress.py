@@ -55,8 +55,14 @@ def progress_bar(
 def _bar(what: str, total: int | None, counted: bool) -> Any:
     # Slow to import.
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bar
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress as Bar,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
     console = Console(stderr=True)
     done = MofNCompleteColumn() if counted else TaskProgressColumn()

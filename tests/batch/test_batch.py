@@ -22,8 +22,7 @@ import numpy as np
 import pytest
 
 from liaam import __version__
-from liaam.batch import Settings, find_pictures, listed_pictures, run_batch
-from liaam.batch import cluster as cluster_module
+from liaam.batch import Settings, cluster as cluster_module, find_pictures, listed_pictures, run_batch
 from liaam.batch.cluster import on_cluster
 from liaam.batch.journal import Journal, place_of
 from liaam.batch.pools import in_processes

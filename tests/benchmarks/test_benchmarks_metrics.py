@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import __main__ as command
-from benchmarks import metrics
+from benchmarks import __main__ as command, metrics
 from benchmarks.metrics import (
     BaselineError,
     compare,

@@ -7,8 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from liaam.calibration.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
 from liaam.datasets.scenes import (

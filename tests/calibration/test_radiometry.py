@@ -6,8 +6,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from finite_differences import assert_jacobian
 from liaam.calibration.radiometry import (

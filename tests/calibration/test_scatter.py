@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from liaam.calibration.chart import chart_patches, patch_labels, theta_from_chart
 from liaam.calibration.scatter import Surfaces, block_labels, theta_from_scene, theta_of_least_scatter

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from liaam.datasets import load_folder
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from liaam.fitting import SolverOptions
 from liaam.fitting.angles import SEARCH, _minimise_on_arc, best_image_angle

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import StartError
-from liaam.io import check_start, read_start, write_image
-from liaam.io import landmarkers as module
+from liaam.io import check_start, landmarkers as module, read_start, write_image
 from liaam.io.landmarkers import face_mesh
 
 SHARES = [(0.25, 0.5), (0.5, 0.5), (0.75, 1.0)]

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LiaamError, VideoError
-from liaam.io import VideoReader, video_writer, write_image
-from liaam.io import video as io_video
+from liaam.io import VideoReader, video as io_video, video_writer, write_image
 from liaam.io.video import SOUGHT, can_enter, check_video_name, is_video
 from setups import open_files
 

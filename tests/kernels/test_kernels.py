@@ -9,8 +9,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from finite_differences import assert_jacobian
 from liaam.errors import MethodError

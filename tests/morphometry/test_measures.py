@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from ktch.landmark import GeneralizedProcrustesAnalysis
 
 from finite_differences import assert_jacobian

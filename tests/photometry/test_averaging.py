@@ -1,8 +1,7 @@
 """Block means are areas: of any size, starting anywhere, cutting through pixels."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.ndimage import gaussian_filter
 
 from liaam.photometry import averaging

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from liaam.errors import ImageError, MethodError
 from liaam.photometry import ENCODINGS, encode, encoding, exposure_faults, invariant, is_grey, srgb_to_linear

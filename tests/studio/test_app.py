@@ -15,8 +15,7 @@ from liaam.io import Landmarks, read_landmarks, write_image, write_landmarks
 from liaam.model import load_model
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio.project import Project
-from liaam.studio.serving import open_port
-from liaam.studio.serving import serve as serve_until_interrupted
+from liaam.studio.serving import open_port, serve as serve_until_interrupted
 
 
 class Listener:

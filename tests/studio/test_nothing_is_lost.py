@@ -11,8 +11,7 @@ from small_projects import POINTS, by_name, proposal, refused
 
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, atomic, read_landmarks, write_image, write_landmarks
-from liaam.studio import folder as project_folder
-from liaam.studio import landmark_files, state_files
+from liaam.studio import folder as project_folder, landmark_files, state_files
 from liaam.studio.app import make_studio
 from liaam.studio.folder import STATE
 from liaam.studio.listing import Listing

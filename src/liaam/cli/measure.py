@@ -37,8 +37,7 @@ def measure(
     ] = None,
 ) -> None:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
-    from liaam.morphometry import measure as measured
-    from liaam.morphometry import read_specimens, write_measurements
+    from liaam.morphometry import measure as measured, read_specimens, write_measurements
 
     check_output(output)
     if real_path(output).is_relative_to(real_path(results)):

@@ -14,10 +14,14 @@ from numba.core.compiler import CompilerBase
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager
 from numba.core.imputils import lower_constant as _lower_constant
-from numba.core.typing.templates import AttributeTemplate, signature
-from numba.core.typing.templates import infer_getattr as _infer_getattr
-from numba.extending import lower_builtin, models, register_model, typeof_impl
-from numba.extending import lower_getattr_generic as _lower_getattr_generic
+from numba.core.typing.templates import AttributeTemplate, infer_getattr as _infer_getattr, signature
+from numba.extending import (
+    lower_builtin,
+    lower_getattr_generic as _lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+)
 
 from liaam.kernels import vector_code
 from liaam.kernels.fields import Declared, FunctionOf, Inlined, RecordOf, Span, layout

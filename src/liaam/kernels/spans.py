@@ -14,9 +14,13 @@ import numpy as np
 from llvmlite import ir
 from numba import from_dtype, types
 from numba.core import cgutils
-from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, signature
-from numba.core.typing.templates import infer_getattr as _infer_getattr
-from numba.core.typing.templates import infer_global as _infer_global
+from numba.core.typing.templates import (
+    AbstractTemplate,
+    AttributeTemplate,
+    infer_getattr as _infer_getattr,
+    infer_global as _infer_global,
+    signature,
+)
 from numba.extending import lower_builtin, lower_getattr, models, register_model
 
 infer_global: Any = _infer_global

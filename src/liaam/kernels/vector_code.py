@@ -7,10 +7,8 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 from numba.core.registry import cpu_target
-from numba.core.typing.templates import AbstractTemplate, signature
-from numba.core.typing.templates import infer_global as _infer_global
-from numba.extending import intrinsic as _intrinsic
-from numba.extending import lower_builtin, models, register_model
+from numba.core.typing.templates import AbstractTemplate, infer_global as _infer_global, signature
+from numba.extending import intrinsic as _intrinsic, lower_builtin, models, register_model
 
 from liaam.kernels.spans import pointer_to
 from liaam.kernels.vectors import SIZE, Operation

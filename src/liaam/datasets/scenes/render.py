@@ -6,8 +6,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from liaam.datasets.scenes import body as figure
-from liaam.datasets.scenes import light as lighting
+from liaam.datasets.scenes import body as figure, light as lighting
 from liaam.datasets.scenes.body import Body, build_body
 from liaam.datasets.scenes.camera import Camera, matrices_at
 from liaam.datasets.scenes.chart import CONTOURS, Face, smoothstep

@@ -15,8 +15,7 @@ import numpy as np
 from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
-from liaam.io.images import IMAGE_SUFFIXES
-from liaam.io.images import image_size as size_of
+from liaam.io.images import IMAGE_SUFFIXES, image_size as size_of
 from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem, tps
 from liaam.io.landmarks.base import Contour, Landmarks, decode_text, read_text
 
