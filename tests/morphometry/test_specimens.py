@@ -60,6 +60,12 @@ def test_a_folder_of_fits_counts_each_once(tmp_path: Path) -> None:
     assert read_specimens(tmp_path / "wing10.csv")[0].covariances is None
 
 
+def test_numbers_of_landmarks_count_from_1_whatever_their_names() -> None:
+    specimen = Specimen("a", np.array([[0.0, 0], [1, 0], [3, 0], [7, 0]]), names=("0", "1", "2", "tip"))
+    found = measure([specimen], ["distance:1-2", "distance:2-tip"])
+    assert (found["distance_1_2"], found["distance_2_tip"]) == ([1.0], [6.0])
+
+
 def test_specimens_take_landmarks_and_lists() -> None:
     for points in (Landmarks(POINTS), POINTS.tolist()):
         assert measure([Specimen("a", points)], ["distance:1-2"])["distance_1_2"][0] == 10  # type: ignore[arg-type]
@@ -67,16 +73,47 @@ def test_specimens_take_landmarks_and_lists() -> None:
 
 @pytest.mark.parametrize("suffix", [".pts", ".csv", ".tps"])
 def test_landmarks_corrected_after_the_fit_are_measured(tmp_path: Path, suffix: str) -> None:
-    for stem in ("wing1", "wing2"):
-        add_fit(tmp_path, stem)
-    corrected = POINTS + np.array([[0, 0], [0, 0.5], [0, 0]])
-    write_landmarks(tmp_path / f"wing2{suffix}", Landmarks(corrected, image_name="wing2.png"), (30, 40))
+    for stem in ("wing1", "wing2_1", "wing2_2"):  # two objects in one image
+        add_fit(tmp_path, stem, scale=0.5, landmark_names=["a", "b", "c"])
+    corrected = POINTS + np.array([[0, 0.5], [0, 0.5], [0, 0.5]])
+    corrected[2] = np.nan
+    for stem in ("wing2_1", "wing2_2"):
+        write_landmarks(tmp_path / f"{stem}{suffix}", Landmarks(corrected, image_name="wing2.png"), (30, 40))
     said: list[str] = []
-    first, second = read_specimens(tmp_path, said.append)
-    assert said == [f"wing2: measured from wing2{suffix}, whose points were changed after the fit"]
+    first, *others = read_specimens(tmp_path, said.append)
+    end = f"{suffix}, whose points were changed after the fit"
+    assert said == [f"wing2_{i}: measured from wing2_{i}{end}" for i in (1, 2)]
     assert_fit(first)
-    np.testing.assert_allclose(second.points - second.points[0], corrected - corrected[0])
-    assert (second.covariances, second.status) == (None, "")
+    assert [other.name for other in others] == ["wing2_1", "wing2_2"]
+    for other in others:
+        np.testing.assert_allclose(other.points, corrected)
+        assert (other.covariances, other.status, other.scale, other.names) == (None, "", 0.5, ("a", "b", "c"))
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.0, 0.03), (np.nan, np.nan), (2e6, 0.0)])
+def test_any_change_of_a_point_is_a_correction(tmp_path: Path, shift: tuple[float, float]) -> None:
+    fitted = POINTS.copy()
+    fitted[1] = (3e6, 5.0)
+    write_fit(tmp_path, "a", Landmarks(fitted), {"status": "diverged"}, (30, 40))
+    write_landmarks(tmp_path / "a.csv", Landmarks(fitted + np.array([(0, 0), (0, 0), shift])))
+    said: list[str] = []
+    read_specimens(tmp_path, said.append)
+    assert bool(said) == (shift != (0.0, 0.0))
+
+
+@pytest.mark.parametrize("landmarks", ["abc", [[1, 2], [3]], {"a": 1}, 5, [["a", "b"]]])
+def test_damaged_fits_are_skipped(tmp_path: Path, landmarks: object) -> None:
+    add_fit(tmp_path, "good")
+    add_fit(tmp_path, "bad")
+    content = json.loads((tmp_path / "bad.json").read_text()) | {"landmarks": landmarks}
+    (tmp_path / "bad.json").write_text(json.dumps(content))
+    (tmp_path / "good.pts").write_bytes(b"\0\xff")  # not written by liaam like this, and no points
+    said: list[str] = []
+    (good,) = read_specimens(tmp_path, said.append)
+    assert_fit(good)
+    assert len(said) == 2
+    assert said[0].startswith("skipped bad.json") and "damaged" in said[0]
+    assert said[1].startswith("good: ") and said[1].endswith("the points of the fit are used")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])
@@ -120,6 +157,8 @@ def test_fits_that_diverged_do_not_stop_the_others(tmp_path: Path) -> None:
     add_fit(tmp_path, "lost", "diverged", landmark_covariances_px2=np.full((3, 3), np.nan))
     text = (tmp_path / "lost.json").read_text().replace("11.0", "1e300")
     (tmp_path / "lost.json").write_text(text)
+    for suffix in (".pts", ".csv", ".tps"):
+        (tmp_path / f"lost{suffix}").unlink()
     good, lost = read_specimens(tmp_path)
     assert_fit(good)
     assert lost.covariances is not None

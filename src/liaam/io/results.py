@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import json_object
 from liaam.io.landmarks import Landmarks, in_pixels, parse_landmark_file, write_landmarks
@@ -15,7 +16,7 @@ FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files of a fit."""
 
 ROUNDING, FARTHEST = 0.02, 1e6
-"""Difference in pixels below which points of two files are the same; coordinate from which they are not compared."""
+"""Difference in pixels below which points of two files are the same; coordinate beyond which all are the same."""
 
 
 def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> list[Path]:
@@ -42,7 +43,7 @@ def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_
     paths = [folder / f"{stem}{suffix}" for suffix in FIT_SUFFIXES]
     for path in paths[:-1]:
         write_landmarks(path, landmarks, image_size)
-    write_text_atomically(paths[-1], fit_text(landmarks, facts))
+    write_text_atomically(paths[-1], fit_text(landmarks, {**facts, "image_size": image_size}))
     return paths
 
 
@@ -54,26 +55,45 @@ def read_fit(path: Path) -> dict | None:
 
 def corrected_file(path: Path, fit: dict) -> Path | None:
     """Return the landmark file beside a fit's .json file that was changed since, the newest if there are several."""
-    fitted = np.array(fit["landmarks"] or [], np.float64).reshape(-1, 2)
+    try:
+        fitted = np.array(fit["landmarks"] or [], np.float64).reshape(-1, 2)
+    except (TypeError, ValueError) as fault:
+        raise LandmarkError(
+            f"{path}: the landmarks are damaged ({fault}): remove it, and fit the image again"
+        ) from fault
     files = [path.with_suffix(suffix) for suffix in FIT_SUFFIXES[:-1]]
-    changed = [file for file in files if file.is_file() and _differs(file, fitted)]
+    changed = [file for file in files if file.is_file() and _differs(file, fitted, fit)]
     return max(changed, key=lambda file: file.stat().st_mtime, default=None)
 
 
-def _differs(file: Path, fitted: np.ndarray) -> bool:
-    """Return whether the points of a landmark file are not those of a fit (n, 2)."""
+def points_of_fit(file: Path, fit: dict) -> np.ndarray:
+    """Read the points (n, 2), in pixels, of a landmark file beside a fit's .json file."""
     parsed = parse_landmark_file(file)
     entries = [parsed] if isinstance(parsed, Landmarks) else list(parsed.values())
-    if len(entries) != 1 or len(entries[0].points) != len(fitted):
+    if len(entries) != 1:
+        raise LandmarkError(f"{file} holds the landmarks of {len(entries)} images, not of one fit")
+    return in_pixels(file, entries[0], _image_size(fit)).points
+
+
+def _image_size(fit: dict) -> tuple[float, float] | None:
+    size = fit.get("image_size")
+    if isinstance(size, list) and len(size) == 2 and all(isinstance(side, int) for side in size):
+        return size[0], size[1]
+    return None
+
+
+def _differs(file: Path, fitted: np.ndarray, fit: dict) -> bool:
+    """Return whether the points of a landmark file are not those of a fit (n, 2)."""
+    if file.suffix.lower() == ".tps" and _image_size(fit) is None:  # its points depend on the height
+        return False
+    try:
+        points = points_of_fit(file, fit)
+    except LandmarkError:  # liaam has not written it like this
         return True
-    # The height of the image is not known. It shifts the points of .tps.
-    by_height = file.suffix.lower() == ".tps"
-    points = in_pixels(file, entries[0], (1, 1) if by_height else None).points
-    known = np.isfinite(points).all(axis=1) & (np.abs(fitted) < FARTHEST).all(axis=1)
-    away = (points - fitted)[known]
-    if by_height and known.any():
-        away[:, 1] -= np.median(away[:, 1])
-    return bool((np.abs(away) > ROUNDING).any())
+    if points.shape != fitted.shape:
+        return True
+    points, fitted = (np.clip(each, -FARTHEST, FARTHEST) for each in (points, fitted))
+    return not np.allclose(points, fitted, rtol=0, atol=ROUNDING, equal_nan=True)
 
 
 def fit_text(landmarks: Landmarks, facts: dict) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PureWindowsPath
 from typing import Any
@@ -17,7 +17,7 @@ from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import existing_file, natural_key
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
-from liaam.io.results import corrected_file, read_fit
+from liaam.io.results import corrected_file, points_of_fit, read_fit
 
 _MOST = 1e9
 """Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""
@@ -101,15 +101,11 @@ def read_specimens(
     """
     path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
-        return tuple(_of_file(existing_file(path, LiaamError, "file of results")))
+        return tuple(_of_file(existing_file(path, LiaamError, "file of results"), complain))
     found: dict[str, Specimen] = {}
     for file in _chosen(path):
         try:
-            fit = read_fit(file) if file.suffix.lower() == ".json" else None
-            if fit and (corrected := corrected_file(file, fit)):
-                complain(f"{file.stem}: measured from {corrected.name}, whose points were changed after the fit")
-                file = corrected
-            for specimen in _of_file(file):
+            for specimen in _of_file(file, complain):
                 found.setdefault(specimen.name, specimen)
         except LiaamError as fault:
             complain(f"skipped {file.name}: {fault}")
@@ -131,10 +127,11 @@ def _chosen(folder: Path) -> list[Path]:
     return list(chosen.values())
 
 
-def _of_file(path: Path) -> Iterator[Specimen]:
+def _of_file(path: Path, complain: Callable[[str], object]) -> Iterator[Specimen]:
     fit = read_fit(path) if path.suffix.lower() == ".json" else None
     if fit:  # other .json files hold landmarks only
-        yield _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
+        fitted = _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
+        yield _corrected(path, fit, fitted, complain)
     elif is_table(path):
         for row in read_rows(path):
             yield _specimen(path, PureWindowsPath(row["path"]).stem, row, row.get("covariance"))
@@ -154,6 +151,22 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
         return Specimen(name, points, spread, names, scale and float(scale), str(facts["status"]))
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
+
+
+def _corrected(path: Path, fit: dict, fitted: Specimen, complain: Callable[[str], object]) -> Specimen:
+    """Return a fit's specimen with the points of a landmark file beside it that was changed since, if there is one."""
+    file = corrected_file(path, fit)
+    if file is None:
+        return fitted
+    try:
+        points = points_of_fit(file, fit)
+        names = fitted.names if len(points) == len(fitted.points) else ()
+        corrected = replace(fitted, points=points, covariances=None, names=names, status="")
+    except LandmarkError as fault:
+        complain(f"{path.stem}: {fault}; the points of the fit are used")
+        return fitted
+    complain(f"{path.stem}: measured from {file.name}, whose points were changed after the fit")
+    return corrected
 
 
 def _numbers(values: Any) -> np.ndarray:

@@ -131,7 +131,7 @@ def _same_number(specimens: Sequence[Specimen]) -> int:
 
 def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
     """Return the indices, from 0, of landmarks given by name or by number from 1."""
-    numbers = {str(number): number - 1 for number in range(1, n + 1)} | {name: i for i, name in enumerate(names)}
+    numbers = {name: i for i, name in enumerate(names)} | {str(number): number - 1 for number in range(1, n + 1)}
     for landmark in landmarks:
         if landmark not in numbers:
             known = f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
