@@ -80,8 +80,8 @@ def test_black_and_white_pictures_give_a_status(model, start, method, dtype, lev
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused(model, lit_scene, start):
-    with pytest.raises(ImageError, match=r"portrait: its 16-bit values reach only .* multiply it by 16"):
-        Fitter(model).fit((lit_scene.image * 4095).astype(np.uint16), start, name="portrait")
+    with pytest.raises(ImageError, match=r"portrait: its 16-bit values reach only .* multiply 12-bit values by 16"):
+        Fitter(model, camera=CameraModel()).fit((lit_scene.image * 4095).astype(np.uint16), start, name="portrait")
 
 
 @pytest.mark.parametrize("method", ["li", "rgb"])

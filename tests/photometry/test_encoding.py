@@ -190,16 +190,18 @@ def test_no_usable_level_lies_on_the_floor_of_the_logarithm(response):
 
 @pytest.mark.parametrize(
     ("largest", "remedy"),
-    [(200, "convert it to uint8"), (1023, "multiply it by 64"), (4095, "multiply it by 16")],
+    [(200, "convert 8-bit values to uint8"), (1023, "multiply 12-bit values by 16"), (4095, "the response to linear")],
 )
 def test_16_bit_values_that_are_not_scaled_are_refused(rng, largest, remedy):
     image = rng.integers(0, largest, (300, 20, 3), dtype=np.uint16)
     image[7, 7, 1] = largest
-    with pytest.raises(ImageError, match=f"cat: its 16-bit values reach only {largest} of 65535, .*{remedy}"):
-        refuse_unscaled(image, "cat")
+    with pytest.raises(ImageError, match=f"cat: its 16-bit values reach only {largest} of 65535.*{remedy}"):
+        refuse_unscaled(image, "cat", 2.2)
+    if largest > 255:
+        refuse_unscaled(image, "cat", "linear")
     image[11, 11, 1] = 4096
     for other in (image, image // 4096 * 0, image.astype(np.float32) / 65535, (image // 257).astype(np.uint8)):
-        refuse_unscaled(other, "cat")
+        refuse_unscaled(other, "cat", "srgb")
 
 
 def test_a_path_is_told_to_be_read():

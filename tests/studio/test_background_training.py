@@ -227,13 +227,17 @@ def test_a_process_that_is_killed_is_told(setting):
 
 
 def test_pictures_that_do_not_serve_are_left_out(setting):
-    project, models, _, trainer = setting(5, 5)
+    from liaam.io import read_image, write_image
+
+    project, models, _, trainer = setting(6, 6)
     (project.root / "p1.png").write_bytes((project.root / "p1.png").read_bytes()[:9000])
+    write_image(project.root / "p2.png", read_image(project.root / "p2.png").astype(np.uint16) * 16)
     trainer.start()
     ended = trainer.wait(240)
     assert ended.state == "done", ended
     assert models.current.model.n_images == 4
     assert "cut short" in models.current.facts["left_out"]["p1.png"]
+    assert "multiply 12-bit values by 16" in models.current.facts["left_out"]["p2.png"]
 
 
 def test_grey_pictures_are_learnt_from_and_named(setting):

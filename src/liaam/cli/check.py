@@ -63,14 +63,13 @@ def check_pixels(data: Dataset) -> bool:
     Return whether any cannot be used.
     """
     from liaam.photometry import is_grey
-    from liaam.photometry.encoding import as_colour, refuse_unscaled
+    from liaam.photometry.encoding import as_colour
     from liaam.training.images import describe_outside, grey_use
     from liaam.workers import in_threads
 
     def look(sample: Sample) -> bool | str:
         try:
             image = as_colour(sample.read_image(), sample.name)
-            refuse_unscaled(image, sample.name)
         except LiaamError as error:
             return str(error)
         placed = sample.landmarks.points[~sample.landmarks.missing]

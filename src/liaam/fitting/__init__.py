@@ -1,5 +1,7 @@
 """Fitting: the table of methods, the objective and the solver that all methods use."""
 
+from typing import TYPE_CHECKING
+
 from liaam.fitting.fitter import Fitter, fit
 from liaam.fitting.many import fit_each, fit_many
 from liaam.fitting.methods import METHODS, Method, features_method, get_method
@@ -26,4 +28,7 @@ __all__ = [
     "get_method",
 ]
 
-__getattr__ = submodules(__name__, "bound")
+if TYPE_CHECKING:
+    from liaam.fitting import bound as bound
+else:
+    __getattr__ = submodules(__name__, "bound")

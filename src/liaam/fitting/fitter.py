@@ -27,7 +27,7 @@ from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, align, diagonal_of
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.camera import check_camera
-from liaam.photometry.encoding import stored_values
+from liaam.photometry.encoding import refuse_unscaled, stored_values
 
 FOLD_LIMIT = 0.3
 """Fraction of the mesh's area flipped beyond which a fit has diverged."""
@@ -302,6 +302,7 @@ class Fitter:
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Candidate | None]:
         """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""
         image, name = load_picture(image, name)
+        refuse_unscaled(image, name, self._camera.response)
         # An image of one value (black, white) is not refused: the status of its fit is more specific.
         if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.errors import ImageError
-from liaam.photometry.encoding import as_colour, refuse_unscaled
+from liaam.photometry.encoding import as_colour
 
 
 def load_picture(image, name: str) -> tuple[np.ndarray, str]:
@@ -19,9 +19,7 @@ def load_picture(image, name: str) -> tuple[np.ndarray, str]:
 
         path = Path(image)
         image, name = read_image(path), path.name
-    picture = as_colour(image, name)
-    refuse_unscaled(picture, name)
-    return picture, name
+    return as_colour(image, name), name
 
 
 def described(given: object) -> str:

@@ -119,17 +119,21 @@ def is_grey(image: np.ndarray) -> bool:
     return bool(np.isfinite(image).any())  # an image of NaN only is not grey
 
 
-def refuse_unscaled(image: np.ndarray, name: str) -> None:
-    """Raise an error if 16-bit values (h, w, c) are those of fewer bits, as scientific cameras often store them."""
+def refuse_unscaled(image: np.ndarray, name: str, response: Response) -> None:
+    """Raise an error if 16-bit values (h, w, c) are those of fewer bits, as scientific cameras often store them.
+
+    Dim images of linear light are accepted, since their scale hardly matters.
+    """
     if image.dtype != np.uint16 or image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)].max() > 4095:
         return
     largest = int(image.max())
-    bits = next((bits for bits in (8, 10, 12) if 0 < largest < 2**bits), None)
-    if bits is not None:
-        remedy = "convert it to uint8" if bits == 8 else f"multiply it by {2 ** (16 - bits)}"
+    reach = f"{name}: its 16-bit values reach only {largest} of 65535"
+    if 0 < largest < 256:
+        raise ImageError(f"{reach}; convert 8-bit values to uint8")
+    if 0 < largest < 4096 and response != "linear":
         raise ImageError(
-            f"{name}: its 16-bit values reach only {largest} of 65535, which is almost black; if they are {bits}-bit "
-            f"values, {remedy}"
+            f"{reach}, which is almost black; multiply 12-bit values by 16, or set the response to linear if they "
+            "are linear light"
         )
 
 

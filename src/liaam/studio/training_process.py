@@ -108,9 +108,12 @@ class _Picture:
 
     def read_image(self) -> np.ndarray:
         from liaam.io import read_image
+        from liaam.photometry.encoding import refuse_unscaled
 
         try:
-            return read_image(self.path)
+            image = read_image(self.path)
+            refuse_unscaled(image, self.name, "srgb")
+            return image
         except ImageError as fault:
             self.fault = str(fault)
             raise

@@ -11,7 +11,7 @@ from liaam.errors import ImageError, TrainingError
 from liaam.io.files import some_names
 from liaam.model.shape import diagonal_of
 from liaam.model.warp import PiecewiseAffineWarp
-from liaam.photometry import exposure_faults, is_grey
+from liaam.photometry import Response, exposure_faults, is_grey
 from liaam.photometry.encoding import as_colour, refuse_unscaled
 from liaam.training.entries import Entry
 from liaam.workers import in_threads
@@ -45,14 +45,16 @@ def _is(names: Sequence[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[list[Entry], np.ndarray]:
+def check_images(
+    entries: Sequence[Entry], warp: PiecewiseAffineWarp, response: Response
+) -> tuple[list[Entry], np.ndarray]:
     """Read and check all images, and return them with whether each is grey, (n,) bool.
 
     If too few are in colour, all are converted to grey; there is a warning if only some are grey. Raises an ImageError
     if images cannot be read, and a TrainingError if objects, which the warp's mesh covers, are outside their images,
     black or saturated. The messages name all these images.
     """
-    seen, *faults = zip(*in_threads(partial(_look, warp), entries), strict=True)
+    seen, *faults = zip(*in_threads(partial(_look, warp, response), entries), strict=True)
     damaged, outside, exposure = ([fault for fault in each if fault] for each in faults)
     if damaged:
         raise ImageError(some_names(damaged, joint="; "))
@@ -73,11 +75,11 @@ def check_images(entries: Sequence[Entry], warp: PiecewiseAffineWarp) -> tuple[l
     return list(entries), grey
 
 
-def _look(warp: PiecewiseAffineWarp, entry: Entry) -> tuple[bool, str, str, str]:
+def _look(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> tuple[bool, str, str, str]:
     """Whether an image is grey, and its faults (empty if there are none): damage, landmarks outside, and exposure."""
     try:
         image = as_colour(entry.read_image(), entry.name)
-        refuse_unscaled(image, entry.name)
+        refuse_unscaled(image, entry.name, response)
     except ImageError as fault:
         return False, str(fault), "", ""
     points = warp.interpolate(entry.points)

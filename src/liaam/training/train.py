@@ -113,7 +113,7 @@ def train(
         landmark_names=names,
         name=name,
     )
-    checked, grey = check_images(entries, model.warp)
+    checked, grey = check_images(entries, model.warp, camera.response)
     for entry in checked:
         check_fold(entry, model.frame)
 
