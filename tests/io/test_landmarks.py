@@ -587,6 +587,8 @@ def test_images_are_named_in_any_case_or_without_suffix(tmp_path: Path, names: t
     assert list(read_collection(tmp_path / "w.tps")) == list(names)
     second = read_landmarks(tmp_path / "w.tps", image_name="t2.png")
     np.testing.assert_array_equal(second.points, [[4, 15]])
+    write_image(tmp_path / "t2.tif", np.zeros((40, 30, 3), np.uint8))  # as in load_folder, the .png counts
+    np.testing.assert_array_equal(read_collection(tmp_path / "w.tps")[names[1]].points, [[4, 15]])
     with pytest.raises(LandmarkError, match=r"no landmarks of t3\.png"):
         read_landmarks(tmp_path / "w.tps", image_name="t3.png")
 

@@ -9,7 +9,7 @@ import pytest
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
-from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_fit, write_image, write_landmarks
+from liaam.io import Contour, Landmarks, read_image, write_fit, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
@@ -241,13 +241,15 @@ def test_an_unexposed_image_is_refused_by_name(pairs):
     refused(pairs, "image 2: the object is almost completely black")
 
 
-def test_images_and_landmarks_may_be_files(pairs, tmp_path):
+@pytest.mark.parametrize("suffix", [".ljson", ".tps"])
+def test_images_and_landmarks_may_be_files(pairs, tmp_path, suffix):
+    (tmp_path / "marks").mkdir()
     files = []
     for i, (image, points) in enumerate(pairs):
-        files.append((tmp_path / f"face{i}.png", str(tmp_path / f"face{i}.ljson")))
+        files.append((tmp_path / f"face{i}.png", str(tmp_path / f"marks/face{i}{suffix}")))
         write_image(files[-1][0], np.rint(image * 255).astype(np.uint8))
-        write_landmarks(files[-1][1], points)
-    arrays = [(read_image(image), read_landmarks(landmarks)) for image, landmarks in files]
+        write_landmarks(files[-1][1], points, image.shape[1::-1])
+    arrays = [(read_image(image), landmarks) for image, landmarks in files]
     models = [train(given, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False) for given in (files, arrays)]
     means = [model.levels[-1].appearances["log"].mean for model in models]
     np.testing.assert_array_equal(*means)
@@ -280,15 +282,17 @@ def test_names_in_another_order_are_refused(pairs):
     for i, own in enumerate((names, names, other)):
         pairs[i] = (pairs[i][0], Landmarks(pairs[i][1], names=tuple(own)))
     refused(pairs, "landmark 5 is 'point 4' in image 1 but 'point 5' in image 3; every image needs the same points")
-    pairs[2] = (pairs[2][0], Landmarks(pairs[2][1], names=tuple(f"other {i}" for i in range(n))))
+    further = (pairs[0][0], Landmarks(pairs[0][1], names=tuple(f"other {i}" for i in range(n))))
+    refused([pairs[0], further, *pairs[1:]], "landmark 5 is 'point 4' in image 1 but 'point 5' in image 4")
+    pairs[2] = further
     model = train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False)
     assert model.landmark_names == ()  # images do not agree
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):
     pairs[1] = ((pairs[1][0] * 4095).astype(np.uint16), pairs[1][1])
-    with pytest.raises(ImageError, match=r"image 2: its 16-bit values reach only .* multiply it by 16"):
-        train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0)
+    with pytest.raises(ImageError, match=r"image 2: its 16-bit values reach only .* multiply 12-bit values by 16"):
+        train(pairs, diagonal=40.0, variance=1.0)
 
 
 def test_an_overexposed_image_is_refused_by_name(pairs):
@@ -438,6 +442,7 @@ def test_pictures_whose_names_tell_nothing_are_left_out_one_by_one_or_in_a_few_f
     assert describe_objects(["face1", "face2", "face3"]) == describe_objects(["anna", "bob", "carl"]) == ""
     together = "images of one object, by their names, are left out together: anna (2), bob (1), carl (1)"
     assert describe_objects(["anna-1", "bob-1", "anna-2", "carl-1"]) == together
+    assert describe_objects(["1", "2", "a1", "b1"]) == ""  # numbers alone name no object
     folds = folds_of([f"face{i}" for i in range(50)])
     assert len(folds) == 5
     assert sorted(np.concatenate(folds)) == list(range(50))

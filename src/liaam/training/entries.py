@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.io import read_image, read_landmarks
+from liaam.io import image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
@@ -39,7 +39,7 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
     """
     entries: list[Entry] = []
     contours: tuple = ()
-    named: dict[tuple[str, ...], str] = {}  # and the first image that uses these names
+    named: dict[tuple[str, ...], tuple[tuple[str, ...], str]] = {}  # names and first image, by the names in any order
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
     for i, item in enumerate(data):
@@ -52,26 +52,23 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
         entries.append(entry)
         contours = contours or own
         if names:
-            named.setdefault(names, entry.name)
+            _check_order(names, entry.name, *named.setdefault(tuple(sorted(names)), (names, entry.name)))
     if len(entries) < 3:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
     edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
-    return entries, contours, np.array(edges, dtype=int).reshape(-1, 2), _common_names(named)
+    names = next(iter(named.values()))[0] if len(named) == 1 else ()
+    return entries, contours, np.array(edges, dtype=int).reshape(-1, 2), names
 
 
-def _common_names(named: dict[tuple[str, ...], str]) -> tuple[str, ...]:
-    """Return the names of the landmarks, or none if images have others. Raise if they have them in another order."""
-    if len(named) < 2:
-        return next(iter(named), ())
-    first, other = list(named)[:2]
-    if sorted(first) == sorted(other):
-        at = next(i for i, (a, b) in enumerate(zip(first, other, strict=True)) if a != b)
-        raise TrainingError(
-            f"landmark {at + 1} is {first[at]!r} in {named[first]} but {other[at]!r} in {named[other]}; every image "
-            "needs the same points in the same order"
-        )
-    return ()
+def _check_order(names: tuple[str, ...], image: str, first: tuple[str, ...], other: str) -> None:
+    """Raise if an image has the names of another's landmarks in another order."""
+    for i, (own, usual) in enumerate(zip(names, first, strict=True)):
+        if own != usual:
+            raise TrainingError(
+                f"landmark {i + 1} is {usual!r} in {other} but {own!r} in {image}; every image needs the same points "
+                "in the same order"
+            )
 
 
 def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
@@ -84,11 +81,12 @@ def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
             raise TrainingError(
                 f"training item {i + 1} is not an (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
             ) from None
-        name, read = f"image {i + 1}", lambda: image
+        name, read, file_name = f"image {i + 1}", lambda: image, None
         if isinstance(image, str | os.PathLike):
-            name, read = Path(image).name, partial(read_image, image)
+            file_name, name, read = Path(image).name, str(Path(image).with_suffix("")), partial(read_image, image)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
-            landmarks = read_landmarks(landmarks, image_name=name)
+            size = image_size(image) if file_name else np.asarray(image).shape[1::-1]
+            landmarks = read_landmarks(landmarks, size, file_name)
     try:
         points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     except (TypeError, ValueError):

@@ -66,7 +66,8 @@ def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
     """
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(map(image_of, names)):
-        groups.setdefault(re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name)), []).append(i)
+        object_name = re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name))
+        groups.setdefault(object_name or name, []).append(i)
     return groups if len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2 else {}
 
 

@@ -5,9 +5,9 @@ describes the conversion.
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
@@ -127,18 +127,9 @@ def read_landmarks(
     return in_pixels(path, next(iter(parsed.values())), image_size)
 
 
-def _places(folder: Path, image: str) -> Iterator[str]:
-    """Yield where in a folder the image of a landmark file's entry may be, the most likely first."""
-    yield image
-    yield PureWindowsPath(image).name
-    with suppress(OSError):
-        names = sorted(file.name for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
-        yield from (name for name in names if _named(name, [image]))
-
-
-def _named(image: str, entries: Iterable[str | None]) -> list[str]:
+def _named(image: str, entries: Iterable[str]) -> list[str]:
     """Return the entries of a file that name an image: its file name, or else in any case, or without suffix."""
-    names = {entry: PureWindowsPath(entry).name for entry in entries if entry}
+    names = {entry: PureWindowsPath(entry).name for entry in entries}
     alike = (image.casefold(), Path(image).stem.casefold())
     return [entry for entry, name in names.items() if name == image] or [
         entry for entry, name in names.items() if name.casefold() in alike
@@ -163,7 +154,8 @@ def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
     suffix = _suffix(Path(path))
     parsed = parse_landmark_file(path) if FORMATS[suffix].may_be_collection else None
     if isinstance(parsed, dict):
-        return {name: in_pixels(path, landmarks, None) for name, landmarks in parsed.items()}
+        beside = cache(partial(_images_in, Path(path).parent))
+        return {name: in_pixels(path, landmarks, None, beside) for name, landmarks in parsed.items()}
     raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
 
 
@@ -186,29 +178,52 @@ def parse_landmark_data(name: str, data: bytes, image_size: Size | None = None) 
     return {image: in_pixels(path, landmarks, image_size) for image, landmarks in parsed.items()}
 
 
-def in_pixels(path: str | os.PathLike[str], landmarks: Landmarks, image_size: Size | None) -> Landmarks:
-    """Convert parsed landmarks to pixels; raise if that needs the image's size, and it is unknown."""
+def in_pixels(
+    path: str | os.PathLike[str],
+    landmarks: Landmarks,
+    image_size: Size | None,
+    beside: Callable[[], dict[str, Path]] | None = None,
+) -> Landmarks:
+    """Convert parsed landmarks to pixels; raise if that needs the image's size, and it is unknown.
+
+    ``beside`` gives the images beside the file (:func:`_images_in`), which then are listed once for many entries.
+    """
     place = FORMATS[_suffix(Path(path))].place
     if place is None:
         return landmarks
     try:
-        return place(landmarks, image_size or _size_beside(Path(path), landmarks.image_name))
+        beside = beside or partial(_images_in, Path(path).parent)
+        return place(landmarks, image_size or _size_beside(Path(path).parent, landmarks.image_name, beside))
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
 
 
-def _size_beside(path: Path, image: str | None) -> Size:
+def _size_beside(folder: Path, image: str | None, beside: Callable[[], dict[str, Path]]) -> Size:
     """Return the size of the image that a landmark file names, perhaps by its path on another computer."""
     fault = ""
-    for place in _places(path.parent, image) if image else ():
+    if image:
+        name = PureWindowsPath(image).name
+        places = [folder / image, folder / name]
+        found = next((place for place in places if place.is_file()), None) or beside().get(name.casefold())
         try:
-            return size_of(path.parent / place)
+            return size_of(found or places[0])
         except ImageError as error:
-            fault = fault or f" ({error})"
+            fault = f" ({error})"
     raise LandmarkError(
         f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, height) in "
         "pixels."
     )
+
+
+def _images_in(folder: Path) -> dict[str, Path]:
+    """Return the images in a folder by name, and by name without suffix, in lower case."""
+    try:
+        files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES]
+    except OSError:
+        return {}
+    # Where several have one name, the first suffix counts, as in load_folder.
+    files.sort(key=lambda file: (-IMAGE_SUFFIXES.index(file.suffix.lower()), file.name))
+    return {file.stem.casefold(): file for file in files} | {file.name.casefold(): file for file in files}
 
 
 def write_landmarks(
@@ -279,9 +294,9 @@ def collection_text(
         )
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    sizes = image_sizes or {}
+    sizes, beside = image_sizes or {}, cache(partial(_images_in, Path(path).parent))
     placed = {
-        name: in_pixels(path, replace(_as_landmarks(own), image_name=name), sizes.get(name))
+        name: in_pixels(path, replace(_as_landmarks(own), image_name=name), sizes.get(name), beside)
         for name, own in collection.items()
     }
     return coco.dump_collection(placed, sizes) if suffix == ".json" else dump(placed)
