@@ -72,6 +72,15 @@ def batch_of(world, output, pictures=None, **options):
     return run_batch(world.model, pictures, output, **{"settings": world.settings, "jobs": 1, **options})
 
 
+def test_starts_are_texts_paths_and_boxes():
+    assert Settings(init=(1, 2, 3.5, 4)).init == "1.0,2.0,3.5,4.0"
+    assert Settings(init=np.array([1, 2, 3])).init == "1.0,2.0,3.0"
+    assert Settings(init=Path("starts")).init == Settings(init="starts").init == "starts"
+    for wrong in (["a"], [[1, 2], [3, 4]], 7):
+        with pytest.raises(LiaamError, match="give a path, 'beside', or a box of numbers"):
+            Settings(init=wrong)
+
+
 def rows_of(path):
     """Rows of a .csv or .jsonl, without the seconds that they took."""
     text = path.read_text()

@@ -368,6 +368,13 @@ def test_large_objects_are_extrapolated_at_a_lower_resolution(rng, monkeypatch):
     assert np.abs(share * (few - found)).mean() < 0.005
 
 
+def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_share():
+    inside = np.zeros((200, 150, 1), np.float32)
+    inside[:, :3] = 1.0
+    _, share = around(inside, inside, np.full((200, 150, 3), -1.0, np.float32), 130.0)
+    assert share[:, 0].min() > 0.9
+
+
 def test_nothing_inside_changes_nothing():
     none = np.zeros((9, 8), bool)
     assert not continued(np.ones((9, 8, 3), np.float32), none, np.ones((9, 8, 3), np.float32), 2.0).any()

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, StartError
 from liaam.evaluation import finite_or_none
 from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD
@@ -41,7 +41,7 @@ class Settings:
     ----------
     method : str
         See :data:`liaam.fitting.METHODS`.
-    init : str or sequence of float, optional
+    init : str, path or sequence of float, optional
         Where fits start: a box ``x0,y0,x1,y1`` or ``x,y,size`` for all; a landmark file for all; a folder with a
         landmark or ``.box`` file named like each image; or ``beside`` for such files beside the images. By default
         the object is searched for.
@@ -58,7 +58,7 @@ class Settings:
     """
 
     method: str = DEFAULT_METHOD
-    init: str | Sequence[float] | None = None
+    init: str | os.PathLike[str] | Sequence[float] | None = None
     iterations: int = 50
     camera: CameraModel | None = None
     response: str | None = None
@@ -66,13 +66,22 @@ class Settings:
     rotations: str = "upright"
 
     def __post_init__(self) -> None:
-        if self.init is not None and not isinstance(self.init, str):
-            object.__setattr__(self, "init", ",".join(str(float(number)) for number in self.init))
+        if isinstance(self.init, os.PathLike):
+            object.__setattr__(self, "init", os.fspath(self.init))
+        elif self.init is not None and not isinstance(self.init, str):
+            object.__setattr__(self, "init", _box_text(self.init))
 
     def describe(self) -> dict[str, Any]:
         """Return the settings as JSON types."""
         camera = None if self.camera is None else {**self.camera.describe(), "history": []}
         return {**vars(self), "camera": camera}
+
+
+def _box_text(box: Sequence[float]) -> str:
+    try:
+        return ",".join(str(float(number)) for number in box)
+    except (TypeError, ValueError):
+        raise StartError(f"init {box!r}: give a path, 'beside', or a box of numbers (x0, y0, x1, y1)") from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,10 +146,12 @@ def show_table(table: Table) -> None:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print warnings as lines on standard error, without the line of code that gives them."""
+    """Print warnings for users as lines on standard error, without the line of code that gives them."""
     with warnings.catch_warnings():
-        warnings.simplefilter("default", UserWarning)
-        warnings.showwarning = lambda message, *_, **__: complain(str(message))
+        show = warnings.showwarning
+        warnings.showwarning = lambda message, category, *rest, **more: (
+            complain(str(message)) if issubclass(category, UserWarning) else show(message, category, *rest, **more)
+        )
         yield
 
 

@@ -1,5 +1,7 @@
 """Overlays of fits on images, and figures of models, lamps, cameras and videos."""
 
+from typing import TYPE_CHECKING
+
 from liaam.lazy import submodules
 from liaam.plotting.figures import (
     figure_of_fits,
@@ -26,4 +28,7 @@ __all__ = [
     "subplots",
 ]
 
-__getattr__ = submodules(__name__, "photometry", "video")
+if TYPE_CHECKING:
+    from liaam.plotting import photometry as photometry, video as video
+else:
+    __getattr__ = submodules(__name__, "photometry", "video")

@@ -117,8 +117,9 @@ def _step_of(reach: float) -> int:
 
 
 def _whole(weights: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Reduce weights of 0 and 1 (h, w, 1) to (width, height): 1 where all pixels have weight 1, else 0."""
-    return (_resized(weights, size) > 0.999).astype(np.float32)
+    """Reduce weights of 0 and 1 (h, w, 1) to (width, height): 1 where all pixels have weight 1, or most if none has."""
+    shares = _resized(weights, size)
+    return (shares > min(0.999, 0.999 * float(shares.max()))).astype(np.float32)
 
 
 def _learnt(change: np.ndarray, known: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:

@@ -45,7 +45,7 @@ def trained(calibrate: bool = False) -> AAM:
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.training import train
 
-    model = train(load_folder(TRAINING), leave_out=calibrate, lamps=None, name="generated heads")
+    model = train(load_folder(TRAINING), leave_out=calibrate, lamps=None, name="generated heads", progress=False)
     if calibrate:
         return model
     known = json.loads(CALIBRATION.read_bytes())

@@ -8,13 +8,14 @@ import { button, fileField, h, icon, perFrame, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
+const LONGEST_GAP = 3000; // milliseconds; after a longer gap, as of a hidden page, the speed is measured anew
 
 export class LiveView {
   /** act: functions camera, file (of a File), stop, play, flat, record, save and seek (to seconds). */
   constructor(root, app, act) {
     this.shown = null;
     this.delays = []; // milliseconds from each frame to its painted fit
-    this.meter = new FrameMeter(LATELY, Infinity); // however slow, until it is reset
+    this.meter = new FrameMeter(LATELY, LONGEST_GAP);
     const container = h("div.fit-viewer");
     this.viewer = new Viewer(container, { label: "Live picture" });
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));

@@ -1,5 +1,6 @@
 // The Live tab: follow the object in the picture of a camera, or in a video.
 
+import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { LiveSource } from "./live-source.js";
 import { isJump, parseRow, sentSize, Track, verdictOfFrame } from "./live-track.js";
@@ -57,8 +58,9 @@ class LiveTab {
       this.source.video.pause();
       return;
     }
-    const lost = this.track.rows.size;
-    if (lost) this.app.toast(`The camera is off, and its track of ${lost} frames is gone: export it before you leave.`);
+    const lost = several(this.track.rows.size, "frame");
+    if (this.track.rows.size)
+      this.app.toast(`The camera is off, and its track of ${lost} has ended. Next time, export it before you leave Live.`);
     this._stop(); // the camera is on only while the tab is open
   }
 
