@@ -112,6 +112,17 @@ def test_a_picture_that_is_away_for_a_moment_is_not_unreadable_for_good(folder):
     assert project.overview().pictures[0]["state"] == "new"
 
 
+def test_a_picture_that_the_system_cannot_read_now_may_be_read_later(folder):
+    project = Project(folder(1, 0))
+    fault = ImageError("p1.png cannot be read (Too many open files)")
+    fault.__cause__ = ImageError("it cannot be opened")
+    fault.__cause__.__cause__ = OSError(24, "Too many open files")
+    project.mark_unreadable(project.source("p1.png"), fault)
+    assert project.overview().pictures[0]["state"] == "new"
+    project.mark_unreadable(project.source("p1.png"), ImageError("p1.png is cut short"))
+    assert project.overview().pictures[0]["state"] == "broken"
+
+
 def test_landmarks_are_saved_and_other_pages_told(folder, serve, listen):
     running = serve(folder(2))
     page = listen(running)

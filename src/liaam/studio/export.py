@@ -82,7 +82,7 @@ def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, by
         return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, data
     landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours), fit.model.landmark_names)
     if what == "json":
-        text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name})
+        text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name, "image_size": fit.source.size})
     else:
         text = text_of(landmarks, f".{what}")
     return f"{stem}.{what}", kind, text.encode()

@@ -254,10 +254,15 @@ class Project:
         return source_of(self.path_of(name), self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
-        """Remember that a picture cannot be decoded.
+        """Remember that a picture cannot be decoded, unless the system could not read it, which may pass.
 
         One with landmarks keeps its state: training leaves it out and says why.
         """
+        cause: BaseException | None = fault
+        while cause is not None:
+            if isinstance(cause, OSError) and cause.errno is not None:
+                return
+            cause = cause.__cause__
         with self._lock:
             file = self._listing.files.get(source.name)
             if file is None or file.tag != source.tag or not self._listing.is_current(file):

@@ -141,12 +141,12 @@ class StateFiles:
             self.writes += 1
 
     def set_aside(self, name: str) -> None:
-        """Move a file to ``kept`` if it exists, in place of an earlier one."""
+        """Move a file to ``kept`` if it exists, under a name by its content."""
         with self._lock:
             path = self.path(name)
             try:
                 if path.exists():
-                    path.replace(self.path(f"kept/{name}"))
+                    path.replace(self.path(f"kept/{path.stem}.{revision_of(path.read_bytes())}{path.suffix}"))
             except OSError as fault:
                 raise LiaamError(
                     f"{path} cannot be moved ({fault.strerror or fault}): check the rights on it."

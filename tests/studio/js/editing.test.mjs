@@ -300,6 +300,7 @@ test("the frame of loaded points is undone, redone and stored with them", () => 
   assert.deepEqual([again.layout.file, again.placing], ["a.pts", false]);
   again.deleteChosen([0, 1, 2]);
   assert.equal(again.placing, true);
+  assert.equal(again.layout, null);
 });
 
 test("loaded points are unmoved until one is moved or they are said to be in place", () => {

@@ -58,11 +58,12 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
   async function decide(name) {
     if (deciding || name === null) return;
     deciding = true;
-    const { title, what, text, theirs, mine } = saver.entry(name).deleted ? DELETED : CHANGED;
+    const { deleted } = saver.entry(name);
+    const { title, what, text, theirs, mine } = deleted ? DELETED : CHANGED;
     const choice = await ui.dialog(title, `The ${what} of ${name} ${text}`, [
       { label: theirs, value: "theirs", testid: "conflict-theirs" },
       { label: mine, kind: "primary", value: "mine", testid: "conflict-mine" },
-    ]);
+    ], { undecided: !deleted }); // it opens by itself: an Enter for the next picture must not decide
     deciding = false;
     if (choice === null) return; // undecided: the status line shows a button to decide
     await saver.resolveConflict(name, choice);

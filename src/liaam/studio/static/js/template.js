@@ -132,7 +132,7 @@ function arranged(draft, order) {
   return {
     ...draft, names: pick(draft.names), points: pick(draft.points), origins: pick(draft.origins),
     mirror: order.map((old, i) => now.get(draft.mirror[old]) ?? i), contours: kept.filter((_, k) => alive[k]),
-    path: newPlace(draft.path), twinPath: newPlace(draft.twinPath),
+    path: newPlace(draft.path), twinPath: newPlace(draft.twinPath), layout: order.length ? draft.layout : null,
   };
 }
 
@@ -228,7 +228,7 @@ export function changes(draft, count) {
 
 /** What a change of the points does to the folder, to be confirmed; "" if nothing is lost. */
 export function consequences(draft, count, { pictures, model }) {
-  const files = pictures.filter(({ placed, state }) => placed > 0 && state !== "proposed").length;
+  const files = pictures.filter(({ placed, state }) => state === "reading" || (placed > 0 && state !== "proposed")).length;
   const checks = pictures.filter(({ checked }) => checked).length;
   const copy = model?.careful ? " A copy of the model stays in .liaam-studio/kept." : "";
   return [

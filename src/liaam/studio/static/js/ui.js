@@ -179,7 +179,7 @@ export function segmented(label, choices, value, onchange, testid = null) {
  * Open a modal dialog; actions: [{label, kind, value, testid}]; body: element or text. Resolves to the value of the
  * chosen action, or null if the dialog was closed.
  */
-export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false } = {}) {
+export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false, undecided = false } = {}) {
   return new Promise((resolve) => {
     let chosen = null;
     const close = (value) => { chosen = value; box.close(); };
@@ -189,13 +189,14 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
     const head = h("div.dialog-head", h("h2", { id: "dialog-title" }, title),
       iconButton("Close", "close", () => close(null), { small: true }));
     const box = h("dialog.dialog", {
-      class: wide && "wide", "aria-labelledby": "dialog-title", onclose: () => { box.remove(); resolve(chosen); },
+      tabindex: "-1", class: wide && "wide", "aria-labelledby": "dialog-title", onclose: () => { box.remove(); resolve(chosen); },
       onkeydown: (event) => event.stopPropagation(), // do not trigger keys of the page behind the dialog
     }, head, content, foot);
     document.body.append(box);
     box.showModal();
     // Show the beginning of a long body, regardless of the focus.
-    (foot.querySelector(".primary") ?? foot.querySelector("button"))?.focus({ preventScroll: true });
+    const first = undecided ? box : (foot.querySelector(".primary") ?? foot.querySelector("button"));
+    first?.focus({ preventScroll: true });
     box.scrollTop = content.scrollTop = 0;
   });
 }

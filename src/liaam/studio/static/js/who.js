@@ -13,7 +13,7 @@ export async function myName(needed) {
 
 export async function askName() {
   const save = (event) => {
-    if (event.key !== "Enter") return;
+    if (event.key !== "Enter" || event.isComposing) return;
     event.preventDefault(); // the same key press would click the button that gets the focus back
     input.closest("dialog").querySelector(".primary").click();
   };
