@@ -589,6 +589,10 @@ def test_images_are_named_in_any_case_or_without_suffix(tmp_path: Path, names: t
     np.testing.assert_array_equal(second.points, [[4, 15]])
     write_image(tmp_path / "t2.tif", np.zeros((40, 30, 3), np.uint8))  # as in load_folder, the .png counts
     np.testing.assert_array_equal(read_collection(tmp_path / "w.tps")[names[1]].points, [[4, 15]])
+    (tmp_path / "w.tps").write_text(f"LM=1\n1 2\nIMAGE={'x' * 300}.png\nID=0\n")
+    with pytest.raises(LandmarkError, match="the size of its image is needed"):
+        read_landmarks(tmp_path / "w.tps")
+    (tmp_path / "w.tps").write_text("".join(records))
     with pytest.raises(LandmarkError, match=r"no landmarks of t3\.png"):
         read_landmarks(tmp_path / "w.tps", image_name="t3.png")
 

@@ -17,8 +17,8 @@ def test_a_fit_is_written_four_times(tmp_path):
         assert np.array_equal(read_landmarks(path, (40, 30)).points, POINTS)
     assert paths[2].read_text() == "LM=2\n1.5 27.0\n3.25 33.0\nIMAGE=anna.1.png\nID=anna.1\nSCALE=0.25\n"
     content = json.loads(paths[3].read_text())
-    assert content == {"status": "converged", "cost": 0.5, "landmarks": POINTS.tolist()}
-    assert paths[3].read_text().startswith('{\n "status": "converged",\n "cost": 0.5,\n "landmarks": [\n  [\n   1.5,')
+    assert content == {"status": "converged", "cost": 0.5, "image_size": [40, 30], "landmarks": POINTS.tolist()}
+    assert paths[3].read_text().startswith('{\n "status": "converged",\n "cost": 0.5,\n "image_size": [\n  40,')
     assert paths[3].read_text().endswith("}\n")
 
 

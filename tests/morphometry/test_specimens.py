@@ -90,6 +90,14 @@ def test_landmarks_corrected_after_the_fit_are_measured(tmp_path: Path, suffix: 
         assert (other.covariances, other.status, other.scale, other.names) == (None, "", 0.5, ("a", "b", "c"))
 
 
+def test_a_correction_counts_also_beside_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    add_fit(tmp_path, "a")
+    write_landmarks(tmp_path / "a.csv", Landmarks(POINTS + 1))
+    (tmp_path / "a.pts").write_bytes(b"\0\xff")
+    (specimen,) = read_specimens(tmp_path, [].append)
+    np.testing.assert_array_equal(specimen.points, POINTS + 1)
+
+
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.0, 0.03), (np.nan, np.nan), (2e6, 0.0)])
 def test_any_change_of_a_point_is_a_correction(tmp_path: Path, shift: tuple[float, float]) -> None:
     fitted = POINTS.copy()

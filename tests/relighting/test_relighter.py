@@ -370,9 +370,13 @@ def test_large_objects_are_extrapolated_at_a_lower_resolution(rng, monkeypatch):
 
 def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_share():
     inside = np.zeros((200, 150, 1), np.float32)
-    inside[:, :3] = 1.0
-    _, share = around(inside, inside, np.full((200, 150, 3), -1.0, np.float32), 130.0)
-    assert share[:, 0].min() > 0.9
+    y, x = np.mgrid[:200, :150]
+    inside[np.abs(x - 0.3 * y - 40) < 1.5] = 1.0  # slanted, so that reduced pixels hold various parts of it
+    values = inside * (y / 200)[..., None].astype(np.float32)
+    found, share = around(values, inside, np.full((200, 150, 3), -1.0, np.float32), 130.0)
+    own = inside[..., 0] > 0
+    assert share[own].min() > 0.9
+    assert np.abs(found - values)[own].mean() < 0.25
 
 
 def test_nothing_inside_changes_nothing():

@@ -10,7 +10,7 @@ from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, re
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.datasets import Dataset, Sample
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, make_folder, write_image, write_landmarks
+from liaam.io import Landmarks, is_raw, make_folder, write_image, write_landmarks
 from liaam.io.files import count_of, real_path
 
 if TYPE_CHECKING:
@@ -63,13 +63,15 @@ def check_pixels(data: Dataset) -> bool:
     Return whether any cannot be used.
     """
     from liaam.photometry import is_grey
-    from liaam.photometry.encoding import as_colour
+    from liaam.photometry.encoding import as_colour, refuse_unscaled
     from liaam.training.images import describe_outside, grey_use
     from liaam.workers import in_threads
 
     def look(sample: Sample) -> bool | str:
         try:
             image = as_colour(sample.read_image(), sample.name)
+            raw = isinstance(sample.image, Path) and is_raw(sample.image)
+            refuse_unscaled(image, sample.name, "linear" if raw else "srgb")
         except LiaamError as error:
             return str(error)
         placed = sample.landmarks.points[~sample.landmarks.missing]

@@ -54,7 +54,10 @@ def read_fit(path: Path) -> dict | None:
 
 
 def corrected_file(path: Path, fit: dict) -> Path | None:
-    """Return the landmark file beside a fit's .json file that was changed since, the newest if there are several."""
+    """Return the landmark file beside a fit's .json file that was changed since.
+
+    If there are several, it is the newest of those that can be read.
+    """
     try:
         fitted = np.array(fit["landmarks"] or [], np.float64).reshape(-1, 2)
     except (TypeError, ValueError) as fault:
@@ -62,8 +65,9 @@ def corrected_file(path: Path, fit: dict) -> Path | None:
             f"{path}: the landmarks are damaged ({fault}): remove it, and fit the image again"
         ) from fault
     files = [path.with_suffix(suffix) for suffix in FIT_SUFFIXES[:-1]]
-    changed = [file for file in files if file.is_file() and _differs(file, fitted, fit)]
-    return max(changed, key=lambda file: file.stat().st_mtime, default=None)
+    points = {file: _points_or_none(file, fit) for file in files if file.is_file()}
+    changed = [file for file, own in points.items() if own is None or _differ(own, fitted)]
+    return max(changed, key=lambda file: (points[file] is not None, file.stat().st_mtime), default=None)
 
 
 def points_of_fit(file: Path, fit: dict) -> np.ndarray:
@@ -82,14 +86,18 @@ def _image_size(fit: dict) -> tuple[float, float] | None:
     return None
 
 
-def _differs(file: Path, fitted: np.ndarray, fit: dict) -> bool:
-    """Return whether the points of a landmark file are not those of a fit (n, 2)."""
+def _points_or_none(file: Path, fit: dict) -> np.ndarray | None:
+    """Read the points of a landmark file; None if it cannot be read, so that liaam has not written it like this."""
     if file.suffix.lower() == ".tps" and _image_size(fit) is None:  # its points depend on the height
-        return False
+        return np.array(fit["landmarks"] or [], np.float64).reshape(-1, 2)
     try:
-        points = points_of_fit(file, fit)
-    except LandmarkError:  # liaam has not written it like this
-        return True
+        return points_of_fit(file, fit)
+    except LandmarkError:
+        return None
+
+
+def _differ(points: np.ndarray, fitted: np.ndarray) -> bool:
+    """Return whether points (m, 2) are not those of a fit (n, 2)."""
     if points.shape != fitted.shape:
         return True
     points, fitted = (np.clip(each, -FARTHEST, FARTHEST) for each in (points, fitted))

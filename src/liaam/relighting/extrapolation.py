@@ -69,8 +69,8 @@ def around(
     (height, width), step = own.shape[:2], _step_of(reach)
     if step > 1:
         size, lightened = _fewer(own, step), np.broadcast_to(np.float32(lightened), weights.shape)
-        values, own, lightened = (_resized(layers, size) for layers in (values, own, lightened))
-        found, share = around(values, _whole(weights, size), own, reach / step, lightened > 0.5)
+        values, known = _reduced(values, weights, size)
+        found, share = around(values, known, _resized(own, size), reach / step, _resized(lightened, size) > 0.5)
         return _resized(found, (width, height)), _resized(share, (width, height))
     c, seen = values.shape[2], cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
     layers = np.concatenate([weights * values, weights * own, weights], axis=2)
@@ -102,8 +102,8 @@ def continued(change: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: fl
         return np.zeros_like(change)
     height, width = inside.shape
     size = _fewer(inside, _step_of(reach))
-    known = _whole(inside[..., None].astype(np.float32), size)
-    found = _learnt(_resized(change, size), known, _resized(own, size), reach / _step_of(reach))
+    reduced, known = _reduced(change, inside[..., None].astype(np.float32), size)
+    found = _learnt(reduced, known, _resized(own, size), reach / _step_of(reach))
     predicted = _resized(found[..., :3], (width, height))
     seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
     for i in range(3):
@@ -116,10 +116,17 @@ def _step_of(reach: float) -> int:
     return max(1, int(reach / LARGEST))
 
 
-def _whole(weights: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Reduce weights of 0 and 1 (h, w, 1) to (width, height): 1 where all pixels have weight 1, or most if none has."""
+def _reduced(values: np.ndarray, weights: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Reduce values (h, w, c) of weights of 0 and 1 (h, w, 1) to (width, height).
+
+    The reduced weights are 1 where all pixels have weight 1, or many if none has.
+    """
+    if size == weights.shape[1::-1]:
+        return values, weights
     shares = _resized(weights, size)
-    return (shares > min(0.999, 0.999 * float(shares.max()))).astype(np.float32)
+    most = float(shares.max())
+    whole = (shares > (0.999 if most > 0.999 else 0.5 * most)).astype(np.float32)
+    return _resized(values * weights, size) / np.maximum(shares, 1e-6), whole
 
 
 def _learnt(change: np.ndarray, known: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:

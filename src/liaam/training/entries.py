@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.io import image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
+from liaam.io.landmarks import FORMATS
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align
@@ -61,6 +63,17 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
     return entries, contours, np.array(edges, dtype=int).reshape(-1, 2), names
 
 
+def _size_for(landmarks: str | os.PathLike, image: Any) -> tuple[int, int] | None:
+    """Return (width, height) of an image, (h, w, ...) or a path, if the format of a landmark file needs it."""
+    form = FORMATS.get(Path(landmarks).suffix.lower())
+    if form is None or form.place is None:
+        return None
+    if isinstance(image, str | os.PathLike):
+        return image_size(image)
+    height, width = np.shape(image)[:2] if np.ndim(image) > 1 else (0, 0)
+    return (width, height) if width else None
+
+
 def _check_order(names: tuple[str, ...], image: str, first: tuple[str, ...], other: str) -> None:
     """Raise if an image has the names of another's landmarks in another order."""
     for i, (own, usual) in enumerate(zip(names, first, strict=True)):
@@ -83,10 +96,10 @@ def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
             ) from None
         name, read, file_name = f"image {i + 1}", lambda: image, None
         if isinstance(image, str | os.PathLike):
-            file_name, name, read = Path(image).name, str(Path(image).with_suffix("")), partial(read_image, image)
+            path, read = Path(image), partial(read_image, image)
+            file_name, name = path.name, str(path.parent / path.stem)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
-            size = image_size(image) if file_name else np.asarray(image).shape[1::-1]
-            landmarks = read_landmarks(landmarks, size, file_name)
+            landmarks = read_landmarks(landmarks, _size_for(landmarks, image), file_name)
     try:
         points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     except (TypeError, ValueError):

@@ -204,7 +204,7 @@ def _size_beside(folder: Path, image: str | None, beside: Callable[[], dict[str,
     if image:
         name = PureWindowsPath(image).name
         places = [folder / image, folder / name]
-        found = next((place for place in places if place.is_file()), None) or beside().get(name.casefold())
+        found = next(filter(os.path.isfile, places), None) or beside().get(name.casefold())
         try:
             return size_of(found or places[0])
         except ImageError as error:
