@@ -30,9 +30,8 @@ def progress_bar(
     """Show a progress bar with the remaining time on standard error. Yield a function to call with the number done.
 
     ``what`` names the items, such as ``images``; their total may be unknown, or told with the number done. They are
-    ``counted``, or else a percentage is shown. If ``show``, it is shown from the start,
-    or without a terminal as one line at the end; if False, never; by default temporarily, on a terminal only, after
-    :data:`PATIENCE` seconds.
+    ``counted``, or else a percentage is shown. If ``show``, it is shown from the start, or without a terminal as one
+    line at the end; if False, never; by default temporarily, on a terminal only, after :data:`PATIENCE` seconds.
     """
     if show is False or (show is None and not sys.stderr.isatty()):
         yield lambda done, total=None: None

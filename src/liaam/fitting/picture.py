@@ -14,12 +14,11 @@ def load_picture(image, name: str) -> tuple[np.ndarray, str]:
     if not isinstance(image, (str, os.PathLike)):
         if np.ndim(image) < 2:
             raise ImageError(f"{name}: {described(image)} is not an image; give a path, or an array (height, width, 3)")
-    else:
-        from liaam.io import read_image
+        return as_colour(image, name), name
+    from liaam.io import read_image
 
-        path = Path(image)
-        image, name = read_image(path), path.name
-    return as_colour(image, name), name
+    path = Path(image)
+    return as_colour(read_image(path), path.name), path.name
 
 
 def described(given: object) -> str:

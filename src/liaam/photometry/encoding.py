@@ -97,9 +97,14 @@ def _three_channels(image: np.ndarray) -> np.ndarray:
     return _native(image, "image")
 
 
+def _sparse(image: np.ndarray) -> np.ndarray:
+    """Return about 64 by 64 pixels of an image, spread over it."""
+    return image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
+
+
 def _check_range(image: np.ndarray, name: str) -> None:
     """Reject floats that range to 255 or similar; a few values above 1 (highlights) are accepted."""
-    sparse = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
+    sparse = _sparse(image)
     finite = sparse[np.isfinite(sparse)]
     if finite.size and np.percentile(finite, 90) > 4.0:
         raise ImageError(
@@ -110,9 +115,8 @@ def _check_range(image: np.ndarray, name: str) -> None:
 
 def is_grey(image: np.ndarray) -> bool:
     """Whether all three channels are equal everywhere (a grey image stored as colour)."""
-    sparse = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
     # A few pixels identify most colour images; the whole image is compared only if they are grey.
-    for part in (sparse, image):
+    for part in (_sparse(image), image):
         nan = part.dtype.kind == "f"
         if not all(np.array_equal(part[..., i], part[..., i + 1], equal_nan=nan) for i in (0, 1)):
             return False
@@ -124,7 +128,7 @@ def refuse_unscaled(image: np.ndarray, name: str, response: Response) -> None:
 
     Dim images of linear light are accepted, since their scale hardly matters.
     """
-    if image.dtype != np.uint16 or image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)].max() > 4095:
+    if image.dtype != np.uint16 or _sparse(image).max() > 4095:
         return
     largest = int(image.max())
     reach = f"{name}: its 16-bit values reach only {largest} of 65535"
