@@ -104,13 +104,20 @@ def measure_growth() -> None:
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
     """Return ten evaluations at the finest level, each with the Hessian and the gradient."""
-    from liaam.fitting.problem import FitProblem
+    from liaam.fitting.level_image import LevelImage
     from liaam.model.shape import align
 
     pose = align(objective.warp.rest, shape)
-    problem = FitProblem.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
-    state = objective.start(objective.warp.parameters(pose.inverse()(shape)))
-    return lambda: [objective.equations(objective.evaluate(problem, state)) for _ in range(10)]
+    encoded = LevelImage.at(image, shape, pose, objective.method, "srgb", fitter.model.levels[-1].blur)
+    state, problem = objective.start(objective.warp.parameters(pose.inverse()(shape))), objective.problem(encoded)
+    problem.begin(state.p, tuple(state.angles), state.lam)
+
+    def evaluations() -> None:
+        for _ in range(10):
+            problem.evaluate(True)
+            problem.differentiate(True, True)
+
+    return evaluations
 
 
 def measure_modes() -> None:
@@ -159,7 +166,7 @@ def measure_start() -> None:
         write_image(f"{folder}/image.png", image)
         np.savetxt(f"{folder}/box.txt", box_of(shape))
         command = [sys.executable, "-c", FIRST_FIT, folder]
-        environment = os.environ | {"NUMBA_CACHE_DIR": folder, "OPENBLAS_NUM_THREADS": "1"}
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         for name, bar in {"first_process_s": 8.0, "later_process_s": 1.0}.items():
             ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
             report(name, float(ran.stdout), f"(bar: at most {bar:g})", form=".2f", width=24)

@@ -17,9 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.metrics import in_turn, quartiles, report
 from liaam.fitting import METHODS, SolverOptions, get_method
-from liaam.fitting.kernel import get_kernel
+from liaam.fitting.level_image import LevelImage
 from liaam.fitting.objective import Objective, make_objectives
-from liaam.fitting.problem import FitProblem
 from liaam.model import AAM, MESH, Level, make_view
 from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame, delaunay, signed_areas
@@ -113,30 +112,27 @@ def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_AP
     return AAM(views, triangles, CameraModel(), n_images=25)
 
 
-def make_problem(model: AAM, rng: np.random.Generator, method: str = "li") -> FitProblem:
+def make_image(model: AAM, rng: np.random.Generator, method: str = "li") -> LevelImage:
     """Make a smooth random colour image with the model at its centre, 1.6 image pixels per model pixel."""
     height, width = IMAGE_SIZE
     picture = 0.45 + 0.09 * smooth_noise(rng, height, width, 3.0, 3).transpose(1, 2, 0)
     image = np.rint(255 * picture.clip(0.1, 0.9)).astype(np.uint8)
     pose = Similarity(1.6 * np.eye(2), np.array([width / 2 + 0.3, height / 2 - 0.2]))
-    return FitProblem.at(image, pose(model.shape_model.mean), pose, get_method(method), "srgb", 0.5)
+    return LevelImage.at(image, pose(model.shape_model.mean), pose, get_method(method), "srgb", 0.5)
 
 
-def make_loops(objective: Objective, problem: FitProblem) -> Parts:
+def make_loops(objective: Objective, image: LevelImage) -> Parts:
     """Make the loop over one iteration and over :data:`STEPS` more. Their difference excludes the overhead."""
     start = objective.start(np.zeros(objective.warp.n_parameters))
-    method, damping = objective.method, DAMPING.get(objective.method.name, DAMPING["li"])
+    damping = DAMPING.get(objective.method.name, DAMPING["li"])
 
     def loop(n: int) -> Callable[[], int]:
         options = SolverOptions(
-            max_iterations=n, tolerance=0.0, early_tolerance=0.0, relative_tolerance=0.0, damping=damping
+            max_iterations=n, tolerance=0.0, early_tolerance=0.0, relative_tolerance=0.0, damping=damping, scoring=0
         )
-        controls = options.controls(expected=method.step == "expected", reweigh=method.reweighs, evaluate_last=False)
 
         def call() -> int:
-            work = objective.work(start, n)
-            objective.solve(problem, work, controls)
-            return int(work.outcome[0])  # accepted steps
+            return len(objective.solve(image, start, options, evaluate_last=False).costs) - 1  # accepted steps
 
         assert call() == n, "a step was refused: the loop's time is not that of its iterations"
         return call
@@ -144,26 +140,25 @@ def make_loops(objective: Objective, problem: FitProblem) -> Parts:
     return {"one": loop(1), "more": loop(1 + STEPS)}
 
 
-def make_parts(objective: Objective, problem: FitProblem) -> Parts:
+def make_parts(objective: Objective, image: LevelImage) -> Parts:
     """Make the parts of an iteration, each separately and from a fixed state."""
-    kernel, (model, row) = get_kernel(objective.kernel), objective.given
-    work = objective.work(objective.start(np.zeros(objective.warp.n_parameters)))
-    picture, there = map(kernel.by_reference, (objective.picture(problem), work))
+    problem, start = objective.problem(image), objective.start(np.zeros(objective.warp.n_parameters))
+    state = start.p, tuple(start.angles), start.lam
+    problem.begin(*state)
+    problem.evaluate(True)
+    problem.reweigh(True)
     expects = objective.method.step == "expected"
-    expected = work.expected if expects else work.image_slopes
+    parts: Parts = {
+        "evaluate": lambda: problem.evaluate(True),
+        "differentiate": lambda: problem.differentiate(True, not expects),
+    }
 
     def weigh() -> bool:
-        work.known.fill(np.nan)  # force a full evaluation
-        return objective.row.weigh(model, picture, row, there)
+        problem.begin(*state)  # force a full evaluation
+        problem.evaluate(True)
+        return problem.reweigh(True)
 
-    parts: Parts = {
-        "evaluate_residual": lambda: kernel.evaluate_residual(model, picture, row, there, False),
-        "solve_lambda": lambda: kernel.solve_lambda(model, row, there, False, True),
-        "differentiate": lambda: kernel.differentiate(model, row, there, work.image_slopes, expected),
-    }
-    if expects:
-        parts["expect"] = lambda: kernel.expect(model, there)
-    return parts | {"weigh": weigh} if objective.method.reweighs else parts
+    return parts | {"evaluate_and_weigh": weigh} if objective.method.reweighs else parts
 
 
 def make_yardstick(rng: np.random.Generator, n_columns: int) -> Callable[[], object]:
@@ -179,21 +174,21 @@ def measure(parts: Parts) -> dict[str, np.ndarray]:
     return {name: own[:, 0] for name, own in times.items()}
 
 
-def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective, FitProblem]:
+def make_fit(method: str, n_modes: int = N_APPEARANCE_MODES) -> tuple[Objective, LevelImage]:
     """Make the objective of a method for a random model, and an image."""
     rng = np.random.default_rng(20080624)
     model = make_model(rng, method, n_modes)
-    problem = make_problem(model, rng, method)
+    image = make_image(model, rng, method)
     (objective,) = make_objectives(model, get_method(method))
     assert len(objective.appearance.mean) == N_PIXELS, "every pixel has to count"
-    return objective, problem
+    return objective, image
 
 
 def measure_method(method: str) -> tuple[str, dict[str, np.ndarray]]:
     """Return a description and the times."""
-    objective, problem = make_fit(method)
+    objective, image = make_fit(method)
     rng = np.random.default_rng(1)
-    loops, parts = make_loops(objective, problem), make_parts(objective, problem)
+    loops, parts = make_loops(objective, image), make_parts(objective, image)
     times = measure({"yardstick": make_yardstick(rng, objective.warp.n_parameters), **loops, **parts})
     times["iteration"] = (times.pop("more") - times.pop("one")) / STEPS
     told = (

@@ -97,7 +97,7 @@ def machine() -> dict[str, Any]:
         "processor": processor_name(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
-        **{name: version(name) for name in ("numpy", "numba", "scipy")},
+        **{name: version(name) for name in ("numpy", "scipy")},
     }
 
 

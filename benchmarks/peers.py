@@ -25,8 +25,8 @@ from benchmarks.track import data_folder
 from experiments.lights import dapples, hard_light
 from liaam.datasets import Dataset, load_folder
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.level_image import LevelImage
 from liaam.fitting.objective import Objective
-from liaam.fitting.problem import FitProblem
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker
@@ -180,11 +180,11 @@ def _near(points: np.ndarray | None, shape: np.ndarray) -> bool:
 # ---- the floor
 
 
-def floor_bytes(objective: Objective, problem: FitProblem) -> int:
+def floor_bytes(objective: Objective, image: LevelImage) -> int:
     """Minimum memory traffic of an iteration in bytes; see the table in benchmarks/README.md."""
     n, m, k = len(objective.appearance.mean), objective.n_lambda, objective.method.n_rows
-    c = problem.patch.n_channels
-    seen = round(n * abs(np.linalg.det(problem.pose.matrix)))
+    c = image.patch.n_channels
+    seen = round(n * abs(np.linalg.det(image.from_model.matrix)))
     points = (12 + 16) * n
     sample = 4 * (c + 1) * seen + 4 * (c + 3 * k + 1) * n
     return points + sample + 4 * m * k * n + (4 * m + 12) * k * n

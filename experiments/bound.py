@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
+from experiments.cramer_rao import cramer_rao_bound
 from experiments.runner import Experiment, NumberedTrial, Row
 from experiments.simulated import Curves, make_case, sharp_model, table_of_curves
 from experiments.solvers import check_trials
 from experiments.subjects import get_subject, subject_facts
 from liaam.evaluation import finite_or_none, root_mean_square
 from liaam.fitting import Method
-from liaam.fitting.bound import cramer_rao_bound
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
+from experiments.cramer_rao import Bound, cramer_rao_bound
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.subjects import (
@@ -37,7 +38,6 @@ from liaam.evaluation import (
     root_mean_square,
 )
 from liaam.fitting import FitResult, Fitter, get_method
-from liaam.fitting.bound import Bound, cramer_rao_bound
 from liaam.model import AAM
 from liaam.photometry import CameraModel, encode, invariant, temperature_direction
 from liaam.plotting import figure_of_pictures

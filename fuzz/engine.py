@@ -191,7 +191,7 @@ def check_model(data: bytes) -> None:
 
 
 def prepare() -> None:
-    """Compile the kernels of fits."""
+    """Prepare what a fit loads when it is first needed."""
     for method in METHODS:
         _fit(tiny(), method)
         _fit(tiny(), method, None)
@@ -342,12 +342,11 @@ def make_loops(rng: Random) -> tuple[int, np.ndarray]:
 
 def check_loops(case: tuple[int, np.ndarray]) -> None:
     """Call the wrappers of compiled loops with sizes and numbers of any kind."""
+    from liaam import _core
     from liaam.fitting import find
-    from liaam.kernels import fast
     from liaam.model.sampling import make_patch, sample_texture
     from liaam.model.shape import Similarity
     from liaam.photometry import encode, invariant_image, noise_deviation
-    from liaam.photometry.averaging import area_means
     from liaam.photometry.encoding import ENCODINGS, as_colour
 
     rng, image = np.random.default_rng(case[0]), as_colour(case[1], "image")
@@ -356,8 +355,8 @@ def check_loops(case: tuple[int, np.ndarray]) -> None:
         encode(image, encoding, one_of(rng, ("srgb", "linear", 0.2, 5.0)), one_of(rng, (0.0, 0.3, 4.0)), reduce)
         noise_deviation(image)
         grey = image.mean(axis=2).astype(np.float32)
-        area_means(grey, (int(rng.integers(1, len(grey) + 1)), int(rng.integers(1, grey.shape[1] + 1))))
-        fast.best_peaks(grey, int(rng.integers(1, 9)), float(one_of(rng, NUMBERS)), int(rng.integers(0, 99)))
+        _core.area_means(grey, int(rng.integers(1, len(grey) + 1)), int(rng.integers(1, grey.shape[1] + 1)))
+        _core.best_peaks(grey, int(rng.integers(1, 9)), float(one_of(rng, NUMBERS)), int(rng.integers(0, 99)))
         pose = Similarity(np.eye(2) * 10.0 ** rng.uniform(-1, 2), rng.normal(20, 20, 2))
         shape = rng.normal(20, 10.0 ** rng.uniform(0, 4), (5, 2))
         patch = make_patch(image, shape, pose, encoding=encoding, response="srgb", blur=1.0, margin=0.3)

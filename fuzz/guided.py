@@ -34,8 +34,6 @@ N_SEEDS = 400
 LONGEST = 60_000
 """Bytes of an input at most."""
 
-_LIAAM = Path(__file__).parents[1] / "src" / "liaam"
-_COMPILES = re.compile(r"^@compiled\b|^(import|from) .*\b(jit|compiled|numba)\b", re.MULTILINE)
 _RUNS = re.compile(r"stat::number_of_executed_units: (\d+)")
 _COVERED = re.compile(r"#\d+\s+DONE\s+cov: (\d+) ft: (\d+) corp: (\d+)")
 
@@ -66,17 +64,11 @@ def check_one(target: Target, data: bytes, limits: Limits) -> None:
         raise Broken(f"time: {taken:.1f} s")
 
 
-def compiled_modules() -> list[str]:
-    """Modules of functions that Numba compiles, which it cannot once they are instrumented."""
-    users = (path for path in _LIAAM.rglob("*.py") if _COMPILES.search(path.read_text()))
-    return [".".join(("liaam", *path.relative_to(_LIAAM).with_suffix("").parts)) for path in users]
-
-
 def _child(name: str, corpus: str, seconds: str, under_way: str) -> None:
     """Fuzz in this process, which ends then; the input under way is written to a file, which outlives a crash."""
     atheris: Any = importlib.import_module("atheris")  # optional
     warnings.simplefilter("ignore")
-    with atheris.instrument_imports(include=list(INSTRUMENTED), exclude=compiled_modules()):
+    with atheris.instrument_imports(include=list(INSTRUMENTED)):
         target = suited()[name]
         target.prepare()
     _write_seeds(target, Path(corpus))
@@ -125,7 +117,7 @@ def fuzz(name: str, seconds: int, keep: Path) -> tuple[int, str]:
     """
     path = [str(Path(__file__).parents[1]), *sys.path[1:]]
     code = f"import sys; sys.path[:0] = {path!r}; from fuzz.guided import _child; _child(*sys.argv[1:])"
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory(prefix="liaam-fuzz-") as folder:
         work, under_way = Path(folder) / "work", Path(folder) / "under-way"
         work.mkdir()

@@ -37,7 +37,7 @@ from fuzz.mutations import Mutant, mutants_of
 ROOT = Path(__file__).resolve().parents[1]
 MEMORY = 3 * 2**30
 """Bytes that a mutant may take beyond what its parent has."""
-HEAVY = ("numpy", "scipy.optimize", "scipy.spatial", "scipy.ndimage", "scipy.interpolate", "cv2", "PIL.Image", "numba",
+HEAVY = ("numpy", "scipy.optimize", "scipy.spatial", "scipy.ndimage", "scipy.interpolate", "cv2", "PIL.Image",
          "PIL.ImageOps", "safetensors.numpy", "hypothesis", "typer", "rich.console", "h11", "starlette.applications",
          "uvicorn", "httpx", "coverage")  # fmt: skip
 """Imported once, before there are any mutants."""
@@ -303,7 +303,7 @@ def main() -> None:
     parser.add_argument("--again", type=Path, metavar="FILE", help="only those that lived in the run that printed FILE")
     asked = parser.parse_args()
     again = None if asked.again is None else living(asked.again.read_text())
-    for name in ("OPENBLAS", "NUMBA", "OMP"):  # threads do not survive a fork
+    for name in ("OPENBLAS", "OMP"):  # threads do not survive a fork
         os.environ[f"{name}_NUM_THREADS"] = "1"
     os.chdir(ROOT)
     for name in HEAVY:

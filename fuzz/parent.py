@@ -27,7 +27,7 @@ _SCRATCH = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 _PREPARING = 300.0
 """Processor time limit for the preparation of a child, in seconds; ten times as much in wall time."""
 
-_SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+_SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 @dataclass

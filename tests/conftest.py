@@ -42,7 +42,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
 SCENE_SIZE = (240, 180)
 
-# The same examples in every run, and no limit on the time of one: numba compiles at the first.
+# The same examples in every run, and no limit on the time of one: the first loads what it needs.
 settings.register_profile("liaam", derandomize=True, deadline=None)
 settings.load_profile("liaam")
 

@@ -1,12 +1,15 @@
 """Helpers shared by tests: training, scenes, disturbed starts, model pixels, fit problems, persons, open files."""
 
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from liaam import _core
 from liaam.datasets.scenes import (
     DIFFUSE,
     Expression,
@@ -19,46 +22,16 @@ from liaam.datasets.scenes import (
     render,
 )
 from liaam.fitting import get_method
-from liaam.fitting.kernel import get_kernel
-from liaam.fitting.level import Work, without
+from liaam.fitting.level_image import LevelImage
 from liaam.fitting.objective import Objective, make_objectives
-from liaam.fitting.problem import FitProblem
+from liaam.fitting.reference import Problem
 from liaam.io import write_image, write_landmarks
-from liaam.kernels.fields import FunctionOf, RecordOf, Span, layout
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
 from liaam.training import train
 
 MOVING_FRAMES = 24
-
-
-class Kernel:
-    """Functions of a kernel, as its namespace has them, under a name that is fit to be read."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __getattr__(self, function: str):
-        return getattr(get_kernel(self.name), function)
-
-    def record(self, kind: type, **fields):
-        """Give a named tuple as the kernel takes it; arrays that are not given are empty, and numbers 0."""
-        return self.by_reference(self._filled(kind, fields))
-
-    def _filled(self, kind: type, fields: dict):
-        made = {}
-        for name, (of, _) in layout(kind).items():
-            if isinstance(of, Span):
-                made[name] = fields.get(name, np.zeros((0,) * of.ndim, of.dtype))
-            elif isinstance(of, RecordOf):
-                made[name] = fields.get(name, self._filled(of.fields, {}))
-            else:
-                made[name] = fields.get(name, without if isinstance(of, FunctionOf) else of(0))
-        return kind(**made)
-
-    def __repr__(self) -> str:
-        return self.name
 
 
 def moving_scene(time: float, lights=DIFFUSE) -> Scene:
@@ -92,38 +65,38 @@ def model_pixels(model: AAM, shape: np.ndarray, truth: np.ndarray) -> float:
     return float(np.linalg.norm(shape - truth, axis=1).mean()) / scale
 
 
-def make_problem(
+ENGINES = ("core", "reference")
+
+
+def make_level(
     model: AAM, image: np.ndarray, start: np.ndarray, objective: Objective, blur: float = 0.5
-) -> tuple[FitProblem, np.ndarray]:
-    """One image ready for an objective, and the warp parameters of the start."""
+) -> tuple[LevelImage, np.ndarray]:
+    """Encode one image for an objective, and return the warp parameters of the start."""
     pose = align(model.shape_model.mean, start)
-    problem = FitProblem.at(image, start, pose, objective.method, model.response, blur)
-    return problem, model.views[objective.method.view].shape_model.parameters(pose.inverse()(start))
+    encoded = LevelImage.at(image, start, pose, objective.method, model.response, blur, density=objective.density)
+    return encoded, model.views[objective.method.view].shape_model.parameters(pose.inverse()(start))
 
 
-def look_again(objective: Objective, problem: FitProblem, work: Work, solves: bool = False) -> Work:
-    """Look at a picture from where a fit stands, under its weights; with the appearance that fits best, if asked to."""
-    kernel = get_kernel(objective.kernel)
-    template, row = objective.given
-    picture, record = map(kernel.by_reference, (objective.picture(problem), work))
-    kernel.evaluate_residual(template, picture, row, record, solves)
-    kernel.solve_lambda(template, row, record, False, solves)
-    return work
+def problem_of(objective: Objective, image: LevelImage, engine: str):
+    """Return an objective's problem at an image, of the core or the reference; skip what the core leaves out."""
+    if engine == "reference":
+        return Problem(objective, image)
+    if not objective.is_compiled:
+        pytest.skip("not in the core")
+    return _core.Problem(objective.compiled, image.compiled)
 
 
-def differentiate(objective: Objective, work: Work, expects: bool = False) -> Work:
-    """Work out Hessian and gradient of what is seen, by the picture's own gradient or by the one that is expected."""
-    kernel = get_kernel(objective.kernel)
-    (template, row), record = objective.given, kernel.by_reference(work)
-    if expects:
-        kernel.expect(template, record)
-    kernel.differentiate(template, row, record, work.image_slopes, work.expected if expects else work.image_slopes)
-    return work
+@contextmanager
+def without_core() -> Iterator[None]:
+    """Fit with the reference meanwhile, as where the core could not be built."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Objective, "is_compiled", False)
+        yield
 
 
-def finest_objective(model: AAM, method, kernel: str = "fast") -> Objective:
+def finest_objective(model: AAM, method) -> Objective:
     """Objective of a method at the model's sharpest level."""
-    return make_objectives(model, get_method(method), kernel)[-1]
+    return make_objectives(model, get_method(method))[-1]
 
 
 def stands_light(method: str) -> bool:

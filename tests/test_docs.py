@@ -20,7 +20,7 @@ import liaam
 from liaam import FitResult
 from liaam.cli.main import app
 from liaam.datasets import label_faults
-from liaam.fitting import search, solver
+from liaam.fitting import reference_loop, search
 from liaam.io.video import VIDEO_SUFFIXES, video_writer
 from liaam.lamps.bank import DARK, Lamps
 from liaam.model.views import VIEWS
@@ -124,12 +124,13 @@ def words_of(path: Path) -> set[str]:
 
 def test_the_theory_names_code_that_exists():
     text = text_of(ROOT / "docs/explanation/theory.md")
-    code = {path.relative_to(ROOT).as_posix(): words_of(path) for path in (ROOT / "src/liaam").rglob("*.py")}
+    files = [*(ROOT / "src").rglob("*.?pp"), *(ROOT / "src").rglob("*.py"), *(ROOT / "experiments").glob("*.py")]
+    code = {path.relative_to(ROOT).as_posix(): words_of(path) for path in files}
     everywhere = set().union(*code.values())
     for name in re.findall(r"`([A-Za-z_][\w.]*)`", text):
-        if not name.endswith(".py"):
+        if not name.endswith((".py", ".cpp", ".hpp")):
             assert set(name.split(".")) <= everywhere, f"no code has {name}"
-    for file, names in re.findall(r"`([\w/]+\.py)`(?::((?:,?\s+`[\w.]+`)+))?", text):
+    for file, names in re.findall(r"`([\w/]+\.(?:py|[ch]pp))`(?::((?:,?\s+`[\w.]+`)+))?", text):
         words = [known for path, known in code.items() if f"/{path}".endswith(f"/{file}")]
         assert words, f"there is no {file}"
         for name in re.findall(r"[\w.]+", names):
@@ -173,14 +174,15 @@ def test_data_types_refer_to_names_that_readers_can_look_up(kind):
 
 def test_values_in_docstrings_are_those_of_the_code():
     blurs = " and ".join(f"{blurs} for the view ``{view}``" for view, blurs in options.BLURS.items())
-    (expected, first), (own, more) = solver.EARLY["expected"], solver.EARLY["own"]
+    early = [reference_loop.THRESHOLDS[f"EARLY_{name}"] for name in ("EXPECTED", "EXPECTED_STEPS", "OWN", "OWN_STEPS")]
+    expected, first, own, more = early
     for kind, text in (
         (liaam.TrainingOptions, f"at most {options.KEPT} for the view"),
         (liaam.TrainingOptions, f"Default: {blurs}"),
         (liaam.TrainingOptions, f"Default: {options.COPIES}, or 0"),
         (liaam.SolverOptions, f"{expected} in the first {first} steps"),
         (liaam.SolverOptions, f"{own} in the first {more}"),
-        (liaam.SolverOptions, f"up to {solver.SCORING_STEPS} such steps"),
+        (liaam.SolverOptions, f"up to {reference_loop.THRESHOLDS['SCORING_STEPS']} such steps"),
         (liaam.find, f"up to {search.MOST}."),
         (liaam.find, f"such as {search.DOUBTFUL}."),
         (liaam.Candidate.doubtful, f"below {search.DOUBTFUL}."),

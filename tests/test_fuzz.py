@@ -130,12 +130,6 @@ def test_targets_of_bytes_can_be_guided():
     assert not {"folder", "images", "requests"} & set(suited)
 
 
-def test_nothing_that_is_compiled_is_instrumented():
-    excluded = guided.compiled_modules()
-    assert {"liaam.kernels.compiler", "liaam.fitting.evaluate", "liaam.photometry.averaging"} <= set(excluded)
-    assert "liaam.io.images" not in excluded
-
-
 def test_a_guided_input_that_breaks_the_property_is_told():
     target = targets_of(*HERE)["foreign"]
     guided.check_one(target, target.input_of(0, 4), LIMITS)

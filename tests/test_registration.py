@@ -9,9 +9,7 @@ from finite_differences import assert_jacobian
 from liaam.datasets.scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, get_method
-from liaam.fitting.kernel import get_kernel
-from liaam.fitting.problem import FitProblem
-from liaam.fitting.reference import jacobian
+from liaam.fitting.level_image import LevelImage
 from liaam.io import read_image
 from liaam.model.shape import align
 from liaam.model.warp import apply_homography
@@ -200,22 +198,25 @@ def test_columns_are_the_derivative_of_the_residual(method, rng):
     objective, blur = _levels(a, get_method(method), "homography", "srgb", THETA_DEFAULT, mask)[0][-1]
     warp, n_p = objective.warp, objective.warp.n_parameters
     pose = align(warp.rest, warp.rest)
-    problem = FitProblem.at(b, warp.rest, pose, objective.method, "srgb", blur)
+    image = LevelImage.at(b, warp.rest, pose, objective.method, "srgb", blur)
     state = objective.start(rng.normal(0, 0.5, n_p))._replace(angles=np.array([2.0, 2.2]))
-    work = objective.evaluate(problem, state, weigh=2)
-    objective.equations(work)
-    root = work.root.astype(np.float64)
-    by_warp, by_angles = root[:, None] * jacobian(warp, state.p, work.image_slopes), (root * work.columns).T
+    problem = objective.problem(image)
+    problem.begin(*state)
+    problem.evaluate(False)
+    for _ in range(2):
+        problem.reweigh(False)
+    problem.differentiate(True, True)
+    root = problem.masked.ravel()
+    by_warp = root[:, None] * problem.by_parameters(problem.gradients)
+    by_angles = (root * problem.columns).T
 
     def residual(p: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        there = work._replace(p=p, angles=state.angles + objective.method.angle_directions @ turn)
-        kernel = get_kernel("reference")
-        kernel.evaluate_residual(objective.template, objective.picture(problem), objective.row, there, False)
-        kernel.solve_lambda(objective.template, objective.row, there, False, False)
-        return there.root.astype(np.float64) * there.residual
+        problem.set_state(p, state.angles + objective.method.angle_directions @ turn, state.lam)
+        problem.evaluate(False)
+        return (problem.masked * problem.residual).ravel()
 
     def in_one_cell(low, high):
-        same = [np.floor(problem.pose(warp.points(p))) for p in (low, high)]
+        same = [np.floor(image.from_model(warp.points(p))) for p in (low, high)]
         return np.repeat((same[0] == same[1]).all(axis=1), objective.method.n_rows)
 
     # A step no pixel makes more than 0.04 pixels of: samples are smooth between pixel lines only.

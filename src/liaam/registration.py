@@ -11,10 +11,10 @@ import numpy as np
 from liaam.errors import ImageError, MethodError
 from liaam.evaluation import finite_list
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.levels import Stage, Target, is_sane, solve_levels
+from liaam.fitting.level_image import correlated_pixels, slope_left
+from liaam.fitting.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
-from liaam.fitting.problem import correlated_pixels, slope_left
 from liaam.fitting.solver import scored
 from liaam.fitting.uncertainty import covariance
 from liaam.model.appearance import AppearanceModel
@@ -233,7 +233,7 @@ def register(
     handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
     if not np.isfinite(handles).all():
         raise ImageError("the start maps a corner of the first image behind the image plane; give another start")
-    stages = solve_levels(levels, Target(b, handles, response), options)
+    stages = solve_levels(levels, Target(LinearImage(b, response), handles), options)
     return _judged(stages, handles, to_a, size, b.shape[:2])
 
 
@@ -274,7 +274,7 @@ def _levels(
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
         warp = HomographyWarp(kept, from_a(corners), float(stride), group)
         own = method, warp, appearance, theta, np.zeros(warp.n_parameters)
-        levels.append((Objective(*own, kernel="reference", correlated=correlated_pixels(blur)), blur))
+        levels.append((Objective(*own, correlated=correlated_pixels(blur)), blur))
     return levels, from_a.inverse()
 
 
@@ -293,22 +293,22 @@ def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarra
 
 
 def _judged(
-    stages: list[Stage], start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
+    stages: list[FittedLevel], start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
 ) -> Registration:
     """Return the result in image pixels, with its status."""
     stage = stages[-1]
     objective, solution = stage.objective, stage.solution
-    state, has_angle, warp = solution.state, objective.method.has_angles, objective.warp
+    has_angle, warp = objective.method.has_angles, objective.warp
     assert isinstance(warp, HomographyWarp)
-    matrix = _matrix(stage.pose) @ warp.matrix(state.p) @ np.linalg.inv(_matrix(to_a))
-    points = warp.points(state.p, stage.pose)
+    matrix = _matrix(stage.pose) @ warp.matrix(solution.p) @ np.linalg.inv(_matrix(to_a))
+    points = warp.points(solution.p, stage.pose)
     inside = np.asarray(((points >= 0) & (points <= np.array(other[::-1]) - 1)).all(axis=1))
     correlation = _correlation(stage)
     return Registration(
         homography=matrix / matrix[2, 2],
         status=_status(stage, start, inside, correlation),
         correlation=correlation,
-        theta=float(state.angles[1]) if has_angle else float("nan"),
+        theta=float(solution.angles[1]) if has_angle else float("nan"),
         cost=float(solution.costs[-1]),
         n_iterations=sum(s.solution.n_iterations for s in stages),
         corner_deviation=_corner_deviation(stage),
@@ -317,7 +317,7 @@ def _judged(
     )
 
 
-def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: float) -> FitStatus:
+def _status(stage: FittedLevel, start: np.ndarray, inside: np.ndarray, correlation: float) -> FitStatus:
     solution = stage.solution
     if solution.flat:
         return FitStatus.NO_TEXTURE
@@ -325,7 +325,7 @@ def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: fl
         return FitStatus.DIVERGED
     if inside.mean() < LEAST_OVERLAP:
         return FitStatus.LEFT_IMAGE
-    if solution.work.usable[inside].mean() < LEAST_OVERLAP:
+    if solution.usable[inside].mean() < LEAST_OVERLAP:
         return FitStatus.TOO_DARK
     if not correlation >= LEAST_CORRELATION:
         return FitStatus.DIVERGED
@@ -334,24 +334,23 @@ def _status(stage: Stage, start: np.ndarray, inside: np.ndarray, correlation: fl
     return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
 
 
-def _correlation(stage: Stage) -> float:
+def _correlation(stage: FittedLevel) -> float:
     """Return the correlation of the compared quantities over the pixels usable in both images; 0 if there are none."""
-    objective, work = stage.objective, stage.solution.work
-    metric = objective.method.image_metric(work.angles[1]).T
-    seen = work.usable > 0
+    solution = stage.solution
+    seen = solution.usable > 0
     if not seen.any():
         return 0.0
-    ours = work.rows[0].reshape(len(seen), -1)[seen].astype(np.float64)
-    theirs = work.values.reshape(len(seen), -1)[seen, : len(metric)] @ metric
+    theirs = solution.samples[seen]
+    ours = stage.objective.mean_at(solution.angles[0]).reshape(len(seen), -1)[seen].astype(np.float64)
     ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     scale = np.sqrt(np.square(ours).sum() * np.square(theirs).sum())
     return float((ours * theirs).sum() / scale) if scale > 0 else 0.0
 
 
-def _corner_deviation(stage: Stage) -> np.ndarray:
-    warp, p = stage.objective.warp, stage.solution.state.p
+def _corner_deviation(stage: FittedLevel) -> np.ndarray:
+    warp, p = stage.objective.warp, stage.solution.p
     n, step = warp.n_parameters, 1e-4
-    if not stage.solution.work.usable.any():
+    if not stage.solution.usable.any():
         return np.full(4, np.inf)
     spread = covariance(stage)[:n, :n]
     slopes = np.stack([(warp.shape(p + step * e) - warp.shape(p - step * e)) / (2 * step) for e in np.eye(n)], axis=-1)

@@ -213,7 +213,7 @@ def deaf_to_interrupts() -> Iterator[None]:
 def in_threads(perform: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """Process items in parallel threads, as many as OpenCV may use. Return the results in the items' order.
 
-    For work that releases the GIL, such as kernels and OpenCV functions. Under :func:`one_thread` it is sequential.
+    For work that releases the GIL, such as calls of the core and of OpenCV. Under :func:`one_thread` it is sequential.
     """
     import cv2
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from experiments.bound import MEASURES, UNDER, bound_experiment, curves
+from experiments.cramer_rao import cramer_rao_bound
 from experiments.runner import run_experiment
 from experiments.simulated import make_case, sharp_model
 from experiments.subjects import get_subject
 from liaam.errors import MethodError
-from liaam.fitting.bound import cramer_rao_bound
 
 pytestmark = pytest.mark.slow
 

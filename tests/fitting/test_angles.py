@@ -6,8 +6,7 @@ from hypothesis import given, strategies as st
 
 from liaam.fitting import SolverOptions
 from liaam.fitting.angles import SEARCH, _minimise_on_arc, best_image_angle
-from liaam.fitting.solver import solve_at
-from setups import disturb, finest_objective, make_problem
+from setups import disturb, finest_objective, make_level
 
 
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from(["general", "round", "nearly round", "flat", "nothing"]))
@@ -38,12 +37,12 @@ def test_no_angle_on_the_arc_is_better(seed, kind):
 def test_the_start_angle_beats_a_brute_force_search(model, lit_scene, method, at):
     objective = finest_objective(model, method)
     shape = lit_scene.landmarks if at == "truth" else disturb(lit_scene.landmarks, 1.1, (0.1, 0.1))
-    problem, p = make_problem(model, lit_scene.image, shape, objective)
+    problem, p = make_level(model, lit_scene.image, shape, objective)
     state = objective.start(p)
 
     def cost(theta):
         there = state._replace(angles=np.array([state.angles[0], theta]))
-        return solve_at(objective, problem, there, SolverOptions()).costs[-1]
+        return objective.solve(problem, there, SolverOptions(max_iterations=0)).costs[-1]
 
     grid = state.angles[0] + np.linspace(-SEARCH, SEARCH, 241)
     costs = np.array([cost(theta) for theta in grid])
@@ -54,7 +53,7 @@ def test_the_start_angle_beats_a_brute_force_search(model, lit_scene, method, at
 
 def test_at_the_truth_the_start_angle_is_the_cameras(model, lit_scene):
     objective = finest_objective(model, "li")
-    problem, p = make_problem(model, lit_scene.image, lit_scene.landmarks, objective)
+    problem, p = make_level(model, lit_scene.image, lit_scene.landmarks, objective)
     found = best_image_angle(objective, problem, objective.start(p))
     assert np.rad2deg(found) == pytest.approx(np.rad2deg(lit_scene.theta), abs=1.0)
 
@@ -62,6 +61,6 @@ def test_at_the_truth_the_start_angle_is_the_cameras(model, lit_scene):
 def test_where_no_pixel_counts_the_angle_stays(model):
     objective = finest_objective(model, "li")
     start = model.shape_model.mean + 80
-    problem, p = make_problem(model, np.zeros((160, 160, 3), np.float32), start, objective)
+    problem, p = make_level(model, np.zeros((160, 160, 3), np.float32), start, objective)
     state = objective.start(p)
     assert best_image_angle(objective, problem, state) == state.angles[1]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
-from liaam.fitting.objective import MOST_IDLE
 from setups import disturb, model_pixels, stands_light
 
 NAMES = (*METHODS, "li+noise")
@@ -62,21 +61,6 @@ def test_nothing_of_a_fit_is_left_in_the_next(model, same_light_scene, method):
         assert own.status == fresh.status
         for name in FIELDS:
             np.testing.assert_array_equal(getattr(own, name), getattr(fresh, name), err_msg=name)
-
-
-def test_arrays_are_used_again_if_they_have_room(model, same_light_scene):
-    fitter = Fitter(model, "rgb", SolverOptions(max_iterations=3))
-    fitter.fit(same_light_scene.image, same_light_scene.landmarks)
-    objective = fitter.objectives[0]
-    (known, _), state = objective._idle[-1], objective.start(np.zeros(objective.warp.n_parameters))
-    work, given = objective.borrow(state, 3)
-    assert work is known
-    assert objective.borrow(state, 3)[0] is not known  # it is in use
-    objective.release(work, given)
-    assert len(objective.borrow(state, 50)[0].costs) == 51
-    for _ in range(20):
-        objective.release(work, given)
-    assert len(objective._idle) == MOST_IDLE
 
 
 @pytest.mark.parametrize("method", NAMES)

@@ -74,7 +74,7 @@ def test_results_of_paths_know_their_image_and_others_keep_none(model, image, li
 
 def test_fit_and_fit_many_take_what_a_fitter_takes(model, image, lit_scene):
     start = disturb(lit_scene.landmarks)
-    settings = {"kernel": "reference", "restarts": False, "margin": 0.3, "max_iterations": 2}
+    settings = {"restarts": False, "margin": 0.3, "max_iterations": 2}
     one = liaam.fit(model, image, start, "li", **settings)
     (many,) = fit_many(model, [image], start, "li", **settings)
     np.testing.assert_array_equal(one.landmarks, many.landmarks)

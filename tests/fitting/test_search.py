@@ -10,6 +10,7 @@ import liaam
 from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, narrow_band_camera, render
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import Candidate, Finder, FitStatus, Fitter, find, search
+from liaam.fitting.levels import LinearImage
 from liaam.fitting.search import (
     DOUBTFUL,
     LARGEST,
@@ -79,9 +80,9 @@ def fits_counted(finder, monkeypatch, image, **options):
     """What is found, and at how many places the small model was fitted."""
     fit, places = Finder._fitted, []
 
-    def counted(self, image, response, place, field):
+    def counted(self, linear, place, field):
         places.append(place)
-        return fit(self, image, response, place, field)
+        return fit(self, linear, place, field)
 
     monkeypatch.setattr(Finder, "_fitted", counted)
     found = finder.find(image, **options)
@@ -391,7 +392,7 @@ def test_an_upright_object_is_the_same_among_all_rotations(turning, finder):
 
 def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):
     image = photograph(Pose(scale=1.0)).image
-    filled = [search._Search(each, image, "srgb", 10) for each in (finder, turning.finder)]
+    filled = [search._Search(each, LinearImage(image, "srgb"), 10) for each in (finder, turning.finder)]
     for each in filled:
         each.for_all()
     assert [len(each.filling()) for each in filled] == [2, 8]

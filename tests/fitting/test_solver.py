@@ -9,10 +9,11 @@ import pytest
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
 from liaam.fitting.levels import prepare_level
-from liaam.fitting.solver import solve
+from liaam.fitting.objective import Objective
+from liaam.fitting.reference import Problem
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
-from setups import disturb, finest_objective, make_problem, model_pixels
+from setups import disturb, finest_objective, make_level, model_pixels
 
 EXACT = {"tolerance": 1e-4, "early_tolerance": 0.0, "max_iterations": 300, "shape_prior": 0.0}
 
@@ -87,23 +88,23 @@ def test_a_step_within_the_tolerance_is_the_last(model, lit_scene, method):
 @pytest.mark.parametrize("method", ["soft-li", "li", "rgb"])
 def test_a_fit_that_sees_nothing_stays_where_it_is(model, lit_scene, method):
     objective = finest_objective(model, method)
-    problem, p = make_problem(model, lit_scene.image, lit_scene.landmarks, objective)
+    problem, p = make_level(model, lit_scene.image, lit_scene.landmarks, objective)
     p[-2:] = 1e6
     start = objective.start(p)
-    solution = solve(objective, problem, start._replace(lam=start.lam + 1.0), SolverOptions())
+    solution = objective.solve(problem, start._replace(lam=start.lam + 1.0), SolverOptions())
     assert solution.flat
     assert not solution.converged
     assert solution.costs.tolist() == [np.inf]
-    np.testing.assert_array_equal(solution.state.p, p)
-    assert not solution.state.lam.any()  # the mean appearance
+    np.testing.assert_array_equal(solution.p, p)
+    assert not solution.lam.any()  # the mean appearance
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_start_that_is_no_number_ends_at_once(model, lit_scene, bad):
     objective = finest_objective(model, "li")
-    problem, p = make_problem(model, lit_scene.image, lit_scene.landmarks, objective)
+    problem, p = make_level(model, lit_scene.image, lit_scene.landmarks, objective)
     p[0] = bad
-    solution = solve(objective, problem, objective.start(p), SolverOptions())
+    solution = objective.solve(problem, objective.start(p), SolverOptions())
     assert solution.flat
     assert solution.n_iterations == 0
 
@@ -189,20 +190,20 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
 def test_a_last_step_that_nobody_can_tell_is_taken_without_another_look(fine_model, lit_scene, monkeypatch):
     """Where another level follows; at the sharpest one the result is what is seen there."""
     evaluations = []
-    objective = finest_objective(fine_model, "soft-li", "reference")
-    problem, p = make_problem(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective, blur=1.0)
-    template, row = objective.given
-    counted = row._replace(evaluate_residual=lambda *args: evaluations.append(args) or row.evaluate_residual(*args))
-    monkeypatch.setitem(objective.__dict__, "given", (template, counted))
+    objective = finest_objective(fine_model, "soft-li")
+    problem, p = make_level(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective, blur=1.0)
+    evaluate = Problem.evaluate
+    monkeypatch.setattr(Objective, "is_compiled", False)
+    monkeypatch.setattr(Problem, "evaluate", lambda *args: evaluations.append(args) or evaluate(*args))
     options = SolverOptions(tolerance=0.0, early_tolerance=0.0)
-    sparing = solve(objective, problem, objective.start(p), options, evaluate_last=False)
+    sparing = objective.solve(problem, objective.start(p), options, evaluate_last=False)
     # One for the start, and one for each step but the last.
     assert sparing.converged
     assert len(evaluations) == sparing.n_iterations
     assert sparing.costs[-1] == sparing.costs[-2]
     assert not np.array_equal(sparing.path[-1], sparing.path[-2])
     evaluations.clear()
-    whole = solve(objective, problem, objective.start(p), options, evaluate_last=True)
+    whole = objective.solve(problem, objective.start(p), options, evaluate_last=True)
     assert len(evaluations) == whole.n_iterations + 1
     assert whole.costs[-1] != whole.costs[-2]
     np.testing.assert_array_equal(whole.path, sparing.path)
@@ -215,7 +216,7 @@ def test_a_patch_reaches_as_far_as_it_is_asked_to(fine_model, lit_scene):
         problem = prepare_level(fitter.objectives[-1], 1.0, target.measured(get_method("soft-li")), [], fitter.options)[
             0
         ]
-        return problem.patch.channels.shape[1] / problem.patch.from_image.scale
+        return problem.channels.shape[1] / problem.patch.from_image.scale
 
     reach = 0.1 * diagonal_of(lit_scene.landmarks)
     assert width(0.2) - width(0.1) == pytest.approx(2 * reach, abs=6)
@@ -248,15 +249,3 @@ def test_the_residual_is_that_of_the_cost(fine_model, same_light_scene, method):
     weights = np.repeat((appearance.usable * usable)[:, None], residual.shape[1], axis=1)
     mean = float(np.average(np.square(residual), weights=weights))
     assert mean == pytest.approx(result.cost, rel=0.05, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("method", "expected", "reweigh"), [("rgb", True, False), ("rgb", False, True), ("soft-li", False, True)]
-)
-def test_controls_that_do_not_suit_the_method_are_refused(fine_model, lit_scene, method, expected, reweigh):
-    """Compiled code has nothing to call there."""
-    objective = finest_objective(fine_model, method)
-    problem, p = make_problem(fine_model, lit_scene.image, lit_scene.landmarks, objective)
-    controls = SolverOptions().controls(expected, reweigh, True)
-    with pytest.raises(MethodError, match=f"method {method}"):
-        objective.solve(problem, objective.work(objective.start(p), 50), controls)

@@ -21,7 +21,7 @@ def test_shape_far_outside_training_has_diverged(model, scenes, deviations, stat
 
 @pytest.mark.parametrize("unit", [np.nan, np.inf, 1e-320])
 def test_a_fit_whose_residuals_are_no_numbers_states_that_it_knows_nothing(model, scenes, monkeypatch, unit):
-    monkeypatch.setattr(Objective, "unit", lambda self, work: unit)
+    monkeypatch.setattr(Objective, "noise_variance", lambda self, solution: unit)
     result = Fitter(model, "grey", SolverOptions(max_iterations=0)).fit(scenes[0].image, scenes[0].landmarks)
     assert np.isfinite(result.covariance).all()
     assert (result.deviations > 0).all()

@@ -8,7 +8,7 @@ import pytest
 
 from liaam.datasets.scenes import lateral
 from liaam.errors import ImageError, MethodError, StartError, VideoError
-from liaam.fitting import Candidate, FitStatus, Fitter
+from liaam.fitting import Candidate, Finder, FitStatus, Fitter
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import align, diagonal_of
 from liaam.tracking import Tracker, TrackingOptions, TrackStatus, track_video
@@ -105,15 +105,15 @@ def test_a_short_gap_is_bridged_without_a_search(head_model, moving, monkeypatch
 
 
 def test_searches_become_rare(head_model, moving, monkeypatch):
-    searched = []
+    searched, frame = [], 0
 
-    def find(*_, name, **__):
-        searched.append(int(name.split()[1]))
+    def find(*_, **__):
+        searched.append(frame)
         return [Candidate(moving[0].landmarks, 0.0, 0.0, 1.0)]
 
-    monkeypatch.setattr(Fitter, "find", find)
+    monkeypatch.setattr(Finder, "find_in", find)
     tracker = Tracker(head_model.with_view(SURROUNDINGS, reliability=None), options=TrackingOptions(longest_wait=8))
-    for _ in range(40):
+    for frame in range(40):  # noqa: B007 (``find`` reads it)
         assert not tracker.update(blank(moving[0])).ok
     assert searched == [0, 1, 3, 7, 15, 23, 31, 39]
 

@@ -69,6 +69,13 @@ def info(model_file: ModelFile) -> None:
     show_table(table)
 
 
+def describe_core() -> str:
+    """Say what fits: the compiled core and its instruction set, or NumPy."""
+    from liaam import _core
+
+    return f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)"
+
+
 def count_modes(model: "AAM") -> str:
     """Describe the number of shape modes, for ``soft-li`` and the other methods where it differs."""
     from liaam.model import MESH, SURROUNDINGS
@@ -98,6 +105,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
         "camera": describe_camera(model.camera),
+        "core": describe_core(),
     }
 
 
@@ -120,8 +128,7 @@ def describe_camera(camera: "CameraModel") -> str:
 def methods() -> None:
     """List the fitting methods."""
     from liaam.fitting import METHODS
-    from liaam.fitting.losses import LOSSES
-    from liaam.fitting.methods import NOISE_SUFFIX
+    from liaam.fitting.methods import LOSSES, NOISE_SUFFIX
 
     table = table_of("method", "compares")
     for method in METHODS.values():

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from liaam.fitting.level import RIDGE
-from liaam.fitting.objective import Objective, State
-from liaam.fitting.problem import FitProblem
+from liaam.fitting.level_image import LevelImage
+from liaam.fitting.objective import RIDGE, Objective, State
 
 SEARCH = np.deg2rad(60.0)
 """Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the
@@ -12,7 +11,7 @@ object, the global minimum over the full circle is often an inverted image: most
 protocol started near 250 degrees."""
 
 
-def best_image_angle(objective: Objective, problem: FitProblem, state: State) -> float:
+def best_image_angle(objective: Objective, image: LevelImage, state: State) -> float:
     """Find the angle theta_2 that minimises the cost of eq 9 over theta_2 and lambda, at the state's shape.
 
     With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const. S and b hold inner products of the
@@ -23,7 +22,7 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
     ----------
     objective : Objective
         Its method compares the invariant.
-    problem : FitProblem
+    image : LevelImage
     state : State
         Its p and theta_1 are kept fixed.
 
@@ -32,11 +31,11 @@ def best_image_angle(objective: Objective, problem: FitProblem, state: State) ->
     float
         Best theta_2 within :data:`SEARCH` of theta_1, radians. The state's own theta_2 if no pixel is usable.
     """
-    seen, template = objective.evaluate(problem, state), objective.template
-    root = seen.root.astype(np.float64)
-    log_r, log_g, log_b = seen.values.reshape(-1, 8)[:, :3].astype(np.float64).T
-    columns = np.stack([log_r - log_b, log_g - log_b, template.rows[0]]) * root
-    modes = template.rows[1:] * root
+    seen = objective.evaluate(image, state)
+    root = seen["masked"].astype(np.float64)
+    log_r, log_g, log_b = seen["values"][:, :3].astype(np.float64).T
+    columns = np.stack([log_r - log_b, log_g - log_b, seen["rows"][0]]) * root
+    modes = seen["rows"][1:] * root
     gram, cross = modes @ modes.T, modes @ columns.T
     gram += RIDGE * max(gram.diagonal().max(initial=0.0), 1e-300) * np.eye(len(gram))
     inner = columns @ columns.T - cross.T @ np.linalg.solve(gram, cross)

@@ -5,22 +5,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError, check_options
 from liaam.fitting.angles import best_image_angle
-from liaam.fitting.levels import Stage, Target, is_sane, solve_levels, trace
+from liaam.fitting.level_image import MARGIN, NEAR, LevelImage
+from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
-from liaam.fitting.problem import MARGIN, NEAR, FitProblem
 from liaam.fitting.restarts import other_starts
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration, trace
 from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
-from liaam.fitting.solver import Solution, SolverOptions, scored, solve_at
+from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, start_shape
-from liaam.fitting.uncertainty import covariance, evidence, explains_more_than_noise, landmark_covariances
+from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
 from liaam.model import AAM, Level, Reliability, View
 from liaam.model.mesh import folded_share
 from liaam.model.sampling import within
@@ -73,7 +74,6 @@ class Fitter:
     method : str or Method
         A name of :data:`liaam.fitting.METHODS`, or a custom row.
     options : SolverOptions
-    kernel : {"fast", "reference"}
     camera : CameraModel, optional
         Camera of the images to be fitted: response, vignetting, noise, and the angle if the method does not estimate
         it. By default the training camera.
@@ -96,7 +96,6 @@ class Fitter:
     model: AAM
     method: str | Method = DEFAULT_METHOD
     options: SolverOptions = field(default_factory=SolverOptions)
-    kernel: str = "fast"
     camera: CameraModel | None = None
     margin: float = MARGIN
     restarts: bool = True
@@ -112,13 +111,12 @@ class Fitter:
         margin: float = MARGIN,
         restarts: bool = True,
         rotations: str = "upright",
-        kernel: str = "fast",
         **options,
     ) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
-        own = ("camera", "rotations", "restarts", "margin", "kernel")
+        own = ("camera", "rotations", "restarts", "margin")
         check_options(options, [*own, *(option.name for option in fields(SolverOptions))], MethodError)
-        return cls(model, method, SolverOptions(**options), kernel, camera, margin, restarts, rotations)
+        return cls(model, method, SolverOptions(**options), camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:
         self.finder  # noqa: B018 (raise errors now, not at the first image)
@@ -129,7 +127,7 @@ class Fitter:
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
         """The objectives of model and method, one per level, coarse to fine."""
-        return make_objectives(self.model, scored(get_method(self.method), self.options), self.kernel)
+        return make_objectives(self.model, scored(get_method(self.method), self.options))
 
     @cached_property
     def finder(self) -> Finder:
@@ -158,8 +156,10 @@ class Fitter:
         list of Candidate
             Starts for :meth:`fit`, the best first.
         """
-        image, camera = load_picture(image, name)[0], self._camera
-        return self.finder.find(camera.flatten(image), limit=limit, least=least, response=camera.response)
+        return self.finder.find_in(self._linear(load_picture(image, name)[0]), limit=limit, least=least)
+
+    def _linear(self, image: np.ndarray) -> LinearImage:
+        return LinearImage(self._camera.flatten(image), self._camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Candidate]:
         """Find all objects in an image, without uncertain detections.
@@ -216,17 +216,36 @@ class Fitter:
         return replace(result, found=found, contours=model.contours, landmark_names=model.landmark_names, image=path)
 
     def _fit_from(self, target: Target, options: SolverOptions | None = None) -> FitResult:
-        levels = [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
         options, points = self.options if options is None else options, self.model.points
+        first = 0
         if target.pull is not None and points is not None:
-            levels = [each for each in levels if each[1] <= REACH * points.deviation] or levels[-1:]
+            near = [i for i, level in enumerate(self._levels) if level.blur <= REACH * points.deviation]
+            first = near[0] if near else len(self._levels) - 1
             early_tolerance = MAPPED_TOLERANCE if options.early_tolerance is None else options.early_tolerance
             options = replace(options, early_tolerance=early_tolerance)
-        stages = solve_levels(levels, target, options)
-        result = self.result_of(target.image, stages)
-        for stage in stages:
-            stage.release()
-        return result
+        levels = self._pairs[first:]
+        if CompiledLevels.can_fit(levels) and CompiledLevels.can_take(target, options):
+            return self.result_of(target, self._compiled(first).fit(target, options))
+        return self.result_of(target, solve_levels(levels, target, options))
+
+    @cached_property
+    def _pairs(self) -> list[tuple[Objective, float]]:
+        """Objectives and blurs of the levels, coarse to fine."""
+        return [(objective, level.blur) for objective, level in zip(self.objectives, self._levels, strict=True)]
+
+    @cached_property
+    def _prepared(self) -> dict[int, CompiledLevels]:
+        return {}
+
+    def _compiled(self, first: int) -> CompiledLevels:
+        """Return the levels from one on, prepared for the core."""
+        if first not in self._prepared:
+            self._prepared[first] = CompiledLevels(self._pairs[first:], self.shapes)
+        return self._prepared[first]
+
+    def __getstate__(self) -> dict:
+        """Leave out what the core holds, which is valid in this process only."""
+        return {name: value for name, value in self.__dict__.items() if name != "_prepared"}
 
     def _falls_short(self, result: FitResult) -> bool:
         """Return whether a fit has low quality, so that another start may be better."""
@@ -271,7 +290,7 @@ class Fitter:
 
         if not _with_prior(first, min(prior(first), 1.0)).quality >= self._low:
             brief = replace(self.options, max_iterations=BRIEF)
-            for other in self.finder.others(target.image[low[1] : high[1], low[0] : high[0]], target.response):
+            for other in self.finder.others_in(target.linear.crop(low, high)):
                 there = target._replace(start=other.landmarks + low)
                 tried.append((self._fit_from(there, brief), there, None if found is None else other))
         unfinished = {i for i, (each, *_) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
@@ -309,14 +328,13 @@ class Fitter:
                 f"{name}: the image is grey (three equal channels), but method {self._method.name} "
                 "compares colours; use method 'soft-li' or 'grey'"
             )
-        init = self.find(image, name=name)[0] if init is None else init
+        camera, linear = self._camera, self._linear(image)
+        init = self.finder.find_in(linear)[0] if init is None else init
         found = init if isinstance(init, Candidate) else None
         given = init if found is None else found.landmarks
         mapped = mapped_points(self.model, given, name)
         start = start_shape(self.model, given if mapped is None else mapped, (image.shape[1], image.shape[0]), name)
-        camera = self._camera
-        picture = camera.flatten(image)
-        target = Target(picture, start, camera.response, camera.noise, camera.theta, self.margin)
+        target = Target(linear, start, camera.noise, camera.theta, self.margin)
         points = self.model.points
         if mapped is None or points is None:
             return target, found
@@ -328,7 +346,7 @@ class Fitter:
         """Precision of the parameters of landmarks that are mapped from another landmarker's points, (n_p, n_p)."""
         return None if self.model.points is None else self.model.points.precision(self.shapes)
 
-    def solution_at(self, image, result: FitResult) -> tuple[Objective, Solution]:
+    def solution_at(self, image, result: FitResult) -> dict[str, Any]:
         """Evaluate a result at all pixels of the sharpest level, with the best lambda there.
 
         Parameters
@@ -340,17 +358,17 @@ class Fitter:
 
         Returns
         -------
-        objective : Objective
-        solution : Solution
-            Its state has the shape and angles of ``result``, and the new lambda.
+        dict
+            Arrays of :meth:`liaam.fitting.reference.Problem.arrays` at the shape and angles of ``result``.
         """
-        objective, problem, state = self._end_of(result, image)
+        objective, encoded, state = self._end_of(result, image)
         if self._method.free_angles == "image" and not np.isfinite(result.theta):
-            state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, problem, state)]))
-        return objective, solve_at(objective, problem, state, self.options)
+            state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, encoded, state)]))
+        weigh = 0 if not self._method.reweighs else 1 if self._method.loss == "squares" else 3
+        return objective.evaluate(encoded, state, weigh=weigh, solves=True)
 
     def residual(self, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the residual (paper eq 9) in the method's encoding, at all pixels of the sharpest level.
+        """Compute the residual (paper eq 10) in the method's encoding, at all pixels of the sharpest level.
 
         Parameters
         ----------
@@ -369,25 +387,25 @@ class Fitter:
         kept, k = self.view.warp.every(0.0), self._method.n_rows
         residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
         if np.isfinite(result.landmarks).all():
-            objective, problem, state = self._end_of(result, image)
+            objective, encoded, state = self._end_of(result, image)
             if len(result.lam) == objective.n_lambda:  # else the fit did not reach the sharpest level
                 state = state._replace(lam=result.lam)
-            work = objective.evaluate(problem, state, weigh=int(self._method.normalise))
-            usable[kept] = work.usable
-            residual[kept] = np.where(work.usable[:, None] > 0, work.residual.reshape(-1, k), 0.0)
+            seen = objective.evaluate(encoded, state, weigh=int(self._method.normalise))
+            usable[kept] = seen["usable"]
+            residual[kept] = np.where(seen["usable"][:, None] > 0, seen["residual"].reshape(-1, k), 0.0)
         return residual, usable
 
-    def _end_of(self, result: FitResult, image) -> tuple[Objective, FitProblem, State]:
-        """Return the objective over all pixels of the sharpest level, its problem, and a result's state (lambda 0)."""
-        image, camera = load_picture(image, "image")[0], self._camera
-        objective, blur = self.objectives[-1].of_all_pixels, self._levels[-1].blur
-        picture, method, response = camera.flatten(image), self._method, camera.response
-        problem = FitProblem.at(picture, result.landmarks, result.pose, method, response, blur, camera.noise)
+    def _end_of(self, result: FitResult, image) -> tuple[Objective, LevelImage, State]:
+        """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
+        linear = self._linear(load_picture(image, "image")[0])
+        objective, blur, noise = self.objectives[-1].of_all_pixels, self._levels[-1].blur, self._camera.noise
+        about = self._method, linear.response, blur, noise, MARGIN, objective.density
+        encoded = LevelImage.at(linear.image, result.landmarks, result.pose, *about)
         # From the shape, because p refers to the shape model of the fit's method, which may be another one.
         state = objective.start(self.shapes.parameters(result.pose.inverse()(result.landmarks)))
-        if method.has_angles and np.isfinite(result.theta):
+        if self._method.has_angles and np.isfinite(result.theta):
             state = state._replace(angles=np.array([result.theta_model, result.theta]))
-        return objective, problem, state
+        return objective, encoded, state
 
     @property
     def _levels(self) -> tuple[Level, ...]:
@@ -412,15 +430,15 @@ class Fitter:
     def _camera(self) -> CameraModel:
         return self.model.camera if self.camera is None else self.camera
 
-    def result_of(self, image: np.ndarray, stages: Sequence[Stage]) -> FitResult:
-        """Make the result of a fit from its stages: compute status, quality and covariances."""
+    def result_of(self, target: Target, stages: Sequence[FittedLevel]) -> FitResult:
+        """Make the result of a fit from its levels: compute status, quality and covariances."""
         stage, known, history = stages[-1], self.reliability, trace(stages)
-        solution = stage.solution
-        theta_model, theta = solution.state.angles.tolist() if self._method.has_angles else (np.nan, np.nan)
-        spread = covariance(stage, self.options.shape_prior / solution.scale)
+        solution, p, lam = stage.solution, stage.solution.p, stage.solution.lam
+        theta_model, theta = solution.angles if self._method.has_angles else (np.nan, np.nan)
+        spread = covariance(stage, self.options.shape_prior / solution.prior_scale, target.pull)
         spread = spread if known is None else known.variance_factor * spread
-        seen = evidence(stage)
-        status, unit = self._status(image, history, stage), stage.objective.unit(solution.work)
+        seen = quality_features(stage)
+        status, unit = self._status(target.image, history, stage), stage.objective.noise_variance(solution)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # A fit that explains nothing is doubtful, also without calibration.
         explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)
@@ -429,11 +447,11 @@ class Fitter:
         return FitResult(
             landmarks=history[-1].landmarks,
             status=status,
-            theta=theta,
-            theta_model=theta_model,
-            p=solution.state.p.copy(),
+            theta=float(theta),
+            theta_model=float(theta_model),
+            p=p,
             pose=stage.pose,
-            lam=solution.state.lam.copy(),
+            lam=lam,
             cost=float(solution.costs[-1]),
             n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
@@ -445,17 +463,18 @@ class Fitter:
             method=self._method,
         )
 
-    def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: Stage) -> FitStatus:
+    def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: FittedLevel) -> FitStatus:
         shape, objective, solution = history[-1].landmarks, stage.objective, stage.solution
-        usable, sane = solution.work.usable, is_sane(shape, history[0].landmarks)
+        usable, sane = solution.usable, is_sane(shape, history[0].landmarks)
         if not usable.all() and np.isfinite(shape).all():  # some pixels are outside the image, dark or saturated
-            points = stage.pose(objective.warp.points(solution.state.p))
-            inside, patch = within(points, image), stage.problem.patch
+            points = stage.pose(objective.warp.points(solution.p))
+            inside = within(points, image)
             if sane and inside.mean() < 0.5:
                 return FitStatus.LEFT_IMAGE
             # Few usable pixels are a better reason than the size that a fit to them happens to reach. Pixels beyond the
             # patch do not count: they are not usable, whatever their exposure.
-            inside &= within(patch.from_image(points), patch.channels)
+            on_patch, (height, width) = stage.to_patch(points), stage.patch_size
+            inside &= np.asarray(((on_patch >= 0) & (on_patch <= (width - 1, height - 1))).all(axis=1))
             if inside.any() and usable[inside].mean() < USABLE_LIMIT:
                 return self._why_unusable(image, points[inside])
         if (
@@ -513,7 +532,6 @@ def fit(
     rotations: str = "upright",
     restarts: bool = True,
     margin: float = MARGIN,
-    kernel: str = "fast",
     **options,
 ) -> FitResult:
     """Fit a model to one image. For many images use :func:`fit_many`, or make a :class:`Fitter` once.
@@ -526,7 +544,7 @@ def fit(
         Start, image pixels (see :meth:`Fitter.fit`). If None, the object is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
-    camera, rotations, restarts, margin, kernel
+    camera, rotations, restarts, margin
         As for :class:`Fitter`.
     **options
         Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
@@ -541,8 +559,6 @@ def fit(
     ImageError, StartError, MethodError
         If an argument is invalid.
     """
-    fitter = Fitter.of(
-        model, method, camera=camera, rotations=rotations, restarts=restarts, margin=margin, kernel=kernel, **options
-    )
+    fitter = Fitter.of(model, method, camera=camera, rotations=rotations, restarts=restarts, margin=margin, **options)
     result = fitter.fit(image, init)
     return result if result.image is not None else replace(result, image=image)

@@ -6,11 +6,17 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.fitting.losses import LOSSES
 from liaam.model import MESH, SURROUNDINGS, VIEWS
 from liaam.model.appearance import APPEARANCES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
 from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, name_of
+
+LOSSES = ("huber", "l1", "cauchy", "geman-mcclure", "tukey", "learnt")
+"""Robust losses as weights of iteratively reweighted least squares, in the order of the core's. Theobald, Matthews and
+Baker, "Evaluating error functions for robust active appearance models", FG 2006 (the paper's [12]), compare them. The
+constants of huber, cauchy, geman-mcclure and tukey give the usual efficiency of 95 % for Gaussian residuals; l1 and
+learnt have two thirds. ``learnt`` weighs a residual by its density under a Gaussian learnt for each pixel from images
+without occlusion."""
 
 METRICS = {
     "luminance": LUMINANCE,
@@ -49,7 +55,7 @@ ENCODING_OF = {
 BIASES = ("none", "common", "rows")
 
 WEIGHTS = ("model", "noise", "rows")
-"""In the order of :mod:`liaam.fitting.weights`."""
+"""In the order of the core's."""
 
 STEPS = ("own", "scored", "expected")
 
@@ -88,10 +94,10 @@ class Method:
         "model" uses the model's weights. "noise" uses inverse variances of the residual due to image noise. "rows" does
         so for each row of P, with the variance of the model's errors estimated from the image.
     step : {"own", "scored", "expected"}
-        Gradient used in steps (:mod:`liaam.fitting.steps`). "own" is the image's, "expected" the one that the model
-        expects, and "scored" the image's first and the expected one at the end.
+        Gradient used in steps (:mod:`liaam.fitting.reference_loop`). "own" is the image's, "expected" the one that the
+        model expects, and "scored" the image's first and the expected one at the end.
     loss : str
-        "squares", or a robust loss of :data:`liaam.fitting.losses.LOSSES`.
+        "squares", or a robust loss of :data:`liaam.fitting.methods.LOSSES`.
     view : {"mesh", "surroundings"}
         Which of the model's views is fitted (:class:`liaam.model.View`): its shapes, pixels and appearances.
     """
@@ -180,7 +186,7 @@ class Method:
 
     @property
     def reweighs(self) -> bool:
-        """Whether weights are updated between iterations (see :mod:`liaam.fitting.weights`)."""
+        """Whether weights are updated between iterations ."""
         return self.weighs_noise or self.normalise or self.loss != "squares"
 
     @property
@@ -396,3 +402,11 @@ def get_method(method: str | Method) -> Method:
             )
         changes[key] = value
     return replace(METHODS[base], name=method, **changes) if changes else METHODS[base]
+
+
+def gaussian_median(k: int) -> float:
+    """Return the median root mean square of k standard normal variables; 1 / 1.4826 for one."""
+    from scipy.special import gammaincinv
+
+    # From the median of the chi-squared distribution.
+    return float((2.0 * gammaincinv(k / 2, 0.5) / k) ** 0.5)

@@ -1,39 +1,25 @@
-"""The objective of a model, a method and a level: the model's side of the residual, and the calls of the loop."""
+"""The objective of a model, a method and a level: the model's side of the residual (eq 9, generalised)."""
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from liaam import _core
 from liaam.errors import MethodError
-from liaam.fitting.kernel import get_kernel
-from liaam.fitting.level import (
-    COLOUR,
-    CORRELATED,
-    GRADIENTS,
-    LEAST_CURVATURE,
-    RIDGE,
-    UNIT,
-    Controls,
-    Picture,
-    Row,
-    Template,
-    Work,
-    without,
-    work_shapes,
-)
-from liaam.fitting.losses import LOSSES, gaussian_median
-from liaam.fitting.methods import WEIGHTS, Method
-from liaam.fitting.problem import FitProblem, correlated_pixels
+from liaam.fitting.level_image import LevelImage, correlated_pixels
+from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, gaussian_median
+from liaam.fitting.reference import CORRELATED, GRADIENT_ROWS, Problem
+from liaam.fitting.reference_loop import solve_level
 from liaam.model import AAM, Level
 from liaam.model.appearance import AppearanceModel
-from liaam.model.warp import Mesh, Warp, padded
+from liaam.model.warp import PiecewiseAffineWarp, Warp, padded
 from liaam.photometry.features import Encoder, name_of
 
-MOST_IDLE = 8
-"""Number of works kept for later fits; more are in use only while more threads fit at the same time."""
+RIDGE = 1e-6
+"""Ridge on A'A relative to the mode's squared norm before projection by the metric. It keeps modes that the metric
+cannot observe, such as pure shading under L(theta), at the mean; otherwise rounding errors determine them."""
 
 
 class State(NamedTuple):
@@ -60,15 +46,15 @@ class Objective:
         The training camera's angle, radians.
     prior : (n_p,) float64
         Precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels.
-    kernel : {"fast", "reference"}
     illumination : AppearanceModel, optional
         Illumination basis, for methods that add one.
     correlated : float
         Number of pixels per independent residual, for weights that do not account for correlation.
     density : float
         Fraction of the frame's pixels that are used.
-    freedom : float
-        Degrees of freedom of the prior's scale (:func:`liaam.fitting.steps.next_scale`); infinite for a scale of 1.
+    dof : float
+        Degrees of freedom of the prior's scale (:func:`liaam.fitting.reference_loop.next_prior_scale`); infinite for a
+        scale of 1.
     whole : Objective, optional
         The same objective over all of the frame's pixels, in the order of ``warp.kept``; by default this one.
     in_frame : (AppearanceModel, AppearanceModel or None), optional
@@ -81,11 +67,10 @@ class Objective:
     appearance: AppearanceModel
     theta_model: float
     prior: np.ndarray
-    kernel: str = "fast"
     illumination: AppearanceModel | None = None
     correlated: float = 1.0
     density: float = 1.0
-    freedom: float = np.inf
+    dof: float = np.inf
     whole: "Objective | None" = None
     in_frame: tuple[AppearanceModel, AppearanceModel | None] | None = None
 
@@ -102,137 +87,64 @@ class Objective:
     @property
     def n_lambda(self) -> int:
         """Number of appearance modes plus extra modes."""
-        return len(self.template.rows) - 1
+        return len(self.fields["rows"]) - 1
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the core can fit this objective; the reference fits any."""
+        return _core.BUILT and isinstance(self.warp, PiecewiseAffineWarp) and not self.method.normalise
 
     @cached_property
-    def row(self) -> Row:
-        """The method as arrays, numbers and functions."""
-        method, kernel = self.method, get_kernel(self.kernel)
-        loss = LOSSES.index(method.loss) if method.loss in LOSSES else -1
-        weigh = {"model": kernel.weigh_by_model, "noise": kernel.weigh_by_noise, "rows": kernel.weigh_by_rows}
-        return Row(
-            metric=method.metric_parts.astype(np.float32).reshape(3, -1),
-            directions=np.ascontiguousarray(method.angle_directions, dtype=np.float64),
-            weights=WEIGHTS.index(method.weights),
-            loss=loss,
-            median=gaussian_median(method.n_rows) if loss >= 0 else 1.0,
-            normalise=method.normalise,
-            evaluate_residual=kernel.evaluate_residual,
-            turn=kernel.turn_model if self._turns else without,
-            weigh=weigh[method.weights] if method.reweighs else without,
-            weigh_by_loss=kernel.weigh_by_loss if loss >= 0 else without,
-            solve_lambda=kernel.solve_lambda,
-            normalise_samples=kernel.normalise_samples if method.normalise else without,
-            whiten=kernel.whiten if method.weights == "noise" else without,
-            expect=kernel.expect if method.expects else without,
-            differentiate=kernel.differentiate,
-            add_angles=kernel.add_angles if method.free_angles != "none" else without,
-            damped=kernel.damped if method.step != "expected" else without,
-            raised=kernel.raised if method.expects else without,
-        )
+    def compiled(self) -> Any:
+        """The objective in the form that the core takes."""
+        return _core.make_objective(self.fields)
 
     @cached_property
-    def template(self) -> Template:
-        """The model's side of the residual, P(theta_1) A0 and P(theta_1) A_i."""
-        n, k = len(self.appearance.mean), self.method.n_rows
+    def fields(self) -> dict[str, Any]:
+        """Arrays and numbers of the objective, as ``src/core/objective.hpp`` names and describes them.
+
+        ``rows`` (1 + m, n k) are P(theta_1) A_0 and P(theta_1) A_i, and ``row_parts`` their constant, cos and sin parts
+        where theta_1 is free.
+        """
+        n, k, method = len(self.appearance.mean), self.method.n_rows, self.method
         parts = self._rows_of(self.appearance, self.illumination)
-        rows = self._at_model_angle(parts).reshape(-1, n * k)
-        slope_parts, m = self._slope_parts, len(rows) - 1
+        rows, slope_parts = self._at_model_angle(parts).reshape(-1, n * k), self._slope_parts
+        m, none = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
         lines = np.zeros((n * k, padded(m)), np.float32)
         lines[:, :m] = rows[1:].T
         own = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
         weighted = rows[1:].astype(np.float64) * own
-        return Template(
-            warp=self.warp if self.kernel == "reference" else self._mesh(),
-            rows=rows,
-            lines=lines.ravel(),
-            slopes=self._at_model_angle(slope_parts) if self._turns else slope_parts[0],
-            parts=parts.reshape(3, -1, n * k) if self._turns else np.zeros((0, 0, 0), np.float32),
-            slope_parts=slope_parts if self._turns else np.zeros((0, 0, 0), np.float32),
-            own=own,
-            gram=weighted @ weighted.T,
-            ridge=self._ridge(),
-            errors=self._errors(),
-            prior=np.array(self.prior, np.float64),
-            correlated=float(self.correlated),
-            freedom=float(self.freedom),
-            colours=self._knows_colours,
-        )
+        return {
+            **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
+            "rows": rows,
+            "lines": lines.ravel(),
+            "slopes": self._at_model_angle(slope_parts) if self._turns else slope_parts[0],
+            "row_parts": parts.reshape(3, -1, n * k) if self._turns else none,
+            "slope_parts": slope_parts if self._turns else none,
+            "sqrt_weights": own,
+            "gram": weighted @ weighted.T,
+            "ridge": self._ridge(),
+            "errors": self._errors(),
+            "prior": np.array(self.prior, np.float64),
+            "correlated": float(self.correlated),
+            "dof": float(self.dof),
+            "colours": self._knows_colours,
+            "metric": method.metric_parts.astype(np.float32).reshape(3, -1),
+            "directions": np.ascontiguousarray(method.angle_directions, dtype=np.float64),
+            "weighting": WEIGHTS.index(method.weights),
+            "loss": LOSSES.index(method.loss) + 1 if method.loss in LOSSES else 0,
+            "gaussian_median": gaussian_median(method.n_rows) if method.loss in LOSSES else 1.0,
+            "step": STEPS.index(method.step),
+        }
 
     def __getstate__(self) -> dict:
-        """Leave out compiled functions and addresses, which are valid in this process only."""
-        return {name: value for name, value in self.__dict__.items() if name not in ("row", "given", "_idle")}
-
-    @cached_property
-    def given(self) -> tuple[Any, Any]:
-        """The template and the row in the form that the kernel takes."""
-        return get_kernel(self.kernel).by_reference(self.template), get_kernel(self.kernel).by_reference(self.row)
+        """Leave out what the core holds, which is valid in this process only."""
+        return {name: value for name, value in self.__dict__.items() if name != "compiled"}
 
     @property
     def _turns(self) -> bool:
         """Whether theta_1, and so the model's side, changes during a fit."""
         return bool(self.method.angle_directions[0].any())
-
-    @cached_property
-    def _idle(self) -> list[tuple[Work, Any]]:
-        """Works that fits have released, and their form for the kernel: making both takes 0.1 ms a level."""
-        return []
-
-    def borrow(self, state: State, max_iterations: int) -> tuple[Work, Any]:
-        """Return the arrays of a fit (see :meth:`work`), perhaps of an earlier fit, and their form for the kernel."""
-        idle = None
-        with suppress(IndexError):  # there are none, or another thread has taken the last
-            idle = self._idle.pop()
-        if idle and len(idle[0].costs) > max_iterations:
-            work, given = idle
-            return self._begin(work, state), given
-        work = self.work(state, max_iterations)
-        return work, get_kernel(self.kernel).by_reference(work)
-
-    def release(self, work: Work, given: Any) -> None:
-        """Let another fit use the arrays of :meth:`borrow`."""
-        if given is not None and len(self._idle) < MOST_IDLE:
-            self._idle.append((work, given))
-
-    def _begin(self, work: Work, state: State) -> Work:
-        """Set the arrays of a fit to a state, to the model's weights, and to what is unknown before the first step."""
-        work.p[:], work.angles[:], work.lam[:] = state
-        work.own[:] = work.weighed[:] = self.template.own
-        work.gram[:] = self.template.gram
-        work.known[:] = work.unexplained[:] = np.nan
-        work.last_step[:] = work.base[:] = work.noise[:] = 0.0
-        work.by_model[:] = 1.0
-        unit = 1.0 if self.method.weights == "noise" else np.nan
-        work.scales[:] = unit, 1.0, 0.0, 1.0, 1.0, LEAST_CURVATURE, 0.0
-        return work
-
-    def work(self, state: State, max_iterations: int = 0) -> Work:
-        """Allocate the arrays of a fit, at a state and with the model's weights."""
-        names, template = ("rows", "lines", "slopes"), self.template
-        turned = {name: getattr(template, name).copy() if self._turns else getattr(template, name) for name in names}
-        arrays = {name: np.zeros(shape, dtype) for name, (dtype, shape) in self._shapes.items()}
-        return self._begin(Work(**arrays, **turned, **self.trace(max_iterations)), state)
-
-    def trace(self, n_steps: int) -> dict[str, np.ndarray]:
-        """Allocate the arrays of :class:`Work` for costs, parameters and angles of so many steps."""
-        n = n_steps + 1
-        return {"costs": np.empty(n), "path": np.empty((n, self.warp.n_parameters)), "turns": np.empty((n, 2))}
-
-    @cached_property
-    def _shapes(self) -> dict[str, tuple[str, tuple[int, ...]]]:
-        """Type and shape of the arrays of a fit."""
-        method, n, n_p, n_q, m = self.method, len(self.appearance.mean), self.warp.n_parameters, self.n_q, self.n_lambda
-        by_noise = method.weights == "noise"
-        pixels = {
-            "n_noise": by_noise,
-            "n_turned": by_noise and n_q > n_p,
-            "n_known": method.weighs_noise,
-            "n_expected": method.expects,
-        }
-        sizes = {"n": n, "k": method.n_rows, "v": len(self.template.warp.rest), "n_p": n_p, "n_free": n_q - n_p}
-        sizes |= {"n_q": n_q, "m": m, "w_p": padded(n_p), "w_m": padded(m)}
-        sizes |= {name: n if used else 0 for name, used in pixels.items()}
-        return work_shapes(sizes)
 
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
@@ -249,12 +161,6 @@ class Objective:
         constant = np.broadcast_to(biases[self.method.bias], (len(biases[self.method.bias]), *parts[0].shape[1:]))
         parts = [np.concatenate([part, constant if i == 0 else 0.0 * constant]) for i, part in enumerate(parts)]
         return np.stack(parts).astype(np.float32)
-
-    def _mesh(self) -> Mesh:
-        make = getattr(self.warp, "mesh", None)
-        if make is None:
-            raise MethodError(f"kernel {self.kernel!r} takes meshes only; use kernel 'reference'")
-        return make()
 
     def _ridge(self) -> np.ndarray:
         """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
@@ -280,9 +186,9 @@ class Objective:
         if self.method.weights != "rows" or unexplained is None or not usable.any():
             return 0.0
         variances = np.average(np.einsum("ncc->nc", unexplained), axis=0, weights=usable)
-        group = np.where(np.arange(len(variances)) < 2, GRADIENTS, COLOUR)
-        precisions = 1.0 / (np.array(CORRELATED)[group] * np.maximum(variances, 1e-9))
-        return float(self.correlated / np.where(self._knows_colours | (group == GRADIENTS), precisions, 0.0).mean())
+        group = np.where(np.arange(len(variances)) < GRADIENT_ROWS, 0, 1)
+        precisions = 1.0 / (CORRELATED[group] * np.maximum(variances, 1e-9))
+        return float(self.correlated / np.where(self._knows_colours | (group == 0), precisions, 0.0).mean())
 
     @property
     def _knows_colours(self) -> bool:
@@ -316,56 +222,51 @@ class Objective:
         metric = self.method.model_metric(self.theta_model)
         return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
 
-    def picture(self, problem: FitProblem) -> Picture:
-        """Return a problem's image in the form that the loop takes."""
-        # In an image smaller than the model's frame, one image pixel covers several model pixels.
-        tied = max(correlated_pixels(problem.blur), 1.0 / problem.pose.scale**2)
-        return problem.picture(max(1.0, self.density * tied), self.method.weighs_noise)
-
     def start(self, p: np.ndarray) -> State:
         """Return a state with the mean appearance and the model's angle for both cameras."""
         return State(np.array(p, np.float64), np.full(2, self.theta_model), np.zeros(self.n_lambda))
 
-    def evaluate(self, problem: FitProblem, state: State, weigh: int = 0) -> Work:
-        """Evaluate the residual of a state without solving for lambda, and update the weights ``weigh`` times."""
-        kernel, work = get_kernel(self.kernel), self.work(state)
-        (template, row), seen = self.given, kernel.by_reference(work)
-        picture = kernel.by_reference(self.picture(problem))
-        kernel.evaluate_residual(template, picture, row, seen, False)
-        kernel.solve_lambda(template, row, seen, False, False)
-        for _ in range(weigh if self.method.reweighs else 0):
-            if self.row.weigh(template, picture, row, seen):
-                if self.row.loss >= 0:
-                    self.row.weigh_by_loss(template, row, seen)
-                kernel.solve_lambda(template, row, seen, True, False)
-        return work
+    def mean_at(self, theta: float) -> np.ndarray:
+        """Return P(theta_1) A_0, (n k,)."""
+        if not self._turns:
+            return self.fields["rows"][0]
+        return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["row_parts"][:, 0]
 
-    def equations(self, work: Work) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Hessian J'QJ (n_q, n_q) and the gradient J'Qr (n_q,) of eq 5, from the image's own gradient."""
-        kernel = get_kernel(self.kernel)
-        kernel.differentiate(*self.given, kernel.by_reference(work), work.image_slopes, work.image_slopes)
-        return work.hessian, work.gradient
+    def problem(self, image: LevelImage) -> Any:
+        """Return the objective at an image, in the parts that the loop calls (:class:`Problem`)."""
+        return _core.Problem(self.compiled, image.compiled) if self.is_compiled else Problem(self, image)
 
-    def unit(self, work: Work) -> float:
-        """Return the variance at weight 1, including correlation, from the weights or else from the cost."""
-        if self.method.weights == "rows" and np.isfinite(work.scales[UNIT]):
-            return float(work.scales[UNIT])
-        return float(self.correlated * work.sums[0] / work.sums[1]) if work.sums[1] > 0 else 0.0
+    def evaluate(self, image: LevelImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
+        """Evaluate the residual of a state, solve for lambda there if asked, and update the weights ``weigh`` times.
 
-    def solve(self, problem: FitProblem, work: Work, controls: Controls, given: Any = None) -> None:
-        """Minimise the cost over one image from the state in ``work``: one call of the loop.
-
-        ``given`` is the form of ``work`` that the kernel takes, if known (:meth:`borrow`).
+        Returns
+        -------
+        dict
+            The arrays of :meth:`Problem.arrays`.
         """
-        kernel = get_kernel(self.kernel)
-        expects = controls.expected or self.method.step == "expected"
-        if expects > self.method.expects or controls.reweigh > self.method.reweighs:
-            raise MethodError(f"method {self.method.name} has no such steps or weights")
-        if expects and not controls.expected and controls.max_iterations:
-            raise MethodError(f"method {self.method.name} takes no steps with the image's own gradient")
-        template, row = self.given
-        picture, controls = map(kernel.by_reference, (self.picture(problem), controls))
-        kernel.solve_level(template, picture, row, controls, kernel.by_reference(work) if given is None else given)
+        problem = self.problem(image)
+        problem.begin(state.p, tuple(state.angles), state.lam)
+        problem.evaluate(solves)
+        for _ in range(weigh):
+            problem.reweigh(solves)
+        return problem.arrays()
+
+    def solve(self, image: LevelImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
+        """Minimise the cost over one image from a state (:class:`liaam.fitting.solver.SolverOptions`).
+
+        A fit that fails is returned, not raised. The solution is a ``LevelFit`` of the core or of the reference.
+        """
+        p, angles, lam = state.p, tuple(state.angles.tolist()), state.lam
+        if self.is_compiled and options.elimination == "varpro":
+            controls = options.as_dict, image.blur, evaluate_last
+            return _core.solve_level(self.compiled, image.compiled, p, angles, lam, *controls)
+        return solve_level(self, image, p, angles, lam, options, image.blur, evaluate_last)
+
+    def noise_variance(self, solution: Any) -> float:
+        """Return the variance at weight 1, including correlation, from the weights or else from the cost."""
+        if self.method.weights == "rows" and np.isfinite(solution.noise_variance):
+            return float(solution.noise_variance)
+        return float(self.correlated * solution.squares / solution.weight) if solution.weight > 0 else 0.0
 
 
 THINNING = 1.5
@@ -374,16 +275,13 @@ protocol ``soft-li`` has a median error of 4.03 % with all pixels, 4.05 with hal
 a quarter. The 90th percentile is 5.6 in each case."""
 
 
-def make_objectives(
-    model: AAM, method: Method, kernel: str = "fast", thinning: float | None = None
-) -> tuple[Objective, ...]:
+def make_objectives(model: AAM, method: Method, thinning: float | None = None) -> tuple[Objective, ...]:
     """Make the objectives of a model and a method, one per level, coarse to fine.
 
     Parameters
     ----------
     model : AAM
     method : Method
-    kernel : {"fast", "reference"}
     thinning : float, optional
         Distance between sampled pixels, in standard deviations of a level's blur. By default :data:`THINNING`, and 0
         (every pixel) for orientations: they are normalised after the blur, so neighbours are less redundant. Measured
@@ -401,18 +299,17 @@ def make_objectives(
         )
     method = _encoded(model, method)
     _check_holds(model, method)
-    get_kernel(kernel)
     if thinning is None:
         thinning = 0.0 if method.encoding == "orientation" else THINNING
-    return tuple(_objective(model, method, kernel, level, thinning) for level in model.views[method.view].levels)
+    return tuple(_objective(model, method, level, thinning) for level in model.views[method.view].levels)
 
 
-def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: float) -> Objective:
+def _objective(model: AAM, method: Method, level: Level, thinning: float) -> Objective:
     """Make the objective of one level, on a thinned set of pixels."""
     appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
     warp = model.views[method.view].warp
     # Estimating the prior's scale needs weights that account for correlation.
-    freedom = warp.shape_model.freedom if method.weights == "rows" else np.inf
+    dof = warp.shape_model.freedom if method.weights == "rows" else np.inf
     # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
     prior = np.concatenate([1.0 / np.maximum(warp.shape_model.eigenvalues, 1e-12), np.zeros(4)])
 
@@ -424,11 +321,10 @@ def _objective(model: AAM, method: Method, kernel: str, level: Level, thinning: 
             appearance.at(kept),
             model.theta,
             prior,
-            kernel,
             None if illumination is None else illumination.at(kept),
             correlated=max(1.0, density * correlated_pixels(level.blur)),
             density=density,
-            freedom=freedom,
+            dof=dof,
             whole=whole,
             in_frame=(appearance, illumination),
         )

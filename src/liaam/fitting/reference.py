@@ -1,302 +1,332 @@
-"""Reference implementation of the compiled loops over pixels, in plain NumPy.
+"""The level of a fit in NumPy, as one would write it beside the paper: residual, weights, derivatives.
 
-These functions define the results of those of the same names in :mod:`liaam.fitting.residual`, ``jacobian``,
-``weights``, ``equations`` and ``evaluate``, whose docstrings describe the parameters. Jacobians are formed in full, in
-double precision. :attr:`liaam.fitting.level.Template.warp` may be any :class:`liaam.model.warp.Warp`.
+:class:`Problem` defines the results of the compiled core (``src/core``), which is tested against it, and replaces it
+where the core could not be built. It also fits what the core leaves out: homographies, photometric normalisation, and
+the joint elimination of the appearance. The loop over it is :mod:`liaam.fitting.reference_loop`.
+
+Arrays of pixels are (n, k) float64, for k rows of the metric P.
 """
+
+from typing import Any
 
 import numpy as np
 
-from liaam.fitting.level import COLOUR, CORRELATED, GAIN, GRADIENTS, OFFSET, SHOWN, UNIT, Picture, Row, Template, Work
-from liaam.fitting.weights import FACTORS, LEARNT, MOST_DIRECTION_NOISE, UNKNOWN
-from liaam.kernels.reference import sample
-from liaam.model.warp import Warp
+from liaam.fitting.level_image import LevelImage
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
+from liaam.reference import sample
+
+UNKNOWN = 1e5
+"""Variance assigned to a pixel whose logarithm is not usable."""
+
+LEAST_UNEXPLAINED = 0.02
+"""Lower bound on the unexplained variance, as a fraction of the residual's."""
+
+MOST_DIRECTION_NOISE = 0.5
+"""Upper bound on the variance of each component of a direction: that of a random direction."""
+
+ALIKE, CHANGED = 0.2, 0.02
+"""Change of the logarithm of an unexplained variance, and fraction of pixels that become usable or cease to be, below
+which weights are kept."""
+
+GRADIENT_ROWS, CORRELATED = 2, np.array([8.0, 30.0])
+"""Number of rows of ``soft`` that are gradients (the others are colour), and factors on the number of correlated pixels
+for the model's errors in gradients and in colour: they are patches rather than grains, and widest in colour."""
+
+FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))
+"""Candidate factors on the model's learnt errors; the most likely one is used."""
+
+LEARNT = 6
+"""Number of the loss ``learnt``."""
 
 
-def by_reference(fields):
-    """Return the tuple itself."""
-    return fields
+class Problem:
+    """An objective at one encoded image, with the state of the fit and all that follows from it.
 
+    Parameters
+    ----------
+    objective : liaam.fitting.objective.Objective
+    image : LevelImage
+    """
 
-def copy(given: np.ndarray, out: np.ndarray) -> None:
-    """Copy an array."""
-    out[:] = given
+    def __init__(self, objective: Any, image: LevelImage) -> None:
+        self.warp, self.f, self.image = objective.warp, objective.fields, image
+        self.normalise = objective.method.normalise
+        self.n, self.k = len(self.f["errors"]), len(self.f["metric"][0]) // 8
+        self.rows, self.slopes = self.f["rows"].astype(np.float64), self.f["slopes"]
 
+    def begin(self, p: np.ndarray, angles, lam: np.ndarray) -> None:
+        """Set a state, and the model's weights."""
+        f = self.f
+        self.set_state(p, angles, lam)
+        self.own = f["sqrt_weights"].reshape(self.n, self.k).astype(np.float64)
+        self.base_sqrt_weights, self.sqrt_weights = self.own.copy(), self.own.copy()
+        self.weight_slope = np.zeros((self.n, self.k))
+        self.channel_noise, self.model_variance = np.zeros((self.n, 8)), np.ones(self.n)
+        self.variance = np.ones((self.n, self.k))
+        self.noise_variance = 1.0 if f["weighting"] == 1 else np.nan
+        self.known_before, self.unexplained_before = np.full(self.n, np.nan), np.full(2, np.nan)
+        self.gain, self.offset = 1.0, 0.0
+        n_q = len(self.p) + f["directions"].shape[1]
+        self.expected_hessian = np.zeros((n_q, n_q))
 
-def sample_picture(template: Template, picture: Picture, work: Work) -> None:
-    """Sample the image term of eq 9, P(theta_2) E(I(W(x; p))), and its spatial gradient."""
-    matrix, metric = picture.similarity[:, :2], work.metric.reshape(-1, 8).astype(np.float64)
-    points = template.warp.points(work.p) @ matrix.T + picture.similarity[:, 2]
-    values, gradients, work.usable[:] = sample(picture.pixels.reshape(picture.height, picture.width, 8), points)
-    by_x, by_y = gradients[:, 0] @ metric.T, gradients[:, 1] @ metric.T  # per image pixel
-    work.values[:], work.residual[:] = values.ravel(), (values @ metric.T).ravel()
-    work.image_slopes[0::2] = (by_x * matrix[0, 0] + by_y * matrix[1, 0]).ravel()
-    work.image_slopes[1::2] = (by_x * matrix[0, 1] + by_y * matrix[1, 1]).ravel()
+    def set_state(self, p: np.ndarray, angles, lam: np.ndarray) -> None:
+        """Set the unknowns: p, (theta_1, theta_2) and lambda."""
+        self.p, self.angles, self.lam = (np.array(each, np.float64) for each in (p, angles, lam))
 
+    @property
+    def modes(self) -> np.ndarray:
+        """P(theta_1) A_i, (m, n k)."""
+        return self.rows[1:]
 
-def turn(parts: np.ndarray, theta: float, rows: np.ndarray) -> None:
-    """Combine the parts of rows at an angle theta_1."""
-    rows[:] = parts[0] + np.cos(theta) * parts[1] + np.sin(theta) * parts[2]
+    def evaluate(self, solves: bool) -> None:
+        """Compute the residual of eq 10 and its squares, with the best lambda if ``solves``."""
+        self._set_metric()
+        self._project_model()
+        matrix, offset = self.image.from_model.matrix, self.image.from_model.offset
+        points = self.warp.points(self.p) @ matrix.T + offset  # W(x; p), eq 3
+        self.values, by_place, self.usable = sample(self.image.channels, points)
+        self.samples = self.values @ self.metric.T
+        self.sample_slopes = np.einsum("nac,kc->nka", by_place, self.metric) @ matrix  # by x and y, model pixels
+        if solves:
+            self.lam[:] = 0.0
+        self._subtract_appearance()
+        self.solve_appearance(False, solves)
 
+    def _set_metric(self) -> None:
+        """P(theta_2), whose invariant row is L(theta_2) (eq 7 and 8), and its derivative."""
+        constant, by_cos, by_sin = self.f["metric"].reshape(3, self.k, 8).astype(np.float64)
+        c, s = np.cos(self.angles[1]), np.sin(self.angles[1])
+        self.metric, self.metric_slope = constant + c * by_cos + s * by_sin, c * by_sin - s * by_cos
 
-def transpose(rows: np.ndarray, lines: np.ndarray) -> None:
-    """Transpose the modes."""
-    lines.reshape(rows.shape[1], -1)[:, : len(rows) - 1] = rows[1:].T
+    def _project_model(self) -> None:
+        """P(theta_1) A_0 and P(theta_1) A_i, and their gradients, where theta_1 is free."""
+        if self.f["row_parts"].size:
+            at = np.array([1.0, np.cos(self.angles[0]), np.sin(self.angles[0])])
+            self.rows = np.tensordot(at, self.f["row_parts"].astype(np.float64), axes=1)
+            self.slopes = np.tensordot(at, self.f["slope_parts"], axes=1)
 
+    def _subtract_appearance(self) -> None:
+        """Samples minus the appearance (eq 4)."""
+        shown = self.gain * self.samples + self.offset * self.metric[:, :7].sum(axis=1)
+        self.residual = shown - self._combined(self.rows).reshape(self.n, self.k)
+        self.gradients = self.gain * self.sample_slopes
 
-def project(work: Work) -> None:
-    """Project gain * E(I) + offset."""
-    scales = work.scales
-    metric = work.metric.reshape(-1, 8)[:, :7].astype(np.float64)
-    shown = work.values.reshape(-1, 8)[:, :7] @ metric.T
-    work.residual[:] = (scales[GAIN] * shown + scales[OFFSET] * metric.sum(axis=1)).ravel()
-    work.image_slopes[:] *= np.float32(scales[GAIN] / scales[SHOWN])
-    scales[SHOWN] = scales[GAIN]
+    def _combined(self, rows: np.ndarray) -> np.ndarray:
+        return np.concatenate([[1.0], self.lam]) @ rows
 
+    def solve_appearance(self, weighed: bool, solves: bool) -> None:
+        """Solve (A'A + ridge) dl = A'r for the step of lambda, if ``solves``, and sum the squares that are left."""
+        if self.f["weighting"] == 1:
+            self._weigh_at_angle()
+        elif weighed:
+            self.sqrt_weights = self.base_sqrt_weights.copy()
+        self.masked = self.sqrt_weights * self.usable[:, None]
+        ridge, weighted = self.f["ridge"], self.modes * self.masked.ravel()
+        self.gram = weighted @ weighted.T
+        try:
+            self.factor = np.linalg.cholesky(self.gram + np.diag(ridge))
+        except np.linalg.LinAlgError:  # by rounding: use the diagonal, for small steps of lambda
+            self.factor = np.diag(np.sqrt(np.maximum(self.gram.diagonal(), 0.0) + ridge))
+        self.ar = weighted @ (self.masked * self.residual).ravel() - ridge * self.lam
+        if solves:
+            step = self.solve_modes(self.ar)
+            self.lam += step
+            self.residual = self.residual - (step @ self.modes).reshape(self.n, self.k)
+            self.ar = np.zeros_like(self.ar)
+        self.squares = float(np.square(self.masked * self.residual).sum())
+        self.weight = float(np.square(self.masked).sum())
 
-def take_off(work: Work) -> None:
-    """Subtract the appearance (eq 4) from samples."""
-    work.residual[:] -= np.concatenate([[1.0], work.lam]) @ work.rows.astype(np.float64)
+    def solve_modes(self, right: np.ndarray) -> np.ndarray:
+        """Multiply by (A'A + ridge)^-1."""
+        return np.linalg.solve(self.factor.T, np.linalg.solve(self.factor, right)) if len(right) else right
 
+    # Derivatives
 
-def mask(own: np.ndarray, usable: np.ndarray, root: np.ndarray) -> int:
-    """Set the weights of unusable pixels to 0, and count these."""
-    root[:] = (own.reshape(len(usable), -1) * usable[:, None]).ravel()
-    return int((usable == 0).sum())
+    def differentiate(self, image_in_j: bool, image_in_e: bool) -> None:
+        """Compute the Hessian E'QJ and the gradient E'Qr, with Q the projection on the complement of the modes.
 
-
-def sum_squares(work: Work, own: np.ndarray, sums: np.ndarray) -> None:
-    """Sum weights, weighted samples and their squares, and weighted squares of the residual."""
-    n, rows = len(work.usable), len(sums)
-    weights = work.usable[:, None] * np.square(own.reshape(n, -1)[:, :rows], dtype=np.float64)
-    samples = work.scales[GAIN] * (work.values.reshape(n, 8) @ work.metric.reshape(-1, 8)[:rows].T).astype(np.float64)
-    left = work.residual.reshape(n, -1)[:, :rows].astype(np.float64)
-    parts = weights, weights * samples, weights * np.square(samples), weights * np.square(left)
-    sums[:] = np.stack([part.sum(axis=0) for part in parts], axis=1)
-
-
-def with_modes(rows: np.ndarray, root: np.ndarray, column: np.ndarray, line: np.ndarray, out: np.ndarray) -> None:
-    """Compute weighted products of a column with the modes, A'c."""
-    out[: len(rows) - 1] = rows[1:].astype(np.float64) @ (np.square(root.astype(np.float64)) * column)
-
-
-def subtract(work: Work) -> None:
-    """Subtract modes from the residual, and sum its weighted squares."""
-    work.residual[:] -= work.lam_step @ work.rows[1:].astype(np.float64)
-    weights = np.square(work.root.astype(np.float64))
-    work.sums[:] = weights @ np.square(work.residual.astype(np.float64)), weights.sum()
-
-
-def weighted_gram(rows: np.ndarray, root: np.ndarray, block: np.ndarray, gram: np.ndarray) -> None:
-    """Compute A'A under weights."""
-    weighted = rows[1:].astype(np.float64) * root
-    gram[:] = weighted @ weighted.T
-
-
-def factorise(template: Template, work: Work, _unseen: int) -> None:
-    """Compute the Cholesky factor of A'A + ridge over the usable pixels."""
-    own, m = work.own, len(work.gram)
-    blind = own * np.repeat(work.usable == 0, len(own) // len(work.usable))
-    unseen_modes = (work.lines.reshape(len(own), -1)[:, :m] * blind[:, None]).astype(np.float64)
-    work.factor[:] = np.linalg.cholesky(work.gram - unseen_modes.T @ unseen_modes + np.diag(template.ridge))
-
-
-def expect(template: Template, work: Work) -> None:
-    """Compute the spatial gradient of the fitted appearance, transformed to the image."""
-    appearance_slopes = np.concatenate([[1.0], work.lam]) @ work.slopes
-    work.expected[:] = template.warp.pulled(appearance_slopes.reshape(len(work.usable), 2, -1), work.p).ravel()
-
-
-def jacobian(warp: Warp, p: np.ndarray, image_slopes: np.ndarray) -> np.ndarray:
-    """Return dr/dp = dr/dW dW/dp (eq 10), (n k, n_p) float64, from spatial gradients dr/dW (2 n k,)."""
-    by_warp = warp.jacobian(p)
-    by_x, by_y = np.moveaxis(image_slopes.reshape(len(by_warp), -1, 2, 1).astype(np.float64), 2, 0)
-    return (by_x * by_warp[:, None, 0] + by_y * by_warp[:, None, 1]).reshape(-1, by_warp.shape[2])
-
-
-def sum_products(template: Template, work: Work, image_slopes: np.ndarray, expected: np.ndarray) -> None:
-    """Compute E'J, A'J and E'r, and E' times the columns of the angles."""
-    n_p, root = len(work.p), work.root[:, None].astype(np.float64)
-    J = root * jacobian(template.warp, work.p, image_slopes)
-    E = J if expected is image_slopes else root * jacobian(template.warp, work.p, expected)
-    by_angles = root * work.columns.T
-    work.hessian[:n_p, :n_p] = E.T @ J
-    work.hessian[:n_p, n_p:] = E.T @ by_angles
-    work.hessian[n_p:, :n_p] = work.hessian[:n_p, n_p:].T
-    work.gradient[:n_p] = E.T @ (root[:, 0] * work.residual)
-    work.aj[:, :n_p] = (work.rows[1:] * root[:, 0]) @ J
-
-
-def dots(work: Work, f: int) -> None:
-    """Compute weighted products of an angle column with all angle columns and with the residual."""
-    columns, n_p = work.columns, len(work.p)
-    weighted = np.square(work.root.astype(np.float64)) * columns[f]
-    work.hessian[n_p + f, n_p:], work.gradient[n_p + f] = columns @ weighted, work.residual @ weighted
-
-
-def angle_column(template: Template, row: Row, work: Work, f: int) -> None:
-    """Differentiate the weighted residual by a free angle, divided by the square root of the weight."""
-    (by_model, by_image), theta, parts = row.directions[:, f], work.angles[0], template.parts
-    change = (work.values.reshape(-1, 8)[:, :7] @ work.slope.reshape(-1, 8)[:, :7].T).ravel()
-    own_change = work.own_derivative * work.residual if len(work.own_derivative) else 0.0
-    work.columns[f] = by_image * (change + own_change)
-    if len(parts):
-        work.columns[f] -= by_model * (
-            np.concatenate([[1.0], work.lam]) @ (np.cos(theta) * parts[2] - np.sin(theta) * parts[1])
+        J has the image's own gradient, or the one that the model expects; so has E.
+        """
+        n_p, masked = len(self.p), self.masked.ravel()
+        if not (image_in_j and image_in_e):
+            self.expected = self.model_gradient()
+        self.columns = self.angle_columns()
+        by_angles = self.columns.T * masked[:, None]
+        J, E = (
+            np.hstack([masked[:, None] * self.by_parameters(own), by_angles])
+            for own in (
+                self.gradients if image_in_j else self.expected,
+                self.gradients if image_in_e else self.expected,
+            )
         )
+        self.aj = (self.modes * masked) @ J
+        hessian = E.T @ J
+        hessian[n_p:, :n_p] = hessian[:n_p, n_p:].T
+        hessian -= self.aj.T @ self.solve_modes(self.aj)
+        self.hessian = 0.5 * (hessian + hessian.T)
+        self.gradient = E.T @ (masked * self.residual.ravel()) - self.aj.T @ self.solve_modes(self.ar)
 
+    def by_parameters(self, gradients: np.ndarray) -> np.ndarray:
+        """dr/dp = dr/dW dW/dp, (n k, n_p), from spatial gradients dr/dW (n, k, 2)."""
+        return np.einsum("nka,nai->nki", gradients, self.warp.jacobian(self.p), optimize=True).reshape(-1, len(self.p))
 
-def movement(template: Template, work: Work) -> float:
-    """Return the root mean square movement of the landmarks by a step."""
-    return template.warp.movement(work.step[: len(work.p)])
+    def model_gradient(self) -> np.ndarray:
+        """Spatial gradient of the fitted appearance, transformed to the image, (n, k, 2)."""
+        slopes = self._combined(self.slopes).reshape(self.n, 2, self.k)
+        return self.warp.pulled(slopes, self.p).astype(np.float64)
 
+    def angle_columns(self) -> np.ndarray:
+        """Derivatives by the free angles, (n_free, n k): L'(theta_2) log I and -L'(theta_1) A."""
+        change = self.values @ self.metric_slope.T + self.weight_slope * self.residual
+        columns = []
+        for by_model, by_image in self.f["directions"].T:
+            column = by_image * change.ravel()
+            if self.f["row_parts"].size:
+                _, by_cos, by_sin = self.f["row_parts"].astype(np.float64)
+                c, s = np.cos(self.angles[0]), np.sin(self.angles[0])
+                column = column - by_model * self._combined(c * by_sin - s * by_cos)
+            columns.append(column)
+        return np.array(columns).reshape(-1, self.n * self.k)
 
-def cholesky(matrix: np.ndarray) -> bool:
-    """Write the Cholesky factor to the lower triangle."""
-    if not np.isfinite(np.tril(matrix)).all():
-        return False
-    try:
-        matrix[:] = np.linalg.cholesky(np.tril(matrix) + np.tril(matrix, -1).T)
-    except np.linalg.LinAlgError:
-        return False
-    return True
+    # Weights
 
+    def reweigh(self, solves: bool) -> bool:
+        """Update the weights at the current residual; return whether they changed."""
+        ways = (self._weigh_by_model, self._weigh_by_noise, self._weigh_by_rows)
+        changes = self.f["weighting"] > 0 or self.f["loss"] > 0 or self.normalise
+        if not changes or not ways[self.f["weighting"]]():
+            return False
+        if self.f["loss"]:
+            self._weigh_by_loss()
+        if self.normalise:
+            self._subtract_appearance()
+        self.solve_appearance(True, solves)
+        return True
 
-def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
-    """Replace R by L^-1 R."""
-    right[:] = np.linalg.solve(np.tril(factor), right)
+    @property
+    def counts(self) -> np.ndarray:
+        """Pixels that are usable and have a weight, (n,) bool."""
+        return self.usable * self.own[:, 0] > 0
 
+    def _weigh_by_model(self) -> bool:
+        if not self.usable.any():
+            return False
+        self.base_sqrt_weights = self.own.copy()
+        if self.normalise:
+            mean, seen = (each[self.counts] for each in (self.rows[0].reshape(self.n, self.k), self.samples))
+            spread, deviation = (float(each.std()) if each.size else 0.0 for each in (mean, seen))
+            self.gain = spread / deviation if deviation > 1e-6 else 1.0
+            self.offset = float(mean.mean() - self.gain * seen.mean()) if mean.size else 0.0
+        return True
 
-def solve(factor: np.ndarray, right: np.ndarray) -> None:
-    """Replace r by (L L')^-1 r."""
-    lower = np.tril(factor)
-    right[:] = np.linalg.solve(lower.T, np.linalg.solve(lower, right))
+    def _weigh_by_rows(self) -> bool:
+        """Weigh each row by noise and by the unexplained variance of its group."""
+        noise = self._row_noise()
+        counts = self.counts[:, None] & (noise < 0.5 * UNKNOWN)
+        group = np.where(np.arange(self.k) >= GRADIENT_ROWS, 1, 0)
+        squares = np.square(self.residual)
+        self.unexplained = np.empty(2)
+        for g in (0, 1):
+            counted, own = counts[:, group == g], squares[:, group == g]
+            number = max(int(counted.sum()), 1)
+            least = LEAST_UNEXPLAINED * own[counted].sum() / number + 1e-9
+            self.unexplained[g] = max((own - noise[:, group == g])[counted].sum() / number, least)
+        with np.errstate(invalid="ignore"):
+            alike = np.abs(np.log(self.unexplained / self.unexplained_before)) < ALIKE
+        same = alike.all() and (self.known != self.known_before).sum() <= CHANGED * self.n
+        if not counts.any() or (same and not self.f["loss"]):
+            return False
+        self.known_before, self.unexplained_before = self.known, self.unexplained
+        self.variance = self.image.correlated * (noise + CORRELATED[group] * self.unexplained[group])
+        self.noise_variance = float(1.0 / (1.0 / self.variance[self.counts]).mean())
+        self.base_sqrt_weights = self.own * np.sqrt(self.noise_variance / self.variance)
+        return True
 
+    def _row_noise(self) -> np.ndarray:
+        """Variance of the rows of ``soft`` due to noise, to first order, (n, k).
 
-def solve_raised(matrix: np.ndarray, least: float, lines: np.ndarray, rotations: np.ndarray, right: np.ndarray) -> bool:
-    """Replace r by (M+ + least)^-1 r, with 0 in place of the negative eigenvalues of M."""
-    values, vectors = np.linalg.eigh(matrix)
-    right[:] = vectors @ ((vectors.T @ right) / (np.maximum(values, 0.0) + least))
-    return True
+        With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the square root follows from |o|.
+        """
+        direction, logs = self.values[:, :2], self.values[:, 2:5]
+        self.known = ((self.values[:, 5] >= 0.99) & self.f["colours"]).astype(float)
+        deviation, light = self._log_noise(logs), np.exp(np.clip(logs, -20.0, 20.0)) * BRIGHTNESS
+        slope = np.square(self.image.slope_left * deviation * light).sum(axis=1)
+        slope /= np.square(light.sum(axis=1) + LOG_FLOOR)
+        rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)
+        noise = np.zeros((self.n, 8))
+        of_direction = (slope * rest / SOFTNESS**2)[:, None] * (1.0 - np.square(direction) * (1.0 + rest)[:, None])
+        noise[:, :2] = np.minimum(of_direction, MOST_DIRECTION_NOISE)
+        noise[:, 2:5] = np.where(self.known[:, None] > 0, self._log_variance(deviation), UNKNOWN)
+        return noise @ np.square(self.metric).T
 
+    def _log_noise(self, logs: np.ndarray) -> np.ndarray:
+        """Standard deviation of logarithms due to noise, from the image's table."""
+        first, last = self.image.log_range
+        at = np.linspace(first, last, len(self.image.log_noise))
+        return np.interp(np.nan_to_num(logs, nan=first), at, self.image.log_noise)
 
-def eliminate(work: Work) -> None:
-    """Compute the symmetrised J'QJ, and J'Qr (eq 5)."""
-    factor, aj, hessian = work.factor, work.aj, work.hessian
-    inverse = np.linalg.inv(np.tril(factor) @ np.tril(factor).T) if len(aj) else np.zeros((0, 0))
-    hessian[:] -= aj.T @ inverse @ aj
-    hessian[:] = 0.5 * (hessian + hessian.T)
-    work.gradient[:] -= aj.T @ inverse @ work.ar
+    def _log_variance(self, deviation: np.ndarray) -> np.ndarray:
+        """Variance of logarithms: the blur reduces it, but not the bias due to the logarithm's curvature."""
+        return np.square(self.image.value_left * deviation) + np.square(0.5 * np.square(deviation))
 
+    def _weigh_by_noise(self) -> bool:
+        """Compute variances due to noise and due to the model's errors; those of the rows depend on theta_2."""
+        if not self.usable.any():
+            return False
+        self.base_sqrt_weights, counts, errors = self.own.copy(), self.counts, self.f["errors"]
+        self.channel_noise[:, :3] = self._log_variance(self._log_noise(self.values[:, :3]))
+        by_noise = self.channel_noise @ np.square(self.metric).T
+        squares, noise = np.square(self.residual).mean(axis=1)[counts], by_noise.mean(axis=1)[counts]
+        expected = noise + FACTORS[:, None] * errors[counts] + 1e-300
+        factor = FACTORS[(np.log(expected) + squares / expected).sum(axis=1).argmin()]
+        self.model_variance = factor * errors
+        self.variance = by_noise + self.model_variance[:, None]
+        if counts.any():
+            self.noise_variance = float(1.0 / np.mean(1.0 / (noise + self.model_variance[counts])))
+        return True
 
-def log_noise(logs: np.ndarray, table: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """Interpolate standard deviations of logarithms in a table, constant beyond its ends."""
-    return np.interp(np.nan_to_num(logs, nan=span[0]), np.linspace(span[0], span[1], len(table)), table)
+    def _weigh_at_angle(self) -> None:
+        """Square root of noise weights at theta_2, and its relative derivative."""
+        variance = self.channel_noise @ np.square(self.metric).T + self.model_variance[:, None]
+        self.sqrt_weights = self.base_sqrt_weights * np.sqrt(self.noise_variance / variance)
+        if self.f["directions"].size:
+            self.weight_slope = -(self.channel_noise @ (self.metric * self.metric_slope).T) / variance
 
+    def _weigh_by_loss(self) -> None:
+        """Multiply the weights by those of a robust loss, whose scale is the median residual's."""
+        learnt, errors = self.f["loss"] == LEARNT, self.f["errors"]
+        by = errors[:, None] + 1e-12 if learnt else self.variance
+        sizes = np.sqrt((np.square(self.residual) / by).mean(axis=1))
+        finite = np.isfinite(sizes)
+        some = np.sort(sizes[self.counts & finite])
+        middle = some[len(some) // 2] if len(some) else 0.0
+        scale = max(middle / self.f["gaussian_median"], 1.0 if learnt else 1e-9)
+        robust = np.where(finite, loss_weights(self.f["loss"], np.where(finite, sizes, 0.0) / scale), 0.0)
+        if learnt:
+            robust = robust / np.sqrt(errors + 1e-12)
+            robust = robust / max(float(robust[self.counts].mean()), 1e-300)
+        self.base_sqrt_weights = self.base_sqrt_weights * np.sqrt(robust)[:, None]
 
-def row_variances(template: Template, picture: Picture, work: Work) -> None:
-    """Compute variances of the rows of ``soft`` due to noise, usable colours, and sums of squares."""
-    usable, own, kept = work.usable, template.own, picture.kept
-    n, values = len(usable), work.values.reshape(-1, 8).astype(np.float64)
-    direction, logs = values[:, :2], values[:, 2:5]
-    work.known_now[:] = known = (values[:, 5] >= 0.99) & template.colours
-    deviation, light = log_noise(logs, picture.noise, picture.span), np.exp(logs) * BRIGHTNESS
-    slope = np.square(kept[1] * deviation * light).sum(axis=1) / np.square(light.sum(axis=1) + LOG_FLOOR)
-    rest = np.clip(1.0 - np.square(direction).sum(axis=1), 0.0, None)
-    noise = np.zeros((n, 8))
-    by_direction = (slope * rest / SOFTNESS**2)[:, None] * (1.0 - np.square(direction) * (1.0 + rest)[:, None])
-    noise[:, :2] = np.minimum(by_direction, MOST_DIRECTION_NOISE)
-    of_logs = np.square(kept[0] * deviation) + np.square(0.5 * np.square(deviation))
-    noise[:, 2:5] = np.where(known[:, None], of_logs, UNKNOWN)
-    by_noise = noise @ np.square(work.metric.reshape(-1, 8).astype(np.float64)).T
-    counts = (usable * own.reshape(n, -1)[:, 0] > 0)[:, None] & (by_noise < 0.5 * UNKNOWN)
-    squares = np.square(work.residual.reshape(n, -1).astype(np.float64))
-    work.row_sums[:] = np.stack([(counts * part).sum(axis=0) for part in (1.0, squares, squares - by_noise)], axis=1)
-    work.variance[:] = by_noise.ravel()
-
-
-def root_by_rows(template: Template, picture: Picture, work: Work) -> float:
-    """Compute square roots of inverse variances, scaled to mean weight 1."""
-    own, usable = template.own, work.usable
-    rows = work.variance.reshape(len(usable), -1)
-    groups = np.where(np.arange(rows.shape[1]) >= 2, COLOUR, GRADIENTS)
-    by_model = np.array(CORRELATED)[groups] * work.unexplained[1, groups]
-    rows[:] = picture.correlated * (rows + by_model)
-    precision = 1.0 / rows.astype(np.float64)
-    unit = 1.0 / precision[usable * own.reshape(rows.shape)[:, 0] > 0].mean()
-    work.weighed[:] = own * np.sqrt(unit * precision).ravel()
-    return float(unit)
-
-
-def weigh_by_noise(template: Template, picture: Picture, _row: Row, work: Work) -> bool:
-    """Compute variances due to noise and due to the model's errors."""
-    usable, own, kept, errors = work.usable, template.own, picture.kept, template.errors
-    if not usable.any():
-        return False
-    work.weighed[:] = own
-    n = len(usable)
-    deviation = log_noise(work.values.reshape(n, 8)[:, :3], picture.noise, picture.span)
-    channels = work.noise.reshape(n, 8)
-    channels[:, :3] = np.square(kept[0] * deviation) + np.square(0.5 * np.square(deviation))
-    by_noise = channels.astype(np.float64) @ np.square(work.metric.reshape(-1, 8)).T
-    counts = usable * own.reshape(n, -1)[:, 0] > 0
-    squares, on_average = np.square(work.residual.reshape(n, -1)).mean(axis=1)[counts], by_noise.mean(axis=1)[counts]
-    expected = on_average + FACTORS[:, None] * errors[counts] + 1e-300
-    factor = FACTORS[(np.log(expected) + squares / expected).sum(axis=1).argmin()]
-    work.by_model[:] = factor * errors
-    work.variance[:] = (by_noise + work.by_model[:, None]).ravel()
-    work.scales[UNIT] = 1.0 / np.mean(1.0 / (on_average + work.by_model[counts]))
-    return True
-
-
-def whiten(work: Work) -> None:
-    """Compute the square root of noise weights at an angle, and its relative derivative."""
-    at_angle, by_angle = (part.reshape(-1, 8).astype(np.float64) for part in (work.metric, work.slope))
-    channels = work.noise.reshape(len(work.by_model), 8).astype(np.float64)
-    variance = channels @ np.square(at_angle).T + work.by_model[:, None]
-    work.own[:] = work.weighed * np.sqrt(work.scales[UNIT] / variance).ravel()
-    if len(work.own_derivative):
-        work.own_derivative[:] = (-(channels @ (at_angle * by_angle).T) / variance).ravel()
+    def arrays(self) -> dict[str, Any]:
+        """Return arrays and numbers at the state, in the shapes of the core's."""
+        flat = ("residual", "base_sqrt_weights", "sqrt_weights", "masked", "variance", "weight_slope")
+        found = {name: getattr(self, name).ravel() for name in flat}
+        found |= {name: getattr(self, name).reshape(-1, 2) for name in ("gradients", "expected") if hasattr(self, name)}
+        others = ("values", "usable", "rows", "metric", "noise_variance", "squares", "weight", "lam", "gram", "factor")
+        found |= {name: getattr(self, name) for name in others}
+        optional = ("ar", "columns", "aj", "hessian", "gradient", "gain", "offset")
+        return found | {name: getattr(self, name) for name in optional if hasattr(self, name)}
 
 
 def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
-    """Return weights of a robust loss for residuals in standard deviations."""
+    """Return weights of residuals of u standard deviations, for a number of :data:`liaam.fitting.methods.LOSSES`."""
     of_each = (
-        lambda: 1.345 / np.maximum(u, 1.345),
-        lambda: 0.1 / np.maximum(u, 0.1),
-        lambda: 1.0 / (1.0 + np.square(u / 2.385)),
-        lambda: 1.0 / np.square(1.0 + np.square(u / 3.65)),
-        lambda: np.square(np.maximum(1.0 - np.square(u / 4.685), 0.0)),
-        lambda: np.exp(-0.5 * np.square(u)),
+        lambda: np.ones_like(u),
+        lambda: 1.345 / np.maximum(u, 1.345),  # huber
+        lambda: 0.1 / np.maximum(u, 0.1),  # l1: below a tenth of a standard deviation the weight stops growing
+        lambda: 1.0 / (1.0 + np.square(u / 2.385)),  # cauchy
+        lambda: 1.0 / np.square(1.0 + np.square(u / 3.65)),  # geman-mcclure
+        lambda: np.square(np.maximum(1.0 - np.square(u / 4.685), 0.0)),  # tukey
+        lambda: np.exp(-0.5 * np.square(u)),  # learnt
     )
     return of_each[loss]()
-
-
-def weigh_by_loss(template: Template, row: Row, work: Work) -> None:
-    """Multiply the weights by those of a robust loss."""
-    usable, own, variance, errors = work.usable, template.own, work.variance, template.errors
-    n, learnt = len(usable), row.loss == LEARNT
-    squares = np.square(work.residual.reshape(n, -1).astype(np.float64))
-    by = errors[:, None] + 1e-12 if learnt else variance.reshape(n, -1) if len(variance) else 1.0
-    sizes = np.sqrt((squares / by).mean(axis=1))
-    counts = usable * own.reshape(n, -1)[:, 0] > 0
-    some = np.sort(sizes[counts & np.isfinite(sizes)])
-    middle = some[len(some) // 2] if len(some) else 0.0
-    scale = max(middle / row.median, 1.0 if learnt else 1e-9)
-    finite = np.isfinite(sizes)
-    robust = np.where(finite, loss_weights(row.loss, np.where(finite, sizes, 0.0) / scale), 0.0)
-    if learnt:
-        robust = robust / np.sqrt(errors + 1e-12)
-        robust = robust / robust[counts].mean()
-    work.weighed[:] *= np.repeat(np.sqrt(robust), len(work.weighed) // n).astype(np.float32)
-
-
-def normalisation(template: Template, work: Work) -> None:
-    """Compute the gain and offset that match the mean and standard deviation of the mean appearance."""
-    n = len(work.usable)
-    counts = work.usable * template.own.reshape(n, -1)[:, 0] > 0
-    model = work.rows[0].reshape(n, -1)[counts].astype(np.float64)
-    seen = work.values.reshape(n, 8)[counts, :7].astype(np.float64) @ work.metric.reshape(-1, 8)[:, :7].T
-    gain = model.std() / seen.std() if seen.std() > 1e-6 else 1.0
-    work.scales[[GAIN, OFFSET]] = gain, model.mean() - gain * seen.mean()

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from liaam.fitting.levels import Stage, Target, is_sane, prepare_level, spare
+from liaam.fitting.levels import FittedLevel, Target, is_sane, prepare_level, spare
 from liaam.fitting.objective import Objective
-from liaam.fitting.solver import SolverOptions, solve
+from liaam.fitting.solver import SolverOptions
 from liaam.model.shape import diagonal_of
 
 BENT = 2.5
@@ -58,7 +58,7 @@ def other_starts(
         Shapes in image pixels, best first.
     """
     options = spare(options)
-    problem, state, pose = prepare_level(objective, blur, target.measured(objective.method), (), options)
+    image, state, pose = prepare_level(objective, blur, target.measured(objective.method), (), options)
     warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarity vectors come last
     deviations = objective.prior[:n_modes] ** -0.5
 
@@ -67,10 +67,11 @@ def other_starts(
         p[mode] += by * deviations[mode]
         return p
 
-    def reached(p: np.ndarray, moved: Sequence[float] = (0.0, 0.0)) -> Stage:
+    def reached(p: np.ndarray, moved: Sequence[float] = (0.0, 0.0)) -> FittedLevel:
         shape = warp.shape(p) + np.array(moved) * diagonal_of(warp.rest)
         start = state._replace(p=warp.parameters(shape))
-        return Stage(objective, problem, pose, solve(objective, problem, start, options, evaluate_last=False))
+        solution = objective.solve(image, start, options, evaluate_last=False)
+        return FittedLevel(objective, pose, solution, image.patch.from_image, image.channels.shape[:2])
 
     mean = state.p.copy()
     mean[:n_modes] = 0.0
@@ -78,17 +79,14 @@ def other_starts(
     bends = [bent(mean, 0, by) for by in (-BENT, 0.0, BENT)] if n_modes else [mean]
     stages = [reached(p, moved) for p in bends for moved in directions]
     for stage in _best(stages, BEST, target.start):
-        p = stage.solution.state.p
+        p = stage.solution.p
         stages += [reached(bent(p, mode, by)) for mode in range(min(MODES, n_modes)) for by in (-BENT_ON, BENT_ON)]
-    shapes = [stage.reached for stage in _best(stages, kept, target.start)]
-    for stage in stages:
-        stage.release()
-    return shapes
+    return [stage.reached for stage in _best(stages, kept, target.start)]
 
 
-def _best(stages: Sequence[Stage], count: int, start: np.ndarray) -> list[Stage]:
+def _best(stages: Sequence[FittedLevel], count: int, start: np.ndarray) -> list[FittedLevel]:
     """Return the stages of least cost whose shapes differ, best first."""
-    best: list[Stage] = []
+    best: list[FittedLevel] = []
     apart = APART * diagonal_of(start)
     for stage in sorted(stages, key=lambda stage: stage.solution.costs[-1]):
         shape = stage.reached

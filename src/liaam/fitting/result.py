@@ -1,5 +1,6 @@
 """The result of a fit. A fit that fails is a result too, with a status and a message."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 from liaam.drawing import Contours, new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_list, short_repr
+from liaam.fitting.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
 from liaam.fitting.search import Candidate
@@ -123,6 +125,15 @@ class Iteration:
 
 LEAST_QUALITY = 0.5
 """Quality below which a converged fit is doubtful."""
+
+
+def trace(stages: Sequence[FittedLevel]) -> tuple[Iteration, ...]:
+    """Return the start and every accepted state of all levels."""
+    return tuple(
+        Iteration(cost, shape, theta if stage.objective.method.has_angles else np.nan, level)
+        for level, stage in enumerate(stages)
+        for cost, shape, theta in stage.path
+    )
 
 
 @dataclass(frozen=True, eq=False)

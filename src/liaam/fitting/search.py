@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liaam import _core
 from liaam.errors import MethodError, ModelFileError
 from liaam.evaluation import point_error, short_repr
+from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, solve_levels
 from liaam.fitting.methods import get_method
 from liaam.fitting.objective import THINNING, Objective, make_objectives
 from liaam.fitting.picture import described, load_picture
-from liaam.fitting.problem import FitProblem
-from liaam.fitting.solver import Solution, SolverOptions, solve
+from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, shrink, spectra
-from liaam.kernels.fast import best_peaks, correlate
 from liaam.model import AAM
 from liaam.model.sampling import within
 from liaam.model.shape import Similarity, align, diagonal_of, rotation
@@ -234,23 +234,24 @@ class Finder:
         """Find the object in an image; see :func:`find`."""
         if limit is not None and limit < 1:
             raise MethodError(f"limit {limit} is too small; give 1 or more, or None for all objects")
-        image = load_picture(image, name)[0]
         response = self.model.response if response is None else response
+        return self.find_in(LinearImage(load_picture(image, name)[0], response), limit=limit, least=least)
+
+    def find_in(self, linear: LinearImage, *, limit: int | None = 1, least: float = 0.0) -> list[Candidate]:
+        """Find the object in an image that is checked already; see :func:`find`."""
         most = MOST if limit is None else min(limit, MOST)
-        search = _Search(self, image, response, 6 + 4 * most)
+        search = _Search(self, linear, 6 + 4 * most)
         seen = search.for_one(least) if most == 1 else search.for_all()
-        seen = seen or [self._in_the_middle(image)]
+        seen = seen or [self._in_the_middle(linear.image)]
         chosen = _chosen(sorted(seen, key=lambda candidate: -candidate.score), _are_beside, most)
         return [candidate for candidate in chosen if candidate.score >= least]
 
-    def others(self, image: np.ndarray, response: Response | None = None, most: int = OTHERS) -> list[Candidate]:
+    def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Candidate]:
         """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
 
         Parameters
         ----------
-        image : (h, w, 3) uint8, uint16 or float32
-        response : Response, optional
-            Response of the image's camera; by default the training camera's.
+        linear : LinearImage
         most : int
             Largest number of places, besides those that fill the frame.
 
@@ -260,7 +261,7 @@ class Finder:
             The best first, then those that fill the frame. Their shapes are the aligned mean shape, because
             deformations of the reduced model are a bad start.
         """
-        search = _Search(self, image, self.model.response if response is None else response, LOOKED * most)
+        search = _Search(self, linear, LOOKED * most)
         best = sorted(search.for_all(), key=lambda place: -(place.score + SIZE_WORTH * np.log(place.scale)))
         mean, places = self.model.shape_model.mean, _chosen(best, are_apart, most) + search.filling()
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in _chosen(places, are_apart)]
@@ -279,10 +280,10 @@ class Finder:
         seen, product, correlated = spectra(field.values, fast, pad), *np.empty((2, *fast), np.float32)
         places, responses, floor = [], [], LEAST_RESPONSE
         for (shape, origin), expected in zip(sizes, self._spectra_of(fast), strict=True):
-            correlate(seen, expected, product)
+            _core.correlate(seen, expected, product)
             cosine = cv2.idft(product, correlated)  # between both orientations, times their lengths
             inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
-            best, values = best_peaks(inside, count, floor, SURROUNDINGS)
+            best, values = _core.best_peaks(inside, count, floor, SURROUNDINGS)
             floor = max(floor, worth * float(values[0])) if len(values) else floor
             places.append(best[:, ::-1] - origin)
             responses.append(values)
@@ -305,35 +306,46 @@ class Finder:
         return made
 
     def __getstate__(self) -> dict:
-        """Leave out the spectra, which are large and quick to compute."""
-        return {name: value for name, value in self.__dict__.items() if name != "_spectra"}
+        """Leave out the spectra, which are large and quick to compute, and what the core holds."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("_spectra", "_compiled")}
 
-    def _fitted(self, image: np.ndarray, response: Response, place: _Place, field: Field) -> Candidate:
+    @cached_property
+    def _levels(self) -> list[tuple[Objective, float]]:
+        return [(self.objective, self.small.levels[0].blur)]
+
+    @cached_property
+    def _compiled(self) -> CompiledLevels | None:
+        """The fits of places, prepared for the core."""
+        if not CompiledLevels.can_fit(self._levels):
+            return None
+        return CompiledLevels(self._levels, self.small.shape_model, keeps_samples=True)
+
+    def _fitted(self, linear: LinearImage, place: _Place, field: Field) -> Candidate:
         """Fit the reduced model at a place of a field, and score the result."""
         template, warp = self.templates[place.template], self.objective.warp
         pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
-        start, blur = pose(warp.shape(template.p)), self.small.levels[0].blur
-        problem = FitProblem.at(image, start, pose, self.objective.method, response, blur, margin=VISITED)
-        solution = solve(self.objective, problem, self.objective.start(template.p), SETTINGS)
-        shape = pose(warp.shape(solution.state.p))
-        score, growth = 0.0, diagonal_of(shape) / diagonal_of(start)
-        if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
-            shape = start
+        start = pose(warp.shape(template.p))
+        target = Target(linear, start, margin=VISITED)
+        if self._compiled is not None and CompiledLevels.can_take(target, SETTINGS):
+            (level,) = self._compiled.fit(target, SETTINGS)
         else:
-            score = self._score(solution, field.strength(pose(warp.points(solution.state.p))))
-        self.objective.release(solution.work, solution.given)
-        return self._candidate(shape, score)
+            (level,) = solve_levels(self._levels, target, SETTINGS)
+        shape, growth = level.reached, diagonal_of(level.reached) / diagonal_of(start)
+        if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
+            return self._candidate(start, 0.0)
+        strength = field.strength(level.pose(warp.points(level.solution.p)))
+        return self._candidate(shape, self._score(level, strength))
 
-    def _score(self, solution: Solution, strength: np.ndarray) -> float:
+    def _score(self, level: FittedLevel, strength: np.ndarray) -> float:
         """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape."""
-        weights, work = self.objective.appearance.usable[:, None].astype(np.float64), solution.work
-        seen = work.values.reshape(len(weights), -1)[:, :2]
-        expected = seen - work.residual.reshape(-1, 2)
+        solution, weights = level.solution, self.objective.appearance.usable[:, None].astype(np.float64)
+        seen = solution.samples.reshape(-1, 2).astype(np.float64)
+        expected = seen - solution.residual.reshape(-1, 2)
         # Pixels outside the image count as unexplained: otherwise half an object at the border scores as a whole one.
-        product = float((weights * (work.usable * strength)[:, None] * seen * expected).sum())
+        product = float((weights * (solution.usable * strength)[:, None] * seen * expected).sum())
         power = float((weights * np.square(expected)).sum() * weights.sum())
         variance = np.maximum(self.small.shape_model.eigenvalues, 1e-12)
-        unusual = float((np.square(solution.state.p[:-4]) / variance).mean()) if len(variance) else 0.0
+        unusual = float((np.square(solution.p[:-4]) / variance).mean()) if len(variance) else 0.0
         score = product / np.sqrt(power) - SHAPE_PENALTY * unusual if power > 0 else 0.0
         return float(np.clip(score, 0.0, 1.0)) if np.isfinite(score) else 0.0
 
@@ -354,17 +366,15 @@ class _Search:
     Parameters
     ----------
     finder : Finder
-    image : (h, w, 3) uint8, uint16 or float32
-    response : Response
+    linear : LinearImage
     count : int
         Largest number of places to fit.
     """
 
-    def __init__(self, finder: Finder, image: np.ndarray, response: Response, count: int) -> None:
-        self.finder, self.image, self.count = finder, image, count
-        self.response: Response = response
-        self.sizes = search_sizes(min(image.shape[:2]))
-        self.grey = Grey.of(image, response, self.sizes[0] / finder.small.diagonal)
+    def __init__(self, finder: Finder, linear: LinearImage, count: int) -> None:
+        self.finder, self.linear, self.image, self.count = finder, linear, linear.image, count
+        self.sizes = search_sizes(min(self.image.shape[:2]))
+        self.grey = Grey.of(self.image, linear.response, self.sizes[0] / finder.small.diagonal)
         self.fields: list[Field] = []
         self.found: list[_Peaks] = []
         self.fits: dict[_Place, Candidate] = {}
@@ -431,7 +441,7 @@ class _Search:
     def _fitted(self, place: _Place) -> Candidate:
         if place not in self.fits:
             field = self.fields[place.field]
-            self.fits[place] = self.finder._fitted(self.image, self.response, place, field)
+            self.fits[place] = self.finder._fitted(self.linear, place, field)
         return self.fits[place]
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from liaam import _core
 from liaam.errors import MethodError
 from liaam.model import AAM, MESH, Level, View
 from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame, signed_areas
 from liaam.model.shape import ShapeModel, rotation
 from liaam.model.warp import PiecewiseAffineWarp
-from liaam.photometry import Response, averaging
+from liaam.photometry import Response
 from liaam.photometry.encoding import value_luminance
 
 TEMPLATE = 40.0
@@ -135,7 +136,7 @@ class Grey:
         grey = value_luminance(sparse, response)
         if reduce > 1:
             rows, columns = grey.shape[0] // reduce, grey.shape[1] // reduce
-            grey = averaging.area_means(grey[: rows * reduce, : columns * reduce], (rows, columns))
+            grey = _core.area_means(np.ascontiguousarray(grey[: rows * reduce, : columns * reduce]), rows, columns)
         every = max(1, min(int(np.sqrt(grey.size / SAMPLES)), min(grey.shape) // 4))
         low, high = np.percentile(grey[::every, ::every], [1, 99])
         grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
@@ -149,7 +150,7 @@ class Grey:
         covered = np.array(grey.shape[::-1]) * self.reduce  # an incomplete block at the border was dropped
         width, height = np.maximum(np.rint(covered * (small.diagonal / size)), 8).astype(int)
         if width <= grey.shape[1] and height <= grey.shape[0]:
-            resized = averaging.area_means(grey, (int(height), int(width)))
+            resized = _core.area_means(np.ascontiguousarray(grey, np.float32), int(height), int(width))
         else:
             resized = cv2.resize(grey, (int(width), int(height)), interpolation=cv2.INTER_LINEAR)
         return Field(soft_directions(resized, small.levels[0].blur), covered / (width, height))
@@ -172,7 +173,8 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
 
     if blur > 0.3:
         grey = cv2.GaussianBlur(grey, (0, 0), float(blur), borderType=cv2.BORDER_REPLICATE)
-    return averaging.soft_directions(grey, np.eye(2), SOFTNESS).view(np.complex64)[..., 0]
+    grey = np.ascontiguousarray(grey, np.float32)
+    return _core.soft_directions(grey, (1.0, 0.0, 0.0, 1.0), SOFTNESS).view(np.complex64)[..., 0]
 
 
 def spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:

@@ -2,27 +2,27 @@
 
 import numpy as np
 
-from liaam.fitting.kernel import get_kernel
-from liaam.fitting.levels import Stage
+from liaam.fitting.levels import FittedLevel
 from liaam.fitting.objective import Objective
 from liaam.model import Reliability
 from liaam.model.shape import ShapeModel, Similarity
 
 
-def covariance(stage: Stage, strength: float = 1.0) -> np.ndarray:
+def covariance(stage: FittedLevel, strength: float = 1.0, pull: np.ndarray | None = None) -> np.ndarray:
     """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 5 plus the prior.
 
-    :meth:`Objective.unit` scales the Hessian, since the blur and the model's errors correlate neighbouring pixels.
-    Unobservable directions have a variance of 1e12.
+    :meth:`Objective.noise_variance` scales the Hessian, since the blur and the model's errors correlate neighbouring
+    pixels. Unobservable directions have a variance of 1e12. ``strength`` is that of the prior on p, and ``pull``
+    (n_p, n_p) the precision of p by the points of another landmarker.
     """
     objective, solution = stage.objective, stage.solution
-    unit = max(objective.unit(solution.work), 1e-12)
+    unit = max(objective.noise_variance(solution), 1e-12)
     # It may be NaN for a diverged fit.
-    precision = np.nan_to_num(solution.work.base / unit, posinf=0.0, neginf=0.0)
+    precision = np.nan_to_num(solution.expected_hessian / unit, posinf=0.0, neginf=0.0)
     n_p = objective.warp.n_parameters
     precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
-    if len(stage.problem.pull):
-        precision[:n_p, :n_p] += stage.problem.pull
+    if pull is not None:
+        precision[:n_p, :n_p] += pull
     try:
         factor = np.linalg.cholesky(precision)
     except np.linalg.LinAlgError:
@@ -43,29 +43,20 @@ some spot-lit). Fits to noise with grains of 1 to 8 pixels explain at most 3.5 t
 times. For models of few pixels, fits to coarse noise exceed the limit and are not detected."""
 
 
-def explains_more_than_noise(stage: Stage) -> bool:
+def explains_more_than_noise(stage: FittedLevel) -> bool:
     """Return whether a fit explains more of its image, under its own weights, than it would of noise."""
-    objective, work = stage.objective, stage.solution.work
-    contrast, left = _contrast(stage, work.root)
+    objective, solution = stage.objective, stage.solution
+    contrast, left = _contrast(objective, solution.weighted_contrast)
     count = objective.n_q + objective.n_lambda
-    counted = np.count_nonzero(work.root.reshape(-1, objective.method.n_rows)[:, : _rows_shown(objective)])
-    by_chance = BY_CHANCE * count * objective.correlated / max(counted, 1)
+    by_chance = BY_CHANCE * count * objective.correlated / max(solution.n_counted, 1)
     return left < (1.0 - min(by_chance, MOST_BY_CHANCE)) * contrast
 
 
-def _rows_shown(objective: Objective) -> int:
-    """Return the number of rows that count as contrast: for ``soft-li`` those of the gradients only."""
-    return 2 if objective.method.weights == "rows" else objective.method.n_rows
-
-
-def _contrast(stage: Stage, own: np.ndarray) -> tuple[float, float]:
+def _contrast(objective: Objective, sums: np.ndarray) -> tuple[float, float]:
     """Return the weighted squares of a fit's samples and of its residual, over the rows that count.
 
-    ``own`` (n k,) is the square root of the weights. Values and logarithms count relative to their mean.
+    For ``soft-li`` these are the gradients. Values and logarithms count relative to their mean.
     """
-    objective, solution = stage.objective, stage.solution
-    sums, kernel = np.empty((_rows_shown(objective), 4)), get_kernel(objective.kernel)
-    kernel.sum_squares(kernel.by_reference(solution.work) if solution.given is None else solution.given, own, sums)
     weight, total, squares, left = sums.T
     if objective.method.encoding in ("value", "log"):
         about_mean = squares - total**2 / np.maximum(weight, 1e-300)
@@ -73,7 +64,7 @@ def _contrast(stage: Stage, own: np.ndarray) -> tuple[float, float]:
     return float(squares.sum()), float(left.sum())
 
 
-def evidence(stage: Stage) -> np.ndarray:
+def quality_features(stage: FittedLevel) -> np.ndarray:
     """Compute the features that separate right fits from wrong ones, (2,) float64.
 
     The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance. It is
@@ -81,14 +72,14 @@ def evidence(stage: Stage) -> np.ndarray:
     is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations).
     """
     objective, solution = stage.objective, stage.solution
-    contrast, left = _contrast(stage, objective.template.own)
+    contrast, left = _contrast(objective, solution.contrast)
     if not np.isfinite(left):
         return np.array([-1.0, 14.0])
-    unlikely = float(objective.template.ridge @ np.square(solution.state.lam))
+    unlikely = float(objective.fields["ridge"] @ np.square(solution.lam))
     # The mean over all of the model's pixels: unusable pixels count as unexplained.
     strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
     explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
-    modes = np.square(solution.state.p) * objective.prior
+    modes = np.square(solution.p) * objective.prior
     far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
     return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])
 

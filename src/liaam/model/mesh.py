@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+from liaam import _core
 from liaam.errors import TrainingError
-from liaam.kernels.reference import raster
 
 FOLD_TOLERANCE = 0.15
 """Fraction of the mesh's area in flipped triangles above which a shape counts as folded. Landmarks of lips and eyelids
@@ -155,9 +155,15 @@ class ReferenceFrame:
     @cached_property
     def _raster(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixel indices (row, column), triangle and weights of every pixel inside the mesh."""
-        owner, weights = raster(self.points - self.origin, self.triangles, *self.size)
+        points, nothing = np.ascontiguousarray(self.points - self.origin, np.float64), np.zeros((len(self.points), 0))
+        owner, _ = _core.carry(points, np.ascontiguousarray(self.triangles, np.int32), nothing, *self.size)
         rows, columns = np.nonzero(owner >= 0)
-        return np.column_stack([rows, columns]), owner[rows, columns], weights[rows, columns]
+        own = owner[rows, columns]
+        a, b, c = points[self.triangles[own]].transpose(1, 2, 0)
+        (x0, y0), (x1, y1), (dx, dy) = b - a, c - a, np.stack([columns, rows]) - a
+        determinant = x0 * y1 - x1 * y0
+        v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+        return np.column_stack([rows, columns]), own, np.column_stack([1.0 - v - w, v, w])
 
     @property
     def pixels(self) -> np.ndarray:

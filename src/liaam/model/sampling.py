@@ -1,4 +1,4 @@
-"""Cut the region of interest out of an image and encode it at the model's resolution, for the sampling kernels."""
+"""Cut the region of interest out of an image and encode it at the model's resolution, for the core."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.kernels.bilinear import sample
+from liaam import _core
 from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import Encoding, Means, block_means, encode_means, width_of
@@ -18,7 +18,7 @@ class Patch:
     """Encoded region of interest of an image.
 
     ``channels`` (h, w, 8) float32, at least 2 by 2, holds ``n_channels`` of the encoding, zeros, and the usable weight.
-    All encodings have the same width, so that kernels need only one loop. ``from_image`` maps image pixels to patch
+    All encodings have the same width, so that one loop samples all. ``from_image`` maps image pixels to patch
     pixels (a shift and a reduction, without rotation).
     """
 
@@ -177,5 +177,5 @@ pixels. Measured on a generated head: with a size of 1, 22 of 70 distant starts 
 
 def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sample a patch at image points (n, 2): values (n, c) float32, and whether usable, (n,) float32 in {0, 1}."""
-    values, usable = sample(patch.channels, patch.from_image(points))
+    values, usable = _core.sample_channels(patch.channels, np.ascontiguousarray(patch.from_image(points)))
     return values[:, : patch.n_channels], usable

@@ -10,23 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.kernels.fields import Double2, Long1, Long2, Single2
 from liaam.model.mesh import ReferenceFrame, model_frame, surroundings
 from liaam.model.shape import ShapeModel, Similarity
 
 
 class Mesh(NamedTuple):
-    """Arrays of a piecewise-affine warp (paper eq 3) for compiled loops, with pixels sorted by triangle."""
+    """Arrays of a piecewise affine warp (paper eq 3) for the core, with pixels sorted by triangle."""
 
-    beta: Single2
+    beta: np.ndarray
     """(n, 3) float32: barycentric weights of each pixel."""
-    starts: Long1
+    starts: np.ndarray
     """(t + 1,) int64: first pixel of each triangle, and the end."""
-    triangles: Long2
+    triangles: np.ndarray
     """(t, 3) int64: vertices of each triangle."""
-    rest: Double2
+    rest: np.ndarray
     """(v, 2) float64: vertices at p = 0, model pixels."""
-    basis: Double2
+    basis: np.ndarray
     """(2 v, w) float64: derivative of the vertices x0, y0, x1, y1, ... by p, padded with zeros to a multiple of 8."""
     movement: float
     """Root mean square movement of the landmarks by a step of p of unit length, model pixels."""
@@ -108,7 +107,7 @@ class PiecewiseAffineWarp:
         return modes if self.extension is None else np.einsum("vn,ina->iva", self.extension, modes, optimize=True)
 
     def mesh(self) -> Mesh:
-        """Return the warp's arrays for compiled loops; its pixels must be sorted by triangle."""
+        """Return the warp's arrays for the core; its pixels must be sorted by triangle."""
         triangles, modes = self.frame.triangles.astype(np.int64), self._vertex_modes.reshape(self.n_parameters, -1)
         assert not (np.diff(self._owners) < 0).any()
         return Mesh(

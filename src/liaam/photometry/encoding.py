@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from liaam import _core
 from liaam.errors import ImageError, LiaamError, MethodError
-from liaam.photometry import averaging
 from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
 from liaam.photometry.response import Response, linear_to_srgb, to_linear
@@ -241,9 +241,9 @@ class Means(NamedTuple):
             x, y = int(start[0]), int(start[1])
             part = np.s_[y : y + shape[0], x : x + shape[1]]
             return self._replace(light=self.light[part], finite=None if self.finite is None else self.finite[part])
-        light, finite = averaging.value_means(self.light, start, size, shape), self.finite
+        light, finite = _core.value_means(self.light, *start, size, *shape), self.finite
         if finite is not None:
-            finite = averaging.value_means(np.repeat(finite[..., None], 4, axis=2), start, size, shape)[..., 0]
+            finite = _core.value_means(np.ascontiguousarray(finite[..., None]), *start, size, *shape)[..., 0]
         return self._replace(light=light, finite=finite)
 
 
@@ -260,16 +260,14 @@ def block_means(
     rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
     grey = encoding == "soft" and is_grey(image)
     if image.dtype.kind == "u":
-        top = np.iinfo(image.dtype).max
-        limits = (int(np.ceil(DARK * top)), int(np.floor(SATURATED * top))) if encoding in LOGARITHMIC else (0, top)
-        tables = _light_tables(image.dtype.str, response, limits)
-        return Means(averaging.stored_means(image, tables, start, size, (rows, columns)), None, grey)
+        table = light_table(image.dtype.str, encoding, response)
+        return Means(_core.stored_means(image, table, *start, size, rows, columns), None, grey)
     at_once = max(1, int(FLOATS_AT_ONCE / (image.shape[1] * size)))  # rows of blocks
     parts = []
     for first in range(0, max(rows, 1), at_once):
         n_rows, y = min(at_once, rows - first), start[1] + first * size
         top, bottom = int(y), int(np.ceil(y + n_rows * size + 1e-6))
-        pixels = _light_of_floats(image[top:bottom], encoding, response)
+        pixels = light_of_floats(image[top:bottom], encoding, response)
         parts.append(pixels.averaged((start[0], y - top), size, (n_rows, columns)))
     return _stacked(parts)._replace(grey=grey)
 
@@ -278,8 +276,8 @@ FLOATS_AT_ONCE = 4_000_000
 """Pixels of a picture of floats whose light is worked out at a time: that takes 40 bytes a pixel."""
 
 
-def _light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
-    """Linear light of each pixel of a picture of floats."""
+def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
+    """Return the linear light of each pixel of an image of floats (h, w, 3)."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, BRIGHTEST), np.float32(0.0))
     usable = finite
@@ -310,45 +308,18 @@ def encode_means(
     turn: np.ndarray | None = None,
     pixel: float = 1.0,
 ) -> np.ndarray:
-    """Encode averaged light to eight channels (h, w, 8) float32, as the kernels sample them.
+    """Encode averaged light to eight channels (h, w, 8) float32, as the core samples them.
 
     These are the encoding's channels (:data:`WIDTHS`), zeros, and last the weight of the pixel in {0, 1}. The means are
     from :func:`block_means` for the same encoding; for the other parameters see :func:`encode`.
     """
     if callable(encoding):
         return _own_channels(means, encoding, blur)
-    planes = _log_planes(means, response) if encoding in LOGARITHMIC else _value_planes(means, encoding)
-    turn, soft = np.eye(2) if turn is None else turn, encoding in ("soft", "orientation")
-    softness = SOFTNESS * pixel if encoding == "soft" else FLAT
-    return averaging.lay_out(*planes, blur, UNUSABLE, soft, turn, softness)
-
-
-def _log_planes(means: Means, response: Response) -> tuple[np.ndarray, tuple[bool, bool]]:
-    """Logarithms of brightness (for gradients) and colours, weights, and which of them the blur needs."""
-    import cv2  # heavy: imported when first needed
-
-    # A lower bound of linear light keeps logarithms finite, below every usable pixel.
-    floor = 0.5 * float(to_linear(np.array(DARK), response))
-    # The colours of a grey image have no weight: it has no invariant.
-    planes, every = averaging.light_planes(means.light, BRIGHTNESS, ALL, means.grey, floor, LOG_FLOOR)
-    flat = planes[:4].reshape(-1, planes.shape[2])
-    cv2.log(flat, flat)
-    if means.finite is None:
-        return planes, (False, not every)
-    planes[5] = means.finite > ALL
-    return planes, (True, True)
-
-
-def _value_planes(means: Means, encoding: str) -> tuple[np.ndarray, tuple[bool, bool]]:
-    """Planes for ``value`` and for ``orientation``, which uses gradients of luminance."""
-    planes, usable = averaging.with_room((6, *means.light.shape[:2])), means.light[..., 3] > ALL
-    values, partial = linear_to_srgb(means.light[..., :3]), not usable.all()
-    planes[5] = usable
-    if encoding == "orientation":
-        planes[0], planes[1:5] = values @ LUMINANCE[0].astype(np.float32), 0.0
-        return planes, (partial, False)
-    planes[1:4], planes[4] = np.moveaxis(values, -1, 0), usable
-    return planes, (False, partial)
+    light, finite = np.ascontiguousarray(means.light), means.finite
+    finite = None if finite is None else np.ascontiguousarray(finite)
+    axes = (1.0, 0.0, 0.0, 1.0) if turn is None else tuple(np.ravel(turn).tolist())
+    number = ENCODINGS.index(encoding)
+    return _core.encode(light, finite, means.grey, number, log_floor(response), float(blur), axes, float(pixel))
 
 
 def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
@@ -361,7 +332,7 @@ def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
         weight = usable + np.float32(UNUSABLE)
         planes = np.moveaxis(channels, -1, 0) * weight
         planes[-1] = weight
-        blurred = averaging.blur_planes(planes, blur)
+        blurred = _core.blur_planes(np.ascontiguousarray(planes), blur)
         channels[..., :-1] = np.moveaxis(blurred[:-1] / blurred[-1], 0, -1)
     return channels
 
@@ -379,9 +350,24 @@ def _table(dtype: str, encoding: str, response: Response) -> np.ndarray:
 
 
 @lru_cache(maxsize=16)
-def _light_tables(dtype: str, response: Response, usable: tuple[int, int]) -> np.ndarray:
-    """Tables of linear light and usable values for :func:`liaam.photometry.averaging.stored_means`."""
-    return averaging.light_tables(_table(dtype, "linear", response), usable)
+def light_table(dtype: str, encoding: Encoding, response: Response) -> np.ndarray:
+    """Four numbers for each channel and stored value of an integer type, (3, n, 4) float32.
+
+    Their products over the channels of a pixel are its linear light R, G, B, and 1 if the encoding can use all three
+    values, else 0.
+    """
+    top = np.iinfo(dtype).max
+    values, table = np.arange(top + 1), np.ones((3, top + 1, 4), np.float32)
+    low, high = (np.ceil(DARK * top), np.floor(SATURATED * top)) if encoding in LOGARITHMIC else (0, top)
+    table[..., 3] = (low <= values) & (values <= high)
+    table[range(3), :, range(3)] = _table(dtype, "linear", response)
+    return table
+
+
+@lru_cache(maxsize=16)
+def log_floor(response: Response) -> float:
+    """Lower bound of linear light that keeps logarithms finite, below every usable pixel."""
+    return 0.5 * float(to_linear(np.array(DARK), response))
 
 
 def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarray:
@@ -389,7 +375,8 @@ def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarra
     image = _three_channels(image)
     if image.dtype.kind != "u":
         return encode(image, "value", response)[..., :3] @ LUMINANCE[0].astype(np.float32)
-    return averaging.stored_luminance(image, _table(image.dtype.str, "value", response), LUMINANCE[0])
+    tables = np.outer(LUMINANCE[0], _table(image.dtype.str, "value", response)).astype(np.float32)
+    return _core.stored_luminance(image, tables)
 
 
 UNUSABLE = 1e-3

@@ -15,7 +15,7 @@ FeatureFunction = Callable[[np.ndarray], Any]
 """From an image (h, w, 3) float32, sRGB values in [0, 1], to its channels (h, w, c) float."""
 
 WIDEST = 7
-"""Largest number of channels that are compared; kernels sample eight, and the last is the weight of the pixel."""
+"""Largest number of channels that are compared; the core samples eight, and the last is the weight of the pixel."""
 
 MOST_CHANNELS = 4096
 """Largest number of channels of a function."""

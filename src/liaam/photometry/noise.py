@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from liaam.photometry import averaging
+from liaam import _core
 from liaam.photometry.encoding import stored_values
 
 ENOUGH = 600
@@ -30,8 +30,8 @@ def noise_deviation(image: np.ndarray) -> float:
     rows = np.arange(1, image.shape[0] - 1, step)
     whole = image.dtype.kind == "u"  # differences of integers are exact
     top = np.iinfo(image.dtype).max if whole else 1.0
-    if image.dtype == np.uint8:
-        up_to = averaging.bent_counts(image, rows).cumsum()
+    if image.dtype == np.uint8 and image.shape[2] == 3:
+        up_to = _core.bent_counts(image, rows).cumsum()
         # The mean of the two middle values, which are the same for an odd number.
         middle = np.searchsorted(up_to, ((up_to[-1] - 1) // 2, up_to[-1] // 2), side="right").mean()
     else:

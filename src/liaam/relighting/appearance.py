@@ -8,8 +8,8 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.level_image import correlated_pixels
 from liaam.fitting.picture import load_picture
-from liaam.fitting.problem import correlated_pixels
 from liaam.photometry.encoding import refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
@@ -75,21 +75,21 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
         image, name = load_picture(image, "image")
         refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
         fitter, result = _by_invariant(fitter), replace(result, theta=np.nan)
-    solution, known = fitter.solution_at(image, result)[1], fitter.view.levels[-1].appearances["log"]
-    work, n, eigenvalues = solution.work, known.n_modes, known.eigenvalues
-    if not work.sums[1] > 0:  # no pixel is usable: return the prior
+    seen, known = fitter.solution_at(image, result), fitter.view.levels[-1].appearances["log"]
+    n, eigenvalues = known.n_modes, known.eigenvalues
+    if not seen["weight"] > 0:  # no pixel is usable: return the prior
         return ShadowFree(known.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
     # In units of squared residuals, like the shape prior.
-    variance = correlated_pixels(fitter.view.levels[-1].blur) * max(float(solution.costs[-1]), LEAST_VARIANCE)
-    precision = np.zeros(len(work.lam))
+    variance = correlated_pixels(fitter.view.levels[-1].blur) * max(seen["squares"] / seen["weight"], LEAST_VARIANCE)
+    precision = np.zeros(len(seen["lam"]))
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
-    modes = (work.rows[1:] * work.root).astype(np.float64)
+    modes = (seen["rows"][1:] * seen["masked"]).astype(np.float64)
     gram = modes @ modes.T
     # Rounding may make the eigenvalues of unobserved modes negative.
     curvatures, axes = np.linalg.eigh(gram)
     ridge = 1e-9 * float(np.diag(gram).max())
     hessian = (axes * (np.maximum(curvatures, 0.0) + ridge)) @ axes.T + np.diag(precision)
-    best = np.linalg.solve(hessian, gram @ work.lam + modes @ (work.root * work.residual))
+    best = np.linalg.solve(hessian, gram @ seen["lam"] + modes @ (seen["masked"] * seen["residual"]))
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(known.texture(best[:n]), best[:n], spread[:n])
 

@@ -1,15 +1,12 @@
-"""Blending of an appearance into each frame of a video: compiled, since it is done 25 times per second."""
+"""Blending of an appearance into each frame of a video."""
 
 from functools import lru_cache
 
 import cv2
-import numba
 import numpy as np
 
 from liaam.photometry import Response, from_linear
 from liaam.relighting.painting import as_eight_bit, box_around, log_light
-
-_njit = numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy")
 
 FARTHEST = 2.5
 """Distance beyond the weights to which shading is removed, in reaches."""
@@ -54,12 +51,49 @@ def blended(image: np.ndarray, painted: np.ndarray, response: Response, reach: f
         return picture
     own, step = log_light(image[box], response), max(1, int(reach / FEWER))
     seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
-    sums = np.zeros((-(-own.shape[0] // step), -(-own.shape[1] // step), 7), np.float32)
-    _reduce(own, painted, step, sums)
+    weight = painted[..., 3:]
+    sums = _reduced(np.concatenate([weight * (own - painted[..., :3]), weight * own, weight], axis=2), step)
     sums = cv2.GaussianBlur(sums, (0, 0), reach / step)
     away = cv2.distanceTransform((painted[..., 3] <= 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    _blend(own, seen, painted, sums, step, away, FARTHEST * reach, _stored(response), picture[box])
+    share = np.clip(1.0 - (away - 1.0) / (FARTHEST * reach), 0.0, 1.0)
+    ys, xs = np.nonzero((painted[..., 3] > 0) | (share > 0))
+    nearby = _enlarged(sums, own.shape[:2], step)[ys, xs]
+    light = own[ys, xs] - _taken(own[ys, xs], seen[ys, xs], painted[ys, xs], nearby, share[ys, xs])
+    at = np.clip((light - DARKEST) * ((BINS - 1) / -DARKEST), 0.0, BINS - 1.0) + 0.5
+    changed = light != own[ys, xs]
+    picture[box][ys, xs] = np.where(changed, _stored(response)[at.astype(np.int32)], picture[box][ys, xs])
     return picture
+
+
+def _reduced(layers: np.ndarray, step: int) -> np.ndarray:
+    """Average blocks of ``step`` by ``step`` pixels of (h, w, c) float32; the last blocks are filled with 0."""
+    height, width = layers.shape[:2]
+    padded = cv2.copyMakeBorder(layers[..., :4], 0, -height % step, 0, -width % step, cv2.BORDER_CONSTANT, value=0)
+    rest = cv2.copyMakeBorder(layers[..., 4:], 0, -height % step, 0, -width % step, cv2.BORDER_CONSTANT, value=0)
+    size = padded.shape[1] // step, padded.shape[0] // step
+    parts = [cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in (padded, rest)]
+    return np.concatenate(parts, axis=2)
+
+
+def _enlarged(sums: np.ndarray, shape: tuple[int, int], step: int) -> np.ndarray:
+    """Interpolate blocks (rows, columns, c) at their pixels, (h, w, c)."""
+    size = sums.shape[1] * step, sums.shape[0] * step
+    parts = [
+        cv2.resize(np.ascontiguousarray(each), size, interpolation=cv2.INTER_LINEAR)
+        for each in (sums[..., :4], sums[..., 4:])
+    ]
+    return np.concatenate(parts, axis=2)[: shape[0], : shape[1]]
+
+
+def _taken(own: np.ndarray, seen: np.ndarray, painted: np.ndarray, nearby: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Return the shading of pixels, (n, 3) logarithms: their own within the weights, and a share of the nearby."""
+    weight, total = painted[:, 3:], np.maximum(nearby[:, 6:], 1e-6)
+    seen_beyond = seen - nearby[:, 3:6] / total
+    brighter = seen_beyond.mean(axis=1, keepdims=True)
+    apart = np.square(brighter[:, 0] / ANOTHER_LIGHT) + np.square((seen_beyond - brighter) / ANOTHER_COLOUR).sum(axis=1)
+    share = share * share * (3.0 - 2.0 * share) * np.exp(-0.5 * np.maximum(apart - 1.0, 0.0))
+    share = np.where(share > LEAST_SHARE, share, np.float32(0.0))[:, None]
+    return weight * (own - painted[:, :3]) + (1.0 - weight) * share * nearby[:, :3] / total
 
 
 @lru_cache(4)
@@ -67,54 +101,3 @@ def _stored(response: Response) -> np.ndarray:
     """Return the stored values, (BINS,) uint8, of logarithms of light from DARKEST to 0."""
     light = np.exp(np.linspace(DARKEST, 0.0, BINS))
     return np.rint(255 * np.clip(from_linear(light, response), 0.0, 1.0)).astype(np.uint8)
-
-
-@_njit
-def _reduce(own, painted, step, sums):
-    """Sum the weighted shading, the weighted light, and the weights of blocks of pixels."""
-    for y in range(own.shape[0]):
-        for x in range(own.shape[1]):
-            weight = painted[y, x, 3]
-            if weight == 0:
-                continue
-            total = sums[y // step, x // step]
-            for c in range(3):
-                total[c] += weight * (own[y, x, c] - painted[y, x, c])
-                total[3 + c] += weight * own[y, x, c]
-            total[6] += weight
-
-
-@_njit
-def _blend(own, seen, painted, sums, step, away, farthest, stored, picture):
-    """Write the stored values of light without its shading."""
-    height, width = sums.shape[:2]
-    scale = (len(stored) - 1) / -DARKEST
-    nearby = np.zeros(7)
-    for y in range(own.shape[0]):
-        v = min(max((y - 0.5 * (step - 1)) / step, 0.0), height - 1.0)
-        row, below = int(v), min(int(v) + 1, height - 1)
-        v -= row
-        for x in range(own.shape[1]):
-            weight, share = painted[y, x, 3], 1.0 - (away[y, x] - 1.0) / farthest
-            share = min(max(share, 0.0), 1.0)
-            if weight == 0 and share == 0:
-                continue
-            u = min(max((x - 0.5 * (step - 1)) / step, 0.0), width - 1.0)
-            column, right = int(u), min(int(u) + 1, width - 1)
-            u -= column
-            for c in range(7):
-                top = (1.0 - u) * sums[row, column, c] + u * sums[row, right, c]
-                nearby[c] = (1.0 - v) * top + v * ((1.0 - u) * sums[below, column, c] + u * sums[below, right, c])
-            total = max(nearby[6], 1e-6)
-            brighter = (seen[y, x, 0] + seen[y, x, 1] + seen[y, x, 2]) / 3.0
-            brighter -= (nearby[3] + nearby[4] + nearby[5]) / (3.0 * total)
-            apart = (brighter / ANOTHER_LIGHT) ** 2
-            for c in range(3):
-                apart += ((seen[y, x, c] - nearby[3 + c] / total - brighter) / ANOTHER_COLOUR) ** 2
-            share *= share * (3.0 - 2.0 * share) * np.exp(-0.5 * max(apart - 1.0, 0.0))
-            share = share if share > LEAST_SHARE else 0.0
-            for c in range(3):
-                taken = weight * (own[y, x, c] - painted[y, x, c]) + (1.0 - weight) * share * nearby[c] / total
-                if taken != 0:
-                    light = (own[y, x, c] - taken - DARKEST) * scale
-                    picture[y, x, c] = stored[int(min(max(light, 0.0), len(stored) - 1.0) + 0.5)]

@@ -204,7 +204,7 @@ def _transmitted(weights: np.ndarray, seen: np.ndarray, scale: float) -> np.ndar
 
 def _averaged(layers: np.ndarray, seen: np.ndarray, scale: float, enough: float = PLENTY) -> np.ndarray:
     """Average layers with preserved edges."""
-    from liaam.relighting.domain_transform import averaged  # numba: imported when first needed
+    from liaam.relighting.domain_transform import averaged
 
     return _on_fewer_pixels(partial(averaged, edge=EDGE), (layers, seen), scale, enough)
 

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from liaam.kernels.bilinear import sample
-from liaam.kernels.fast import carry
+from liaam import _core
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
 from liaam.photometry import Response, from_linear, to_linear
@@ -50,12 +49,15 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     left, top = np.clip(np.floor(shape.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
     right, bottom = np.clip(np.ceil(shape.max(axis=0)) + 1, 1, (width, height)).astype(int)
     there = model.shape_model.mean - model.frame.origin
-    owner, own = carry(shape - (left, top), triangles, there, right - left, bottom - top)
+    corners = np.ascontiguousarray(triangles, np.int32)
+    owner, own = _core.carry(
+        np.ascontiguousarray(shape - (left, top), np.float64), corners, there, right - left, bottom - top
+    )
     y, x = np.nonzero(owner >= 0)
     # At the mesh's border, pixels outside it have no weight.
     known = np.ones((len(values), 1), np.float32)
     layers = model.frame.picture(np.concatenate([values, known, known], axis=1))
-    warped, _ = sample(layers, own[y, x])
+    warped, _ = _core.sample_channels(np.ascontiguousarray(layers, np.float32), own[y, x])
     kept = warped[:, -1] > 1e-3
     y, x, warped = y[kept] + top, x[kept] + left, warped[kept]
     picture[y, x] = warped[:, :-1] / warped[:, -1:]

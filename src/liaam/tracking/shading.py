@@ -81,7 +81,7 @@ class ShadingRemover:
             now = filtered(*self._before, *now, CHANGE**2 * appearance.eigenvalues)
         self._before = now
         model, camera = self.fitter.model, self.fitter.camera or self.fitter.model.camera
-        from liaam.relighting.blending import blended  # numba: imported when first needed
+        from liaam.relighting.blending import blended
 
         log_rgba = np.concatenate([appearance.texture(now[0]), self._weights[:, None]], axis=1)
         painted, _ = paint(image, landmarks, model, log_rgba)

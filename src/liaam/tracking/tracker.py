@@ -18,9 +18,9 @@ from liaam.drawing import plot_landmarks
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.evaluation import finite_list, finite_or_none, short_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
+from liaam.fitting.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
-from liaam.fitting.problem import NEAR
 from liaam.fitting.result import LEAST_QUALITY
 from liaam.io import VideoReader
 from liaam.model import AAM

@@ -12,6 +12,7 @@ import numpy as np
 
 from liaam.evaluation import point_error
 from liaam.fitting import Fitter
+from liaam.fitting.levels import LinearImage
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
@@ -134,7 +135,7 @@ def _elsewhere(picture: LeftOut, fitter: Fitter, finder: Finder) -> np.ndarray |
     found = []
     if not is_searchable(finder.model):
         return None
-    for candidate in finder.others(picture.image, fitter.model.response, PLACES):
+    for candidate in finder.others_in(LinearImage(picture.image, fitter.model.response), PLACES):
         result = fitter.fit(picture.image, candidate)
         error = point_error(result.landmarks, picture.points) / diagonal_of(picture.points)
         if error > WRONG and not result.status.lost and np.isfinite(result.evidence).all():

@@ -1,0 +1,251 @@
+// Bindings of the loops over images: liaam.reference has the same functions in NumPy.
+#include "binding.hpp"
+#include "elementary.hpp"
+#include "encoding.hpp"
+#include "image.hpp"
+#include "painting.hpp"
+#include "search.hpp"
+
+using namespace liaam;
+
+namespace {
+
+template <class T>
+Stored<T> stored(const Image<T>& image) {
+    return {image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
+            image.stride(0), image.stride(1), image.stride(2)};
+}
+
+void check_blocks(double height, double width, const Blocks& blocks) {
+    require(blocks.size >= 1.0 && blocks.x >= 0.0 && blocks.y >= 0.0 && blocks.rows >= 0 && blocks.columns >= 0,
+            "blocks start within the image and have a size of at least 1");
+    require(blocks.x + blocks.size * blocks.columns <= width + 1e-6 * width + 1e-6 &&
+                blocks.y + blocks.size * blocks.rows <= height + 1e-6 * height + 1e-6,
+            "the blocks do not fit into the image");
+}
+
+template <class T>
+nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, double x, double y, double size,
+                          std::ptrdiff_t rows, std::ptrdiff_t columns) {
+    require(table.size() == 12 * (std::size_t{1} << (8 * sizeof(T))), "the table has an entry for each stored value");
+    const Blocks blocks{x, y, size, rows, columns};
+    check_blocks(image.shape(0), image.shape(1), blocks);
+    std::vector<float> means;
+    {
+        nb::gil_scoped_release unlocked;
+        stored_means(stored(image), {{table.data(), table.size()}}, blocks, means);
+    }
+    return owned(std::move(means), {std::size_t(rows), std::size_t(columns), 4});
+}
+
+nb::object average_values(const Array<float, 3>& values, double x, double y, double size,
+                                             std::ptrdiff_t rows, std::ptrdiff_t columns) {
+    const Blocks blocks{x, y, size, rows, columns};
+    check_blocks(values.shape(0), values.shape(1), blocks);
+    std::vector<float> means;
+    {
+        nb::gil_scoped_release unlocked;
+        value_means(values.data(), values.shape(0), values.shape(1), values.shape(2), blocks, means);
+    }
+    return owned(std::move(means), {std::size_t(rows), std::size_t(columns), values.shape(2)});
+}
+
+nb::object average_area(const Array<float, 2>& image, std::size_t rows, std::size_t columns) {
+    require(image.size() > 0 && rows <= image.shape(0) && columns <= image.shape(1), "blocks are at least a pixel large");
+    std::vector<float> means(rows * columns);
+    {
+        nb::gil_scoped_release unlocked;
+        area_means(image.data(), image.shape(0), image.shape(1), rows, columns, means.data());
+    }
+    return owned(std::move(means), {rows, columns});
+}
+
+template <class T>
+nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
+    require(tables.shape(0) == 3 && tables.shape(1) == std::size_t{1} << (8 * sizeof(T)),
+            "there is a table for each channel, with an entry for each stored value");
+    std::vector<float> out(image.shape(0) * image.shape(1));
+    const Rows<const float> rows = rows_of(tables);
+    {
+        nb::gil_scoped_release unlocked;
+        stored_luminance(stored(image), {rows[0], rows[1], rows[2]}, out.data());
+    }
+    return owned(std::move(out), {image.shape(0), image.shape(1)});
+}
+
+nb::object bent(const Image<std::uint8_t>& image, const Array<std::int64_t, 1>& rows) {
+    for (std::size_t i = 0; i < rows.size(); ++i)
+        require(rows.data()[i] >= 1 && rows.data()[i] + 1 < static_cast<std::int64_t>(image.shape(0)),
+                "each row has a row above and one below");
+    std::vector<std::int64_t> counts(16 * 255 + 1);
+    bent_counts(stored(image), span_of(rows), counts);
+    return owned(std::move(counts), {16 * 255 + 1});
+}
+
+nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<float, 2>>& finite,
+                                           bool grey, int encoding, float floor, double blur, std::array<float, 4> turn,
+                                           double pixel) {
+    require(light.shape(2) == 4 && light.size() > 0, "light has four channels: R, G, B and the usable share");
+    require(encoding >= 0 && encoding <= 3 && blur >= 0.0 && blur < 1e4, "the encoding or the blur is out of range");
+    Means means{static_cast<std::ptrdiff_t>(light.shape(0)), static_cast<std::ptrdiff_t>(light.shape(1)),
+                std::vector<float>(light.data(), light.data() + light.size()), {}, grey};
+    if (finite) {
+        require(finite->size() * 4 == light.size(), "there is a finite share for each pixel");
+        means.finite.assign(finite->data(), finite->data() + finite->size());
+    }
+    EncodingOptions options{static_cast<Encoding>(encoding), floor, blur, pixel, turn};
+    Channels channels;
+    {
+        nb::gil_scoped_release unlocked;
+        encode(means, options, EncodingConstants{}, channels);
+    }
+    return owned(std::move(channels.pixels), {light.shape(0), light.shape(1), kChannels});
+}
+
+nb::object blur_planes(const Array<float, 3>& planes, double sigma) {
+    require(sigma >= 0.0 && sigma < 1e4 && planes.size() > 0, "the blur is out of range");
+    std::vector<float> out(planes.size()), line;
+    const std::size_t height = planes.shape(1), width = planes.shape(2);
+    const auto taps = gaussian_taps(sigma);
+    for (std::size_t p = 0; p < planes.shape(0); ++p)
+        for (std::size_t y = 0; y < height; ++y)
+            blur_row(planes.data() + p * height * width, height, width, y, taps, line, out.data() + (p * height + y) * width);
+    return owned(std::move(out), {planes.shape(0), height, width});
+}
+
+nb::object soft_directions(const Array<float, 2>& plane, std::array<float, 4> turn, float softness) {
+    const std::size_t height = plane.shape(0), width = plane.shape(1);
+    require(plane.size() > 0, "the plane is empty");
+    std::vector<float> out(2 * plane.size()), across(width), down(width);
+    for (std::size_t y = 0; y < height; ++y) {
+        soft_directions_row(plane.data(), height, width, y, turn, softness, across.data(), down.data());
+        for (std::size_t x = 0; x < width; ++x) {
+            out[2 * (y * width + x)] = across[x];
+            out[2 * (y * width + x) + 1] = down[x];
+        }
+    }
+    return owned(std::move(out), {height, width, 2});
+}
+
+auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) {
+    const std::size_t n = points.shape(0), depth = channels.shape(2);
+    require(points.shape(1) == 2 && channels.shape(0) >= 2 && channels.shape(1) >= 2 && depth >= 1,
+            "points are (n, 2), and the image is at least 2 by 2 pixels");
+    std::vector<float> values(n * (depth - 1)), usable(n);
+    {
+        nb::gil_scoped_release unlocked;
+        sample_channels({channels.data(), channels.shape(0) * channels.shape(1), depth}, channels.shape(1), rows_of(points),
+                        values.data(), usable.data());
+    }
+    return std::make_pair(owned(std::move(values), {n, depth - 1}), owned(std::move(usable), {n}));
+}
+
+void correlate_spectra(const Array<float, 3>& left, const Array<float, 3>& right,
+                       nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> product) {
+    const std::size_t height = product.shape(0), width = product.shape(1);
+    require(left.shape(0) == 2 && right.shape(0) == 2 && left.size() == 2 * product.size() && left.shape(2) == width &&
+                right.size() == left.size() && right.shape(2) == width && product.size() > 0,
+            "the spectra differ in size");
+    nb::gil_scoped_release unlocked;
+    correlate(left.data(), right.data(), height, width, product.data());
+}
+
+auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& image, std::size_t count, float least,
+              std::ptrdiff_t reach) {
+    require(image.stride(1) == 1 && reach >= 0 && image.size() > 0, "the pixels of a row are contiguous");
+    std::vector<Peak> peaks;
+    {
+        nb::gil_scoped_release unlocked;
+        peaks = best_peaks(image.data(), image.shape(0), image.shape(1), image.stride(0), count, least, reach);
+    }
+    std::vector<std::int64_t> places;
+    std::vector<float> values;
+    for (const Peak& peak : peaks) {
+        places.insert(places.end(), {peak.row, peak.column});
+        values.push_back(peak.value);
+    }
+    return std::make_pair(owned(std::move(places), {peaks.size(), 2}), owned(std::move(values), {peaks.size()}));
+}
+
+void check_triangles(const Array<std::int32_t, 2>& triangles, std::size_t n_vertices) {
+    for (std::size_t i = 0; i < triangles.size(); ++i)
+        require(triangles.data()[i] >= 0 && static_cast<std::size_t>(triangles.data()[i]) < n_vertices,
+                "a triangle names a vertex that does not exist");
+}
+
+auto carry(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& values,
+           std::size_t width, std::size_t height) {
+    require(points.shape(1) == 2 && triangles.shape(1) == 3 && values.shape(0) == points.shape(0), "the mesh is damaged");
+    check_triangles(triangles, points.shape(0));
+    std::vector<std::int32_t> owner(width * height, -1);
+    std::vector<double> carried(width * height * values.shape(1), 0.0);
+    carry_values({points.data(), points.size()}, rows_of(triangles), rows_of(values), {owner.data(), height, width},
+                 carried.data());
+    return std::make_pair(owned(std::move(owner), {height, width}),
+                          owned(std::move(carried), {height, width, values.shape(1)}));
+}
+
+auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& attributes,
+          std::size_t height, std::size_t width, double farthest) {
+    require(points.shape(1) == 3 && triangles.shape(1) == 3 && attributes.shape(0) == points.shape(0), "the mesh is damaged");
+    check_triangles(triangles, points.shape(0));
+    std::vector<float> image(height * width * attributes.shape(1), 0.0f);
+    std::vector<double> nearness(height * width, farthest);
+    {
+        nb::gil_scoped_release unlocked;
+        draw_triangles(rows_of(points), rows_of(triangles), rows_of(attributes), {nearness.data(), height, width}, image.data());
+    }
+    return std::make_pair(owned(std::move(image), {height, width, attributes.shape(1)}),
+                          owned(std::move(nearness), {height, width}));
+}
+
+void filter(nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> layers, const Array<float, 2>& across,
+            const Array<float, 2>& down) {
+    const std::size_t height = layers.shape(0), width = layers.shape(1), depth = layers.shape(2);
+    require(layers.size() > 0 && across.shape(0) == height && across.shape(1) + 1 == width && down.shape(0) + 1 == height &&
+                down.shape(1) == width,
+            "there is a feedback between each pair of neighbours");
+    nb::gil_scoped_release unlocked;
+    filter_rows(layers.data(), height, width, depth, across.data());
+    filter_columns(layers.data(), height, width, depth, down.data());
+}
+
+template <float function(float)>
+nb::object elementwise(const Array<float, 1>& numbers) {
+    std::vector<float> out(numbers.size());
+    for (std::size_t i = 0; i < out.size(); ++i) out[i] = function(numbers.data()[i]);
+    return owned(std::move(out), {numbers.size()});
+}
+
+nb::object srgb(const Array<float, 1>& linear) {
+    std::vector<float> out(linear.size());
+    srgb_encode(linear.data(), 1, out.size(), out.data());
+    return owned(std::move(out), {linear.size()});
+}
+
+}  // namespace
+
+void bind_images(nb::module_& module) {
+    module.def("stored_means", average_stored<std::uint8_t>, "image"_a.noconvert(), "table"_a, "x"_a, "y"_a, "size"_a,
+               "rows"_a, "columns"_a);
+    module.def("stored_means", average_stored<std::uint16_t>, "image"_a.noconvert(), "table"_a, "x"_a, "y"_a, "size"_a,
+               "rows"_a, "columns"_a);
+    module.def("value_means", average_values, "values"_a, "x"_a, "y"_a, "size"_a, "rows"_a, "columns"_a);
+    module.def("area_means", average_area, "image"_a, "rows"_a, "columns"_a);
+    module.def("stored_luminance", luminance<std::uint8_t>, "image"_a.noconvert(), "tables"_a);
+    module.def("stored_luminance", luminance<std::uint16_t>, "image"_a.noconvert(), "tables"_a);
+    module.def("bent_counts", bent, "image"_a, "rows"_a);
+    module.def("encode", encode_light, "light"_a, "finite"_a.none(), "grey"_a, "encoding"_a, "floor"_a, "blur"_a, "turn"_a,
+               "pixel"_a);
+    module.def("blur_planes", blur_planes, "planes"_a, "sigma"_a);
+    module.def("soft_directions", soft_directions, "plane"_a, "turn"_a, "softness"_a);
+    module.def("sample_channels", sample_at, "channels"_a, "points"_a);
+    module.def("correlate", correlate_spectra, "left"_a, "right"_a, "product"_a.noconvert());
+    module.def("best_peaks", peaks_of, "image"_a, "count"_a, "least"_a, "reach"_a);
+    module.def("carry", carry, "points"_a, "triangles"_a, "values"_a, "width"_a, "height"_a);
+    module.def("draw_triangles", draw, "points"_a, "triangles"_a, "attributes"_a, "height"_a, "width"_a, "farthest"_a);
+    module.def("filter_rows_and_columns", filter, "layers"_a.noconvert(), "across"_a, "down"_a);
+    module.def("log", elementwise<log_of>, "numbers"_a);
+    module.def("exp", elementwise<exp_of>, "numbers"_a);
+    module.def("srgb", srgb, "linear"_a);
+}

@@ -1,0 +1,144 @@
+// Bindings of single functions, which tests compare with liaam.fitting.reference.
+#include "angles.hpp"
+#include "binding.hpp"
+#include "linear.hpp"
+#include "normal_equations.hpp"
+#include "step.hpp"
+#include "thresholds.hpp"
+#include "weights.hpp"
+
+using namespace liaam;
+
+namespace {
+
+std::vector<double> numbers_of(const Array<double, 1>& array) { return {array.data(), array.data() + array.size()}; }
+
+Workspace with_system(const Array<double, 2>& hessian, const Array<double, 1>& gradient, const std::vector<bool>& observable) {
+    const std::size_t n = gradient.size();
+    require(hessian.shape(0) == n && hessian.shape(1) == n && observable.size() == n, "the system differs in size");
+    Workspace work;
+    work.hessian = work.damping_matrix = matrix_of(hessian);
+    work.gradient = numbers_of(gradient);
+    work.observable.assign(observable.begin(), observable.end());
+    work.step.assign(n, 0.0);
+    work.last_step.assign(n, 0.0);
+    return work;
+}
+
+auto damped(const Array<double, 2>& hessian, const Array<double, 1>& gradient, const std::vector<bool>& observable,
+            double damping) {
+    Workspace work = with_system(hessian, gradient, observable);
+    const bool found = damped_step(damping, work);
+    return std::make_pair(found, copied(work.step, {work.step.size()}));
+}
+
+auto clamped(const Array<double, 2>& base, const Array<double, 2>& hessian, const Array<double, 1>& gradient,
+             const std::vector<bool>& observable, double damping, double least) {
+    Workspace work = with_system(hessian, gradient, observable);
+    require(base.size() == hessian.size(), "the system differs in size");
+    work.damping_matrix = matrix_of(base);
+    work.least_curvature = least;
+    const bool found = clamped_newton_step(damping, work);
+    return std::make_pair(found, copied(work.step, {work.step.size()}));
+}
+
+double next_scale(const Array<double, 2>& hessian, const Array<double, 1>& p, const Array<double, 1>& prior, double dof,
+                  double scale, double strength, double variance) {
+    Workspace work;
+    require(hessian.shape(0) >= p.size() && hessian.shape(0) == hessian.shape(1) && prior.size() == p.size(),
+            "the system differs in size");
+    work.damping_matrix = matrix_of(hessian);
+    work.state.p = numbers_of(p);
+    work.prior_scale = scale;
+    Model model;
+    model.prior = span_of(prior);
+    model.dof = dof;
+    return next_prior_scale(model, strength, variance, work);
+}
+
+auto observable_of(const Array<double, 2>& hessian, const Array<double, 2>& directions, double squares, double weight,
+                   double observable) {
+    Workspace work;
+    require(directions.shape(0) == 2 && hessian.shape(0) == hessian.shape(1) && hessian.shape(0) >= directions.shape(1),
+            "the system differs in size");
+    work.hessian = matrix_of(hessian);
+    work.observable.assign(hessian.shape(0), 1);
+    work.metric.assign(8, 1.0f);  // |L'|^2 / |L|^2 = 1
+    work.metric_slope.assign(8, 1.0f);
+    work.squares = squares;
+    work.weight = weight;
+    Method method;
+    method.directions = rows_of(directions);
+    observable_parameters(method, observable, work);
+    return std::vector<bool>(work.observable.begin(), work.observable.end());
+}
+
+auto factor_of(const Array<double, 2>& matrix) {
+    Matrix factor = matrix_of(matrix);
+    require(factor.rows() == factor.columns(), "the matrix is not square");
+    const bool found = cholesky(factor);
+    return std::make_pair(found, copied(factor));
+}
+
+auto solve_clamped_of(const Array<double, 2>& matrix, double least, const Array<double, 1>& right) {
+    Matrix own = matrix_of(matrix);
+    require(own.rows() == right.size() && own.columns() == right.size(), "the system differs in size");
+    Spectrum spectrum;
+    std::vector<double> solution = numbers_of(right);
+    const bool found = solve_clamped(own, least, spectrum, solution);
+    return std::make_pair(found, owned(std::move(solution), {right.size()}));
+}
+
+auto gram_of(const Array<float, 2>& rows, const Array<float, 1>& sqrt_weights) {
+    require(rows.shape(0) >= 1 && rows.shape(1) == sqrt_weights.size(), "rows and weights differ in size");
+    std::vector<float> block;
+    Matrix gram(rows.shape(0) - 1, rows.shape(0) - 1);
+    weighted_gram(rows_of(rows), span_of(sqrt_weights), block, gram);
+    return copied(gram);
+}
+
+nb::dict thresholds_of() {
+    using namespace thresholds;
+    nb::dict all;
+    all["DAMPING_LIMIT"] = kDampingLimit;
+    all["TRUSTED_DAMPING"] = kTrustedDamping;
+    all["LEAST_DAMPING"] = kLeastDamping;
+    all["FIRST_DAMPING"] = kFirstDamping;
+    all["FIRST_EXPECTED_DAMPING"] = kFirstExpectedDamping;
+    all["RISE"] = kRise;
+    all["EXPECTED_RISE"] = kExpectedRise;
+    all["STILL"] = kStill;
+    all["LONGEST_UNSEEN"] = kLongestUnseen;
+    all["MOST_NEGLIGIBLE_DAMPING"] = kMostNegligibleDamping;
+    all["ROUNDS"] = kRounds;
+    all["SCORING_STEPS"] = kScoringSteps;
+    all["SCORING_RISE"] = kScoringRise;
+    all["EARLY_EXPECTED"] = kEarlyExpected;
+    all["EARLY_EXPECTED_STEPS"] = kEarlyExpectedSteps;
+    all["EARLY_OWN"] = kEarlyOwn;
+    all["EARLY_OWN_STEPS"] = kEarlyOwnSteps;
+    all["COARSE"] = kCoarse;
+    all["COARSE_RELATIVE"] = kCoarseRelative;
+    all["LEAST_GROWTH"] = kLeastGrowth;
+    all["MOST_GROWTH"] = kMostGrowth;
+    all["LEAST_CURVATURE"] = kLeastCurvature;
+    return all;
+}
+
+}  // namespace
+
+void bind_parts(nb::module_& module) {
+    module.def("damped_step", damped, "hessian"_a, "gradient"_a, "observable"_a, "damping"_a);
+    module.def("clamped_newton_step", clamped, "base"_a, "hessian"_a, "gradient"_a, "observable"_a, "damping"_a, "least"_a);
+    module.def("next_prior_scale", next_scale, "hessian"_a, "p"_a, "prior"_a, "dof"_a, "scale"_a, "strength"_a,
+               "variance"_a);
+    module.def("observable_parameters", observable_of, "hessian"_a, "directions"_a, "squares"_a, "weight"_a,
+               "observable"_a);
+    module.def("cholesky", factor_of, "matrix"_a);
+    module.def("solve_clamped", solve_clamped_of, "matrix"_a, "least"_a, "right"_a);
+    module.def("weighted_gram", gram_of, "rows"_a, "sqrt_weights"_a);
+    module.def("loss_weight", [](int loss, double u) { return loss_weight(static_cast<Loss>(loss), u); }, "loss"_a, "u"_a);
+    module.def("median", [](std::vector<double> numbers) { return median(numbers); }, "numbers"_a);
+    module.def("minimise_on_arc", minimise_on_arc, "s"_a, "b"_a, "centre"_a, "reach"_a);
+    module.def("thresholds", thresholds_of);
+}

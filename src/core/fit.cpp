@@ -1,0 +1,334 @@
+#include "fit.hpp"
+
+#include <cmath>
+#include <complex>
+#include <limits>
+#include <numbers>
+
+#include "angles.hpp"
+#include "thresholds.hpp"
+
+namespace liaam {
+
+namespace {
+
+constexpr double kNear = 0.1;           // margin of levels that start from a coarser solution
+constexpr double kFineness = 0.5;       // size of a patch's pixels for `soft`, in standard deviations of a wide blur
+constexpr double kSizeTolerance = 0.1;  // on the size of blocks that levels share; the blur that follows compensates
+
+struct Corner {
+    std::ptrdiff_t x, y;
+};
+
+struct Region {
+    Corner low, high;  // the second excluded
+};
+
+struct Box {
+    double left, top, right, bottom;
+
+    explicit Box(Doubles shape) : left(shape[0]), top(shape[1]), right(shape[0]), bottom(shape[1]) {
+        for (std::size_t i = 0; i < shape.size(); i += 2) {
+            left = std::min(left, shape[i]);
+            right = std::max(right, shape[i]);
+            top = std::min(top, shape[i + 1]);
+            bottom = std::max(bottom, shape[i + 1]);
+        }
+    }
+    double diagonal() const { return std::hypot(right - left, bottom - top); }
+};
+
+// A shape's surroundings within an image: a margin, a fraction of its diagonal, and twice `size`.
+Region around(const Picture& picture, Doubles shape, double margin, double size) {
+    const Box box(shape);
+    const double pad = margin * box.diagonal() + 2.0 * size;
+    const auto low = [pad](double at, std::ptrdiff_t limit) {
+        return std::min(std::max(std::floor(at - pad), 0.0), limit - 2.0);
+    };
+    const auto high = [pad](double at, double first, std::ptrdiff_t limit) {
+        return std::min(std::max(std::ceil(at + pad) + 1.0, first + 2.0), static_cast<double>(limit));
+    };
+    const double x = low(box.left, picture.width), y = low(box.top, picture.height);
+    const double right = high(box.right, x, picture.width), bottom = high(box.bottom, y, picture.height);
+    return {{static_cast<std::ptrdiff_t>(x), static_cast<std::ptrdiff_t>(y)},
+            {static_cast<std::ptrdiff_t>(right), static_cast<std::ptrdiff_t>(bottom)}};
+}
+
+// Side of the block of image pixels that is averaged into one pixel of the patch; `scale` is the size of a model pixel.
+double block_size(Encoding encoding, double scale, double blur) {
+    if (encoding != Encoding::soft) return std::max(1.0, std::floor(scale));  // never coarser than the model's
+    return std::max(1.0, scale * std::max(kFineness * blur, std::min(blur, 1.0)));
+}
+
+// At least three blocks between two corners.
+double limited(double size, const Region& region) {
+    const auto side = std::min(region.high.x - region.low.x, region.high.y - region.low.y);
+    return std::max(1.0, std::min(size, static_cast<double>(side / 3)));
+}
+
+// The grid of blocks does not depend on the margin, so that training and fitting use the same blocks.
+std::ptrdiff_t first_block(std::ptrdiff_t low, double size) {
+    const double at = low / size;
+    return static_cast<std::ptrdiff_t>(std::ceil(size == std::floor(size) ? std::floor(at) : at));
+}
+
+void average(const Picture& picture, const Corner& begin, const Corner& end, const Blocks& blocks, Means& means) {
+    const auto width = end.x - begin.x, height = end.y - begin.y;
+    if (picture.bytes) return stored_means(picture.bytes->crop(begin.x, begin.y, width, height), picture.table, blocks, means.light);
+    if (picture.words) return stored_means(picture.words->crop(begin.x, begin.y, width, height), picture.table, blocks, means.light);
+    // Light: the whole image, so that rows stay contiguous; only the rows in question are read.
+    const Blocks within{blocks.x + begin.x, blocks.y, blocks.size, blocks.rows, blocks.columns};
+    value_means(picture.light + 4 * picture.width * begin.y, height, picture.width, 4, within, means.light);
+    if (picture.finite)
+        value_means(picture.finite + picture.width * begin.y, height, picture.width, 1, within, means.finite);
+}
+
+void block_means(const Picture& picture, const Region& region, double size, BlockMeans& found) {
+    const Corner first{first_block(region.low.x, size), first_block(region.low.y, size)};
+    const Corner begin{static_cast<std::ptrdiff_t>(std::floor(first.x * size)),
+                       static_cast<std::ptrdiff_t>(std::floor(first.y * size))};
+    Blocks blocks{first.x * size - begin.x, first.y * size - begin.y, size, 0, 0};
+    blocks.columns = static_cast<std::ptrdiff_t>((region.high.x - begin.x - blocks.x) / size + 1e-9);
+    blocks.rows = static_cast<std::ptrdiff_t>((region.high.y - begin.y - blocks.y) / size + 1e-9);
+    found.means.rows = blocks.rows;
+    found.means.columns = blocks.columns;
+    found.means.grey = picture.grey;
+    found.means.finite.clear();
+    found.first_x = first.x;
+    found.first_y = first.y;
+    found.size = size;
+    average(picture, begin, region.high, blocks, found.means);
+}
+
+// Joins whole blocks to blocks of about the given size; false if that is not possible or leaves too few.
+bool join_blocks(const BlockMeans& fine, const Region& region, double size, BlockMeans& found) {
+    const double times = std::max(1.0, std::nearbyint(size / fine.size)), joined = times * fine.size;
+    if (std::abs(joined / size - 1.0) > kSizeTolerance) return false;
+    const auto n = static_cast<std::ptrdiff_t>(times);
+    const Corner first{first_block(region.low.x, joined), first_block(region.low.y, joined)};
+    const Corner start{first.x * n - fine.first_x, first.y * n - fine.first_y};
+    const auto columns = static_cast<std::ptrdiff_t>(region.high.x / joined + 1e-9) - first.x;
+    const auto rows = static_cast<std::ptrdiff_t>(region.high.y / joined + 1e-9) - first.y;
+    if (start.x < 0 || start.y < 0 || start.x + n * columns > fine.means.columns ||
+        start.y + n * rows > fine.means.rows || std::min(columns, rows) < 2)
+        return false;
+    coarser_means(fine.means, {static_cast<double>(start.x), static_cast<double>(start.y), times, rows, columns}, found.means);
+    found.first_x = first.x;
+    found.first_y = first.y;
+    found.size = joined;
+    return true;
+}
+
+double correlated_pixels(double blur) { return std::max(1.0, 4.0 * std::numbers::pi * blur * blur); }
+
+// Standard deviation of central differences of unit white noise after a Gaussian blur (pixels).
+double slope_left(double blur) {
+    if (!(blur > 0.3)) return std::sqrt(0.5);
+    return std::sqrt((1.0 - std::exp(-1.0 / (blur * blur))) / (8.0 * std::numbers::pi * blur * blur));
+}
+
+Similarity compose(const Similarity& outer, const Similarity& inner) {
+    return {outer.xx * inner.xx + outer.xy * inner.yx, outer.xx * inner.xy + outer.xy * inner.yy,
+            outer.x_of(inner.x0, inner.y0),
+            outer.yx * inner.xx + outer.yy * inner.yx, outer.yx * inner.xy + outer.yy * inner.yy,
+            outer.y_of(inner.x0, inner.y0)};
+}
+
+std::vector<double> map(const Similarity& similarity, Doubles shape) {
+    std::vector<double> mapped(shape.size());
+    for (std::size_t i = 0; i < shape.size(); i += 2) {
+        mapped[i] = similarity.x_of(shape[i], shape[i + 1]);
+        mapped[i + 1] = similarity.y_of(shape[i], shape[i + 1]);
+    }
+    return mapped;
+}
+
+// Whether a shape is finite and its size not too far from that of the start.
+bool is_sane(Doubles shape, Doubles start) {
+    if (!std::all_of(shape.begin(), shape.end(), [](double each) { return std::isfinite(each); })) return false;
+    const double growth = Box(shape).diagonal() / Box(start).diagonal();
+    return thresholds::kLeastGrowth < growth && growth < thresholds::kMostGrowth;
+}
+
+// One fit, level by level.
+class Fit {
+  public:
+    Fit(const std::vector<LevelSpec>& levels, const Shapes& shapes, const Picture& picture, const Target& target,
+        const EncodingConstants& constants, FitRoom& room)
+        : levels_(levels), shapes_(shapes), picture_(picture), target_(target), constants_(constants), room_(room) {
+        average_around_start();
+    }
+
+    // Encodes the surroundings of a shape for a level, and returns the state that the level starts from.
+    State prepare(const LevelSpec& level, const std::vector<double>& shape, double margin, LevelResult& result) {
+        result.pose = align(shapes_.mean, shape);
+        encode_around(level, shape, margin, result);
+        const Similarity to_model = inverse(result.pose);
+        if (!target_.points.empty()) {
+            room_.points = shapes_.parameters(map(to_model, target_.points));
+            image_.point_precision = target_.point_precision;
+            image_.points = room_.points;
+        }
+        return {shapes_.parameters(map(to_model, shape)), {target_.theta_1, target_.theta_1},
+                std::vector<double>(level.objective->m(), 0.0)};
+    }
+
+    const LevelImage& image() const { return image_; }
+
+  private:
+    // The image averaged once for all levels, as fine as the sharpest needs.
+    void average_around_start() {
+        const double scale = scale_of(align(shapes_.mean, target_.start));
+        double finest = std::numeric_limits<double>::infinity(), coarsest = 0.0;
+        for (const LevelSpec& level : levels_) {
+            const double size = block_size(picture_.encoding, scale, level.blur);
+            finest = std::min(finest, size);
+            coarsest = std::max(coarsest, size);
+        }
+        // The coarsest patch extends by two of its pixels, and begins with a whole one.
+        const Region region = around(picture_, target_.start, target_.margin, 2.0 * coarsest);
+        block_means(picture_, region, limited(finest, region), room_.around_start);
+    }
+
+    void encode_around(const LevelSpec& level, const std::vector<double>& shape, double margin, LevelResult& result) {
+        const double scale = scale_of(result.pose);
+        double size = block_size(picture_.encoding, scale, level.blur);
+        const Region region = around(picture_, shape, margin, size);
+        size = limited(size, region);
+        BlockMeans& blocks = room_.around_shape;
+        if (!join_blocks(room_.around_start, region, size, blocks)) block_means(picture_, region, size, blocks);
+        const double pixel = blocks.size / scale;
+        // Averaging over pixels blurs by 1/12 of their squared size, and interpolation between them by 2/12.
+        const double left = std::sqrt(std::max(level.blur * level.blur - pixel * pixel / 4.0, 0.0));
+        EncodingOptions options;
+        options.encoding = picture_.encoding;
+        options.floor = picture_.floor;
+        options.blur = (picture_.encoding == Encoding::soft ? left : level.blur) / pixel;
+        options.pixel = pixel;
+        options.turn = {static_cast<float>(result.pose.xx / scale), static_cast<float>(result.pose.yx / scale),
+                        static_cast<float>(result.pose.xy / scale), static_cast<float>(result.pose.yy / scale)};
+        encode(blocks.means, options, constants_, room_.channels);
+        // The centre of the first block of pixels is at first * size + (size - 1) / 2.
+        const double by = 1.0 / blocks.size, half = 0.5 * (blocks.size - 1.0) / blocks.size;
+        result.to_patch = {by, 0.0, -blocks.first_x - half, 0.0, by, -blocks.first_y - half};
+        result.patch_height = room_.channels.height;
+        result.patch_width = room_.channels.width;
+        set_image(level, result, blocks.size);
+    }
+
+    void set_image(const LevelSpec& level, const LevelResult& result, double size) {
+        image_ = LevelImage{};
+        image_.pixels = room_.channels.pixels;
+        image_.height = static_cast<int>(room_.channels.height);
+        image_.width = static_cast<int>(room_.channels.width);
+        image_.from_model = compose(result.to_patch, result.pose);
+        const double scale = scale_of(image_.from_model), blur = scale * level.blur;
+        room_.noise.assign(target_.log_noise.begin(), target_.log_noise.end());
+        for (float& each : room_.noise) each /= static_cast<float>(size);  // averaging reduces it
+        image_.log_noise = room_.noise;
+        image_.first_log = target_.first_log;
+        image_.last_log = target_.last_log;
+        image_.value_left = 1.0 / std::sqrt(correlated_pixels(blur));
+        image_.slope_left = scale * slope_left(blur);
+        // In an image smaller than the model's frame, one image pixel covers several model pixels.
+        const double tied = std::max(correlated_pixels(level.blur), 1.0 / (scale * scale));
+        image_.correlated = std::max(1.0, level.density * tied);
+    }
+
+    const std::vector<LevelSpec>& levels_;
+    const Shapes& shapes_;
+    const Picture& picture_;
+    const Target& target_;
+    const EncodingConstants& constants_;
+    FitRoom& room_;
+    LevelImage image_;
+};
+
+// Looser options for a coarse level, whose solution only starts the next.
+Options coarse(Options options) {
+    options.tolerance *= thresholds::kCoarse;
+    options.relative_tolerance *= thresholds::kCoarseRelative;
+    if (options.scoring >= 0) options.scoring = 0;
+    return options;
+}
+
+std::array<double, 2> first_angles(const Objective& objective, const Target& target, const Options& options,
+                                   const LevelImage& image, const State& state, Workspace& work) {
+    const Method& method = objective.method;
+    if (!method.n_free()) return {target.theta_1, target.theta_2};
+    const bool image_only = method.n_free() == 1 && method.directions[0][0] == 0.0;
+    if (!image_only || !target.has_invariant || !options.best_angle) return state.angles;
+    work.begin(objective, state);
+    return {state.angles[0], best_image_angle(objective, image, work)};
+}
+
+}  // namespace
+
+std::vector<double> Shapes::shape(Doubles p) const {
+    std::vector<double> found(mean.begin(), mean.end());
+    for (std::size_t i = 0; i < p.size(); ++i)
+        for (std::size_t c = 0; c < found.size(); ++c) found[c] += p[i] * basis[i][c];
+    return found;
+}
+
+std::vector<double> Shapes::parameters(const std::vector<double>& shape) const {
+    std::vector<double> p(basis.n_rows, 0.0);
+    for (std::size_t i = 0; i < p.size(); ++i)
+        for (std::size_t c = 0; c < shape.size(); ++c) p[i] += basis[i][c] * (shape[c] - mean[c]);
+    return p;
+}
+
+Similarity align(Doubles shape, Doubles target) {
+    // A similarity without reflection is a complex factor: b = factor * a.
+    using Complex = std::complex<double>;
+    const std::size_t n = shape.size() / 2;
+    Complex mean_a, mean_b, product;
+    for (std::size_t i = 0; i < n; ++i) {
+        mean_a += Complex(shape[2 * i], shape[2 * i + 1]) / static_cast<double>(n);
+        mean_b += Complex(target[2 * i], target[2 * i + 1]) / static_cast<double>(n);
+    }
+    double power = 0.0;
+    for (std::size_t i = 0; i < n; ++i) {
+        const Complex a = Complex(shape[2 * i], shape[2 * i + 1]) - mean_a;
+        product += std::conj(a) * (Complex(target[2 * i], target[2 * i + 1]) - mean_b);
+        power += std::norm(a);
+    }
+    const Complex factor = power > 0.0 ? product / power : Complex(1.0, 0.0), offset = mean_b - factor * mean_a;
+    return {factor.real(), -factor.imag(), offset.real(), factor.imag(), factor.real(), offset.imag()};
+}
+
+double scale_of(const Similarity& s) { return std::sqrt(std::abs(s.xx * s.yy - s.xy * s.yx)); }
+
+Similarity inverse(const Similarity& s) {
+    const double determinant = s.xx * s.yy - s.xy * s.yx;
+    Similarity back{s.yy / determinant, -s.xy / determinant, 0.0, -s.yx / determinant, s.xx / determinant, 0.0};
+    back.x0 = -(back.xx * s.x0 + back.xy * s.y0);
+    back.y0 = -(back.yx * s.x0 + back.yy * s.y0);
+    return back;
+}
+
+std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Shapes& shapes, const Picture& picture,
+                                    const Target& target, const Options& options, const EncodingConstants& constants,
+                                    FitRoom& room, const Interrupted& interrupted) {
+    Fit fit(levels, shapes, picture, target, constants, room);
+    Workspace& work = room.work;
+    std::vector<LevelResult> results;
+    std::vector<double> shape = target.start;
+    double margin = target.margin;
+    for (const LevelSpec& level : levels) {
+        const bool last = &level == &levels.back();
+        const Options own = last ? options : coarse(options);
+        LevelResult result;
+        State start = fit.prepare(level, shape, margin, result);
+        start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, work)
+                                       : results.back().fit.state.angles;
+        result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, work, interrupted);
+        shape = map(result.pose, shapes.shape(result.fit.state.p));
+        results.push_back(std::move(result));
+        if (!is_sane(shape, target.start)) break;
+        margin = kNear;
+    }
+    return results;
+}
+
+}  // namespace liaam

@@ -1,0 +1,237 @@
+#include "image.hpp"
+
+#include <cmath>
+#include <cstdlib>
+
+namespace liaam {
+
+namespace {
+
+// Of the blocks along a side: the first pixel of each, and the weights of it and the following ones in the mean.
+struct Taps {
+    std::size_t n_taps;
+    std::vector<std::ptrdiff_t> first;
+    std::vector<float> shares;
+
+    Taps(std::ptrdiff_t n_in, double start, double size, std::ptrdiff_t n_out)
+        : n_taps(static_cast<std::size_t>(std::ceil(size)) + 1), first(n_out), shares(n_out * n_taps) {
+        for (std::ptrdiff_t j = 0; j < n_out; ++j) {
+            const double low = start + j * size, high = std::min(low + size, static_cast<double>(n_in));
+            first[j] = std::min(static_cast<std::ptrdiff_t>(low), n_in - 1);
+            for (std::size_t k = 0; k < n_taps; ++k) {
+                const double left = std::max<double>(first[j] + k, low), right = std::min<double>(first[j] + k + 1, high);
+                shares[j * n_taps + k] = right > left ? static_cast<float>((right - left) / size) : 0.0f;
+            }
+        }
+    }
+    const float* of(std::ptrdiff_t j) const { return shares.data() + j * n_taps; }
+};
+
+// Averages a sum of rows of pixels, `depth` numbers each, along the row.
+void cut_row(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, std::ptrdiff_t depth,
+             float* means) {
+    for (std::ptrdiff_t j = 0; j < columns; ++j) {
+        const float* shares = taps.of(j);
+        const float* from = sums.data() + depth * taps.first[j];
+        for (std::ptrdiff_t c = 0; c < depth; ++c) {
+            float total = 0.0f;
+            for (std::size_t k = 0; k < taps.n_taps; ++k) total += shares[k] * from[depth * k + c];
+            means[depth * j + c] = total;
+        }
+    }
+}
+
+// The same for four numbers: the light of a pixel.
+void cut_light(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t columns, float* means) {
+    for (std::ptrdiff_t j = 0; j < columns; ++j) {
+        const float* shares = taps.of(j);
+        const float* from = sums.data() + 4 * taps.first[j];
+        float total[4] = {0.0f, 0.0f, 0.0f, 0.0f};
+        for (std::size_t k = 0; k < taps.n_taps; ++k)
+            for (std::size_t c = 0; c < 4; ++c) total[c] += shares[k] * from[4 * k + c];
+        for (std::size_t c = 0; c < 4; ++c) means[4 * j + c] = total[c];
+    }
+}
+
+template <class T>
+void decode_row(const Stored<T>& image, std::ptrdiff_t y, const LightTable& table, float* light) {
+    const T* pixel = image.row(y);
+    const float *reds = table.of(0), *greens = table.of(1), *blues = table.of(2);
+    for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel) {
+        const float *r = reds + 4 * pixel[0], *g = greens + 4 * pixel[image.by_channel];
+        const float* b = blues + 4 * pixel[2 * image.by_channel];
+        const float four[4] = {r[0] * g[0] * b[0], r[1] * g[1] * b[1], r[2] * g[2] * b[2], r[3] * g[3] * b[3]};
+        std::copy(four, four + 4, light + 4 * x);
+    }
+}
+
+void add_scaled(std::vector<float>& sums, float scale, const float* row, std::size_t n) {
+#pragma omp simd
+    for (std::size_t x = 0; x < n; ++x) sums[x] += scale * row[x];
+}
+
+// Blocks of one block each: a part of the means.
+void crop_means(const Means& means, const Blocks& blocks, Means& crop) {
+    const auto x = static_cast<std::ptrdiff_t>(blocks.x), y = static_cast<std::ptrdiff_t>(blocks.y);
+    crop.light.resize(4 * blocks.rows * blocks.columns);
+    crop.finite.resize(means.finite.empty() ? 0 : blocks.rows * blocks.columns);
+    for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
+        const std::ptrdiff_t from = (y + i) * means.columns + x, to = i * blocks.columns;
+        std::copy_n(means.light.data() + 4 * from, 4 * blocks.columns, crop.light.data() + 4 * to);
+        if (!means.finite.empty()) std::copy_n(means.finite.data() + from, blocks.columns, crop.finite.data() + to);
+    }
+}
+
+// First and last pixel of a block that tiles a side, and their weights; pixels in between have full weight.
+struct Tile {
+    std::ptrdiff_t first, last;
+    float at_first, at_last;
+};
+
+std::vector<Tile> tiles(std::ptrdiff_t n_in, std::ptrdiff_t n_out) {
+    std::vector<Tile> all(n_out);
+    const double size = static_cast<double>(n_in) / n_out;
+    for (std::ptrdiff_t j = 0; j < n_out; ++j) {
+        const double low = j * size, high = std::min((j + 1) * size, static_cast<double>(n_in));
+        const auto first = std::min(static_cast<std::ptrdiff_t>(low + 1e-9), n_in - 1);
+        const auto last = std::max(std::min(static_cast<std::ptrdiff_t>(std::ceil(high - 1e-9)) - 1, n_in - 1), first);
+        const double beyond = last > first ? (high - last) / size : 0.0;  // a block inside one pixel has only that
+        all[j] = {first, last, static_cast<float>((std::min(first + 1.0, high) - low) / size),
+                  static_cast<float>(beyond)};
+    }
+    return all;
+}
+
+}  // namespace
+
+template <class T>
+void stored_means(const Stored<T>& image, const LightTable& table, const Blocks& blocks, std::vector<float>& means) {
+    // Rows of pixels are converted to linear light and summed; only the sums are averaged into blocks.
+    const Taps across(image.width, blocks.x, blocks.size, blocks.columns);
+    const Taps down(image.height, blocks.y, blocks.size, blocks.rows);
+    const std::size_t n = 4 * image.width;
+    std::vector<float> sums(n + 4 * across.n_taps), light(n);  // blocks at the border read beyond, with weight 0
+    means.resize(4 * blocks.rows * blocks.columns);
+    std::ptrdiff_t decoded = -1;
+    for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
+        std::fill(sums.begin(), sums.end(), 0.0f);
+        for (std::size_t k = 0; k < down.n_taps; ++k) {
+            const float share = down.of(i)[k];
+            if (share <= 0.0f) continue;
+            const auto y = down.first[i] + static_cast<std::ptrdiff_t>(k);
+            if (y != decoded) decode_row(image, y, table, light.data());  // blocks that cut through pixels share a row
+            decoded = y;
+            add_scaled(sums, share, light.data(), n);
+        }
+        cut_light(sums, across, blocks.columns, means.data() + 4 * blocks.columns * i);
+    }
+}
+
+template void stored_means(const Stored<std::uint8_t>&, const LightTable&, const Blocks&, std::vector<float>&);
+template void stored_means(const Stored<std::uint16_t>&, const LightTable&, const Blocks&, std::vector<float>&);
+
+void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
+                 const Blocks& blocks, std::vector<float>& means) {
+    const Taps across(width, blocks.x, blocks.size, blocks.columns), down(height, blocks.y, blocks.size, blocks.rows);
+    const std::size_t n = depth * width;
+    std::vector<float> sums(n + depth * across.n_taps);
+    means.resize(depth * blocks.rows * blocks.columns);
+    for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
+        std::fill(sums.begin(), sums.end(), 0.0f);
+        for (std::size_t k = 0; k < down.n_taps; ++k) {
+            const float share = down.of(i)[k];
+            if (share > 0.0f) add_scaled(sums, share, values + (down.first[i] + k) * n, n);
+        }
+        float* row = means.data() + depth * blocks.columns * i;
+        if (depth == 4) cut_light(sums, across, blocks.columns, row);
+        else cut_row(sums, across, blocks.columns, depth, row);
+    }
+}
+
+void coarser_means(const Means& means, const Blocks& blocks, Means& coarser) {
+    coarser.rows = blocks.rows;
+    coarser.columns = blocks.columns;
+    coarser.grey = means.grey;
+    coarser.finite.clear();
+    if (blocks.size == 1.0) return crop_means(means, blocks, coarser);
+    value_means(means.light.data(), means.rows, means.columns, 4, blocks, coarser.light);
+    if (!means.finite.empty()) value_means(means.finite.data(), means.rows, means.columns, 1, blocks, coarser.finite);
+}
+
+void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t rows,
+                std::ptrdiff_t columns, float* means) {
+    const auto down = tiles(height, rows), across = tiles(width, columns);
+    const float full_y = static_cast<float>(rows) / height, full_x = static_cast<float>(columns) / width;
+    std::vector<float> line(width);
+    for (std::ptrdiff_t i = 0; i < rows; ++i) {
+        const Tile& tile = down[i];
+        const float *top = image + tile.first * width, *bottom = image + tile.last * width;
+#pragma omp simd
+        for (std::ptrdiff_t x = 0; x < width; ++x) line[x] = tile.at_first * top[x] + tile.at_last * bottom[x];
+        for (std::ptrdiff_t y = tile.first + 1; y < tile.last; ++y) add_scaled(line, full_y, image + y * width, width);
+        for (std::ptrdiff_t j = 0; j < columns; ++j) {
+            const auto& [left, right, at_left, at_right] = across[j];
+            float between = 0.0f;
+            for (std::ptrdiff_t x = left + 1; x < right; ++x) between += line[x];
+            means[i * columns + j] = at_left * line[left] + full_x * between + at_right * line[right];
+        }
+    }
+}
+
+template <class T>
+void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& tables, float* luminance) {
+    for (std::ptrdiff_t y = 0; y < image.height; ++y) {
+        const T* pixel = image.row(y);
+        for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel)
+            *luminance++ =
+                tables[0][pixel[0]] + tables[1][pixel[image.by_channel]] + tables[2][pixel[2 * image.by_channel]];
+    }
+}
+
+template void stored_luminance(const Stored<std::uint8_t>&, const std::array<Floats, 3>&, float*);
+template void stored_luminance(const Stored<std::uint16_t>&, const std::array<Floats, 3>&, float*);
+
+void bent_counts(const Stored<std::uint8_t>& image, std::span<const std::int64_t> rows,
+                 std::span<std::int64_t> counts) {
+    const std::size_t n = 3 * image.width;
+    std::vector<std::int16_t> bent(n);
+    std::fill(counts.begin(), counts.end(), 0);
+    for (const std::int64_t y : rows) {
+        const std::uint8_t *above = image.row(y - 1), *own = image.row(y), *below = image.row(y + 1);
+        for (std::ptrdiff_t x = 0; x < image.width; ++x) {
+            for (std::ptrdiff_t c = 0; c < 3; ++c) {
+                const std::ptrdiff_t at = x * image.by_pixel + c * image.by_channel;
+                bent[3 * x + c] = static_cast<std::int16_t>(above[at] - 2 * own[at] + below[at]);
+            }
+        }
+        for (std::size_t i = 3; i + 3 < n; ++i)  // an offset of 3: the same channel of the neighbour
+            ++counts[std::abs(bent[i - 3] - 2 * bent[i] + bent[i + 3])];
+    }
+}
+
+void sample_channels(Rows<const float> pixels, std::ptrdiff_t width, Rows<const double> points, float* values,
+                     float* usable) {
+    const std::size_t last = pixels.n_columns - 1;
+    const auto height = static_cast<std::ptrdiff_t>(pixels.n_rows) / width;
+    for (std::size_t i = 0; i < points.n_rows; ++i) {
+        const double x = points[i][0], y = points[i][1];
+        float* out = values + i * last;
+        if (!(0.0 <= x && x <= width - 1.0 && 0.0 <= y && y <= height - 1.0)) {  // also NaN
+            std::fill(out, out + last, 0.0f);
+            usable[i] = 0.0f;
+            continue;
+        }
+        const auto column = std::min(static_cast<std::ptrdiff_t>(x), width - 2);
+        const auto row = std::min(static_cast<std::ptrdiff_t>(y), height - 2);
+        const double u = x - column, v = y - row;
+        const float *a = pixels[row * width + column].data(), *b = a + pixels.n_columns;
+        const float *c = a + width * pixels.n_columns, *d = c + pixels.n_columns;
+        for (std::size_t k = 0; k < last; ++k) {
+            const double top = a[k] + u * (b[k] - a[k]), bottom = c[k] + u * (d[k] - c[k]);
+            out[k] = static_cast<float>(top + v * (bottom - top));
+        }
+        usable[i] = std::min(std::min(a[last], b[last]), std::min(c[last], d[last]));
+    }
+}
+
+}  // namespace liaam

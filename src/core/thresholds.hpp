@@ -1,0 +1,30 @@
+// Every threshold at which the loop of a level stops, accepts or refuses, with its reason. liaam.fitting.reference has
+// the same table; a test compares them. Measurements are in experiments/notes/engine.md.
+#pragma once
+
+namespace liaam::thresholds {
+
+constexpr double kDampingLimit = 1e7;      // the loop gives up
+constexpr double kTrustedDamping = 1e-2;   // most damping at which a small step means convergence, not damping
+constexpr double kLeastDamping = 1e-7;     // after accepted steps with the image's gradient
+constexpr double kFirstDamping = 1e-3;     // after the first refused step
+constexpr double kFirstExpectedDamping = 1.0;  // the same with the expected gradient, relative to that curvature
+constexpr double kRise = 1.0 + 1e-6;       // largest ratio of an accepted cost to the lowest: rounding
+constexpr double kExpectedRise = 1.25;     // the zero of the expected gradient is not the cost's minimum
+constexpr double kStill = 0.2;             // step in model pixels below which weights by rows are kept
+constexpr double kLongestUnseen = 1.0;     // longest step in model pixels accepted as shorter than its deviation
+constexpr double kMostNegligibleDamping = 0.1;  // most damping at which a step counts as shorter than its deviation
+constexpr int kRounds = 3;                 // alternations of robust weights and lambda: outliers and lambda interact
+
+constexpr int kScoringSteps = 10;          // most steps with the expected gradient at the end of a level
+constexpr double kScoringRise = 1.25;      // largest ratio of the cost after these steps to that before
+constexpr double kEarlyExpected = 0.25;    // tolerance of the first steps, as a fraction of the blur, with the expected
+constexpr int kEarlyExpectedSteps = 3;     // gradient, and the number of these steps
+constexpr double kEarlyOwn = 0.1;          // the same with the image's own gradient, which converges slowly
+constexpr int kEarlyOwnSteps = 10;
+constexpr double kCoarse = 10.0;           // factor on the tolerance at all levels but the finest: they only start it
+constexpr double kCoarseRelative = 5.0;    // factor on the relative tolerance there; 10 loses distant starts
+
+constexpr double kLeastGrowth = 1.0 / 3.0, kMostGrowth = 3.0;  // change of size beyond which a fit has diverged
+
+}  // namespace liaam::thresholds

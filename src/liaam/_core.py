@@ -1,0 +1,86 @@
+"""The compiled core: the extension for this processor, or the functions of the same names in NumPy.
+
+The sources are in ``src/core``, compiled once for each instruction set. ``LIAAM_CPU`` forces one of them, or ``numpy``.
+Where no extension could be built, liaam works with NumPy, slowly; ``LIAAM_REQUIRE_CORE=1`` makes that an error.
+"""
+
+import hashlib
+import importlib
+import os
+import warnings
+from pathlib import Path
+from types import ModuleType
+
+INSTRUCTION_SETS = ("baseline", "avx2")
+"""Instruction sets that may be built, from the least to the most."""
+
+NUMPY = "numpy"
+
+TIMES_SLOWER = 20
+"""How many times slower a fit is in NumPy (``benchmarks fit``)."""
+
+
+def _extension(name: str) -> ModuleType | None:
+    try:
+        return importlib.import_module(f"liaam._core_{name}")
+    except ModuleNotFoundError as error:
+        if error.name != f"liaam._core_{name}":
+            raise
+        return None
+
+
+def _chosen() -> tuple[str, ModuleType | None]:
+    """Return the name and the module of the best extension that the processor runs."""
+    asked = os.environ.get("LIAAM_CPU", "")
+    if asked and asked not in (*INSTRUCTION_SETS, NUMPY):
+        raise ImportError(f"LIAAM_CPU={asked} is unknown; choose from {', '.join((*INSTRUCTION_SETS, NUMPY))}")
+    if asked == NUMPY:
+        return NUMPY, None
+    baseline = _extension("baseline")
+    best = asked or (baseline.best_instruction_set() if baseline is not None else "baseline")
+    found = baseline if best == "baseline" else _extension(best)
+    if asked and found is None:
+        raise ImportError(f"LIAAM_CPU={asked}: this installation of liaam has no such extension")
+    return (best, found) if found is not None else ("baseline", baseline)
+
+
+INSTRUCTION_SET, _module = _chosen()
+"""Name of the instruction set in use; ``numpy`` without an extension."""
+
+BUILT = _module is not None
+"""Whether an extension is in use."""
+
+if _module is None:
+    if os.environ.get("LIAAM_REQUIRE_CORE"):
+        raise ImportError("LIAAM_REQUIRE_CORE is set, but liaam was installed without its compiled core")
+    if os.environ.get("LIAAM_CPU") != NUMPY:
+        warnings.warn(
+            f"liaam was installed without its compiled core, so that fits take about {TIMES_SLOWER} times as long; "
+            "install a C++ compiler, and then liaam again with 'pip install --no-cache-dir --force-reinstall'",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    INSTRUCTION_SET = NUMPY
+    _module = importlib.import_module("liaam.reference")
+
+
+def _warn_if_stale(digest: str) -> None:
+    """Warn if this is a checkout whose sources have changed since the extension was built."""
+    sources = Path(__file__).resolve().parents[1] / "core"
+    if not (sources / "level.cpp").is_file():
+        return
+    files = sorted(path for path in sources.iterdir() if path.suffix in (".cpp", ".hpp"))
+    digests = "".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in files)
+    if hashlib.sha256(digests.encode()).hexdigest() != digest:
+        warnings.warn(
+            "the compiled core of liaam is older than its sources; build it again with "
+            "'pip install --no-build-isolation -e .'",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+if BUILT:
+    _warn_if_stale(_module.SOURCES)
+
+globals().update({name: value for name, value in vars(_module).items() if not name.startswith("_")})

@@ -1,0 +1,190 @@
+"""The encoded level: the region of an image around the start in a method's encoding, and its noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+
+from liaam import _core
+from liaam.fitting.methods import Method
+from liaam.model.sampling import Light, Patch, make_patch
+from liaam.model.shape import Similarity, corners_of
+from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
+
+MARGIN = 0.4
+"""Margin around the start that a fit may use, as a fraction of the object's diagonal."""
+
+NEAR = 0.1
+"""The same for levels that start from a coarser level's solution."""
+
+LOG_RANGE = (-7.0, 0.5)
+"""Range of logarithms of linear light for which noise is tabulated, from black to highlights."""
+
+LOG_STEPS = 512
+"""Number of entries of that table."""
+
+NO_NOISE = np.zeros(2, np.float32)
+"""The table for methods that do not weigh noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class LevelImage:
+    """An image in a method's encoding, ready for an objective.
+
+    Attributes
+    ----------
+    patch : Patch
+        Encoded region around the start.
+    from_model : Similarity
+        Model pixels to patch pixels.
+    log_noise : (s,) float32
+        Standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOG_RANGE`.
+    value_left : float
+        Fraction of that deviation left after the blur of the encoded channels.
+    slope_left : float
+        Standard deviation of a gradient per model pixel after the blur, for noise of unit standard deviation.
+    blur : float
+        Standard deviation of the blur, model pixels.
+    correlated : float
+        Number of sampled pixels per independent residual, for weights by rows.
+    point_precision, points : (n_p, n_p), (n_p,) float64
+        Precision and mean of p by the points of another landmarker; empty for none.
+    """
+
+    patch: Patch
+    from_model: Similarity
+    log_noise: np.ndarray = field(default_factory=NO_NOISE.copy)
+    value_left: float = 1.0
+    slope_left: float = 1.0
+    blur: float = 0.0
+    correlated: float = 1.0
+    point_precision: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    points: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    log_range = LOG_RANGE
+
+    @property
+    def channels(self) -> np.ndarray:
+        """Encoded pixels, (h, w, 8) float32; the last channel is the weight."""
+        return self.patch.channels
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The image in the form that the core takes."""
+        channels = self.channels
+        return _core.make_image(
+            {
+                "pixels": channels.reshape(-1),
+                "height": channels.shape[0],
+                "width": channels.shape[1],
+                "from_model": rows_of(self.from_model),
+                "log_noise": self.log_noise,
+                "first_log": LOG_RANGE[0],
+                "last_log": LOG_RANGE[1],
+                "value_left": float(self.value_left),
+                "slope_left": float(self.slope_left),
+                "correlated": float(self.correlated),
+                "point_precision": self.point_precision,
+                "points": self.points,
+            }
+        )
+
+    @classmethod
+    def at(
+        cls,
+        image: np.ndarray | Light,
+        shape: np.ndarray,
+        pose: Similarity,
+        method: Method,
+        response: Response,
+        blur: float,
+        noise: NoiseModel | float | None = None,
+        margin: float = MARGIN,
+        density: float = 1.0,
+    ) -> "LevelImage":
+        """Crop and encode an image around a shape.
+
+        Parameters
+        ----------
+        image : (h, w, 3) uint8, uint16 or float32, or Light
+        shape : (n, 2) float
+            Start, image pixels.
+        pose : Similarity
+            Model pixels to image pixels.
+        method : Method
+        response : Response
+            Response of the image's camera.
+        blur : float
+            Standard deviation of the blur, model pixels.
+        noise : NoiseModel or float, optional
+            Noise of the image; by default it is measured here.
+        margin : float
+            Margin that the fit may use, as a fraction of the object's diagonal.
+        density : float
+            Fraction of the frame's pixels that are sampled.
+        """
+        patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=margin)
+        from_model = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
+        # In an image smaller than the model's frame, one image pixel covers several model pixels.
+        correlated = max(1.0, density * max(correlated_pixels(blur), 1.0 / from_model.scale**2))
+        if not method.weighs_noise:
+            return cls(patch, from_model, blur=blur, correlated=correlated)
+        of_patch = from_model.scale * blur
+        left = 1.0 / np.sqrt(correlated_pixels(of_patch)), from_model.scale * slope_left(of_patch)
+        picture = image.image if isinstance(image, Light) else image
+        noise = noise_around(picture, shape) if noise is None else noise
+        # Averaging over blocks reduces it.
+        table = (noise_table(noise, response) * patch.from_image.scale).astype(np.float32)
+        return cls(patch, from_model, table, *left, blur, correlated)
+
+
+def rows_of(similarity: Similarity) -> np.ndarray:
+    """Return a similarity as (2, 3) float64: matrix and offset."""
+    return np.ascontiguousarray(np.column_stack([similarity.matrix, similarity.offset]), np.float64)
+
+
+def similarity_of(rows: Sequence) -> Similarity:
+    """Return the similarity of :func:`rows_of`."""
+    given = np.asarray(rows)
+    return Similarity(given[:, :2], given[:, 2])
+
+
+def noise_table(noise: NoiseModel | float, response: Response) -> np.ndarray:
+    """Return the standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOG_RANGE`.
+
+    ``noise`` is the standard deviation in stored values of [0, 1], or the camera's noise model in linear light.
+    """
+    if isinstance(noise, NoiseModel):
+        linear = np.exp(np.linspace(*LOG_RANGE, LOG_STEPS))
+        return np.sqrt(noise.variance(linear)) / np.maximum(linear, 1e-6)
+    return noise * _slopes_of_logs(response)
+
+
+@lru_cache(maxsize=16)
+def _slopes_of_logs(response: Response) -> np.ndarray:
+    """Return the derivative of the logarithm by the stored value, at the logarithms of :func:`noise_table`."""
+    stored = from_linear(np.exp(np.linspace(*LOG_RANGE, LOG_STEPS)), response)
+    return log_slope(np.maximum(stored, 1e-3), response)
+
+
+def correlated_pixels(blur: float) -> float:
+    """Return the number of pixels per independent value after a Gaussian blur (pixels): max(1, 4 pi blur^2).
+
+    The blur divides the variance of white noise by this number.
+    """
+    return max(1.0, 4.0 * np.pi * blur**2)
+
+
+def slope_left(blur: float) -> float:
+    """Return the standard deviation of central differences of unit white noise after a Gaussian blur (pixels)."""
+    return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
+
+
+def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
+    """Measure the standard deviation of the noise around a shape, in stored values of [0, 1]."""
+    low, high = (corner.astype(int) for corner in corners_of(shape))
+    low = np.maximum(low, 0)
+    high = np.maximum(high + 2, low + 8)
+    return noise_deviation(image[low[1] : high[1], low[0] : high[0]])

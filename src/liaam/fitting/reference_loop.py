@@ -1,0 +1,446 @@
+"""The loop of a level in NumPy: weighted, damped Gauss-Newton steps of p and the free angles (paper section 4).
+
+Two kinds of step share the loop. With the image's own gradient, J, a step is a damped Gauss-Newton step (Levenberg).
+Noise in the gradient makes these steps short, and gives the cost spurious local minima. With the gradient that the
+model expects, E, the estimate is as accurate as the noise allows (Fisher scoring). The derivative of E'r is E'J. Unlike
+E'E it contains the image's actual gradient, and unlike J'J it has no noise bias, so steps converge fast. The step uses
+its symmetric part, raised to a fraction of E'E in directions in which it is smaller.
+
+The two eliminations differ in lambda only. Variable projection solves for it at every state, so it compares reduced
+costs. The joint form (the paper's) updates it by its own part of the step.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from liaam.fitting.reference import GRADIENT_ROWS, Problem
+
+THRESHOLDS: dict[str, float] = {
+    "DAMPING_LIMIT": 1e7,  # the loop gives up
+    "TRUSTED_DAMPING": 1e-2,  # most damping at which a small step means convergence
+    "LEAST_DAMPING": 1e-7,  # after accepted steps with the image's gradient
+    "FIRST_DAMPING": 1e-3,  # after the first refused step
+    "FIRST_EXPECTED_DAMPING": 1.0,  # the same with the expected gradient
+    "RISE": 1.0 + 1e-6,  # largest ratio of an accepted cost to the lowest
+    "EXPECTED_RISE": 1.25,
+    "STILL": 0.2,  # step in model pixels below which weights by rows are kept
+    "LONGEST_UNSEEN": 1.0,  # longest step accepted as shorter than its deviation, model pixels
+    "MOST_NEGLIGIBLE_DAMPING": 0.1,
+    "ROUNDS": 3,  # alternations of robust weights and lambda
+    "SCORING_STEPS": 10,
+    "SCORING_RISE": 1.25,
+    "EARLY_EXPECTED": 0.25,
+    "EARLY_EXPECTED_STEPS": 3,
+    "EARLY_OWN": 0.1,
+    "EARLY_OWN_STEPS": 10,
+    "COARSE": 10.0,
+    "COARSE_RELATIVE": 5.0,
+    "LEAST_GROWTH": 1.0 / 3.0,
+    "MOST_GROWTH": 3.0,
+    "LEAST_CURVATURE": 0.5,
+}
+"""The thresholds of the core (``src/core/thresholds.hpp``, with the reasons); a test compares them."""
+
+T = THRESHOLDS
+
+DAMPING_FLOOR, TEXTURE, ROUNDING = 1e-9, 1e-10, 1e-7
+"""Least curvature that damping is relative to, curvature per unit of weight below which there is no texture, and ridge
+on the expected curvature, which single precision may make indefinite."""
+
+OBSERVABLE_APART = 2.0
+"""As ``SolverOptions.observable``, for the image's angle relative to the model's. The object's colours determine it
+even without a change of light."""
+
+LEAST_PRECISION, TO_AND_FRO = 1e-9, 0.5
+"""Least precision of a parameter, as a fraction of the largest, and largest fraction of the last step that a step may
+undo before the lower bound on the curvature is doubled."""
+
+
+@dataclass
+class LevelFit:
+    """The solution of a level, with the names of the core's class."""
+
+    p: np.ndarray
+    angles: np.ndarray
+    lam: np.ndarray
+    costs: np.ndarray
+    path: np.ndarray
+    angle_history: np.ndarray
+    n_iterations: int
+    converged: bool
+    held: bool
+    flat: bool
+    noise_variance: float
+    squares: float
+    weight: float
+    prior_scale: float
+    expected_hessian: np.ndarray
+    usable: np.ndarray
+    contrast: np.ndarray
+    weighted_contrast: np.ndarray
+    n_counted: int
+    samples: np.ndarray
+    residual: np.ndarray
+
+
+@dataclass
+class Controls:
+    """Options of one run of the loop; see ``src/core/level.hpp``."""
+
+    options: Any
+    max_iterations: int
+    early_tolerance: float
+    early_steps: float
+    damping: float
+    expected: bool
+    reweigh: bool
+    evaluate_last: bool
+
+
+@dataclass
+class Trace:
+    """The start and every accepted state, and how the loop ended."""
+
+    costs: list[float] = field(default_factory=list)
+    path: list[np.ndarray] = field(default_factory=list)
+    angles: list[np.ndarray] = field(default_factory=list)
+    n_iterations: int = 0
+    converged: bool = False
+    held: bool = False
+    flat: bool = False
+
+
+class Loop:
+    """The loop of a level over a problem."""
+
+    def __init__(self, problem: Problem, objective: Any) -> None:
+        self.problem, self.objective, self.f = problem, objective, objective.fields
+        self.prior_scale, self.least_curvature, self.point_variance = 1.0, T["LEAST_CURVATURE"], 0.0
+        self.precision = np.zeros(len(self.f["prior"]))
+        self.last_step = np.zeros(objective.n_q)
+
+    def run(self, controls: Controls) -> Trace:
+        """Minimise the cost from the problem's state. Always terminates."""
+        problem, joint = self.problem, controls.options.elimination == "joint"
+        averages = self.f["weighting"] == 2 and not self.f["loss"]
+        again = int(T["ROUNDS"]) if self.f["loss"] else 1
+        # Twice at first if each pixel's weight depends on its own residual, and so on the weights before.
+        rounds = (1 if averages else max(again, 2)) if controls.reweigh else 0
+        damping, least, trace = controls.damping, np.inf, Trace()
+        solves, fresh, tried, small = True, True, False, False
+        while True:
+            problem.evaluate(solves)  # eq 10, and the best lambda where it is solved for at every state
+            if tried:
+                cost = self.penalised_cost()
+                if controls.damping > 0.0 and not cost <= T["EXPECTED_RISE" if controls.expected else "RISE"] * least:
+                    problem.set_state(*self.before)
+                    trace.converged = small or damping >= T["DAMPING_LIMIT"]
+                    damping = max(10.0 * damping, T["FIRST_EXPECTED_DAMPING" if controls.expected else "FIRST_DAMPING"])
+                    tried, rounds = False, 0
+                    continue
+                damping = eased(damping, controls)
+                self.last_step, least = self.step, min(least, cost)
+                trace.converged = small and damping <= T["TRUSTED_DAMPING"]
+            for _ in range(rounds):
+                if not problem.reweigh(solves):
+                    break
+                least, fresh = np.inf, True  # new weights invalidate the lowest cost and the expected curvature
+            self.record(trace, tried or not trace.costs)
+            ends = trace.converged or trace.n_iterations >= controls.max_iterations or not np.isfinite(trace.costs[-1])
+            if ends and not controls.evaluate_last:
+                break
+            found, negligible = self.propose(controls, damping, fresh, ends, trace)
+            trace.flat = not found
+            if ends or trace.flat:
+                break
+            length, least = self.movement(), min(least, self.penalised_cost())
+            solves, fresh, tried = not joint, False, True
+            early = trace.n_iterations < controls.early_steps and length < controls.early_tolerance
+            small = negligible or length < controls.options.tolerance or early
+            trace.n_iterations += 1
+            self.take_step(joint)
+            if small and not controls.evaluate_last and damping <= T["TRUSTED_DAMPING"]:  # skip the last evaluation
+                trace.converged = True
+                self.record(trace, True)
+                break
+            rounds = again if controls.reweigh and not small and not (averages and length < T["STILL"]) else 0
+        return trace
+
+    def record(self, trace: Trace, is_new: bool) -> None:
+        """Record the state, or its cost anew."""
+        problem = self.problem
+        cost = problem.squares / problem.weight if problem.weight > 0.0 else np.inf
+        if not is_new:
+            trace.costs[-1] = cost
+            return
+        trace.costs.append(cost)
+        trace.path.append(problem.p.copy())
+        trace.angles.append(problem.angles.copy())
+
+    def propose(self, controls: Controls, damping: float, fresh: bool, ends: bool, trace: Trace) -> tuple[bool, bool]:
+        """Compute the step; at the end, only the Hessian. Return whether there is one, and whether it is short."""
+        problem, expects = self.problem, controls.expected and not ends
+        if expects:
+            if fresh:
+                problem.differentiate(False, False)
+                problem.expected_hessian = problem.hessian.copy()
+            problem.differentiate(True, False)
+        else:
+            problem.differentiate(True, True)
+            problem.expected_hessian = problem.hessian.copy()
+        self.free = observable_parameters(problem, self.f["directions"], controls.options.observable)
+        trace.held = not self.free.all()
+        if not self.has_texture() or ends:
+            return self.has_texture(), False
+        known = self.f["weighting"] == 2 and np.isfinite(problem.noise_variance)
+        variance = problem.noise_variance if known else self.f["correlated"] * problem.squares / problem.weight
+        self.add_priors(controls.options.shape_prior, variance)
+        system = problem.hessian, problem.gradient, self.free, damping
+        if expects:
+            found, self.step = clamped_newton_step(self.damping_matrix, *system, self.least_curvature)
+            if goes_back(self.step, self.last_step, self.damping_matrix):
+                self.least_curvature *= 2.0
+        else:
+            found, self.step = damped_step(*system)
+        short = float(self.step @ self.damping_matrix @ self.step)
+        short = short < controls.options.relative_tolerance**2 * len(self.step) * variance
+        negligible = known and short and damping <= T["MOST_NEGLIGIBLE_DAMPING"]
+        return found, bool(negligible and self.movement() < T["LONGEST_UNSEEN"])
+
+    def has_texture(self) -> bool:
+        """Return whether image and model both have texture, and all sums are finite."""
+        problem, n_p = self.problem, len(self.problem.p)
+        own, base = problem.hessian, problem.expected_hessian
+        if not (np.isfinite(own).all() and np.isfinite(base).all() and np.isfinite(problem.squares)):
+            return False
+        curved = np.abs(own.diagonal()[:n_p]).max(initial=0.0)
+        return problem.weight > 0 and curved > TEXTURE * problem.weight and base.diagonal()[:n_p].max(initial=0.0) > 0
+
+    def add_priors(self, strength: float, variance: float) -> None:
+        """Add the priors on p to the normal equations, where a residual of weight 1 has the given variance."""
+        problem, n_p, image = self.problem, len(self.problem.p), self.problem.image
+        self.point_variance = variance
+        self.damping_matrix = problem.expected_hessian.copy()
+        if len(image.points):
+            precision = variance * image.point_precision
+            self.damping_matrix[:n_p, :n_p] += precision
+            problem.hessian[:n_p, :n_p] += precision
+            problem.gradient[:n_p] += precision @ (problem.p - image.points)
+        if strength > 0.0 and np.isfinite(self.f["dof"]):
+            self.prior_scale = next_prior_scale(
+                self.damping_matrix, problem.p, self.f["prior"], self.f["dof"], self.prior_scale, strength, variance
+            )
+        self.precision = strength * (variance / self.prior_scale) * self.f["prior"]
+        for matrix in (self.damping_matrix, problem.hessian):
+            matrix[np.arange(n_p), np.arange(n_p)] += self.precision
+        problem.gradient[:n_p] += self.precision * problem.p
+
+    def penalised_cost(self) -> float:
+        """Return the cost that an accepted step must not raise: mean squared residual plus the priors."""
+        problem, image = self.problem, self.problem.image
+        squares = problem.squares + float(self.precision @ np.square(problem.p))
+        if len(image.points):
+            off = problem.p - image.points
+            squares += self.point_variance * float(off @ image.point_precision @ off)
+        squares += float(self.f["ridge"] @ np.square(problem.lam))
+        return squares / problem.weight if problem.weight > 0.0 else np.inf
+
+    def movement(self) -> float:
+        """Root mean square movement of the landmarks by the step, model pixels."""
+        return self.problem.warp.movement(self.step[: len(self.problem.p)])
+
+    def take_step(self, joint: bool) -> None:
+        """Take the step (forward-additive), and keep the state before it; jointly, with lambda's part (eq 5)."""
+        problem, n_p = self.problem, len(self.problem.p)
+        self.before = problem.p.copy(), problem.angles.copy(), problem.lam.copy()
+        lam = problem.lam + problem.solve_modes(problem.ar + problem.aj @ self.step) if joint else problem.lam
+        angles = problem.angles + self.f["directions"] @ self.step[n_p:]
+        problem.set_state(problem.p + self.step[:n_p], angles, lam)
+
+
+def eased(damping: float, controls: Controls) -> float:
+    """Return the damping after an accepted step; 0 if undamped steps were asked for."""
+    if controls.expected:
+        return 0.1 * damping if damping > T["TRUSTED_DAMPING"] else 0.0
+    return max(0.1 * damping, T["LEAST_DAMPING"]) if controls.damping > 0.0 else 0.0
+
+
+def observable_parameters(problem: Any, directions: np.ndarray, observable: float) -> np.ndarray:
+    """Return which entries of q may move: p, and the angles that the image determines, (n_q,) bool.
+
+    Without a change of light, a common turn of both angles changes only noise: |dr/dtheta|^2 is then
+    |r|^2 |L'|^2 / |L|^2. The common turn is held if its curvature is less than ``observable`` times that. If both
+    angles are free, theta_1 is then kept and theta_2 alone moves.
+    """
+    n_free = directions.shape[1]
+    hessian, n_p = problem.hessian, len(problem.hessian) - n_free
+    free = np.ones(len(hessian), bool)
+    if not n_free:
+        return free
+    by_angle = float(np.square(problem.metric_slope).sum() / np.square(problem.metric).sum())
+    noise = problem.squares * by_angle + 1e-12 * problem.weight
+    limit, own = min(OBSERVABLE_APART, observable), hessian[n_p, n_p]  # 0 keeps all free, as in the paper
+    if n_free == 1:
+        free[n_p] = own > (observable if directions[0, 0] else limit) * noise
+        return free
+    # In coordinates (common turn, theta_2 alone), with the second eliminated from the first.
+    cross, apart = hessian[n_p, n_p + 1], hessian[n_p + 1, n_p + 1]
+    free[n_p + 1] = apart > limit * noise
+    together = own + 2.0 * cross + apart - ((cross + apart) ** 2 / apart if free[n_p + 1] else 0.0)
+    free[n_p] = free[n_p + 1] and together > observable * noise
+    return free
+
+
+def damped_step(hessian: np.ndarray, gradient: np.ndarray, free, damping: float) -> tuple[bool, np.ndarray]:
+    """Compute the Levenberg step, (H + damping diag H) step = -gradient, over the free entries; 0 if there is none."""
+    free, step = np.asarray(free), np.zeros(len(gradient))
+    most = hessian.diagonal()[free].max(initial=0.0)
+    if not most > 0.0:
+        return False, step
+    own = hessian[np.ix_(free, free)].copy()
+    floor = DAMPING_FLOOR * most
+    own[np.diag_indices_from(own)] += damping * np.maximum(own.diagonal(), floor) + floor
+    try:
+        factor = np.linalg.cholesky(own)
+    except np.linalg.LinAlgError:
+        return False, step
+    step[free] = np.linalg.solve(factor.T, np.linalg.solve(factor, -gradient[free]))
+    return bool(np.isfinite(factor).all()), step
+
+
+def clamped_newton_step(
+    base: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, free, damping: float, least: float
+) -> tuple[bool, np.ndarray]:
+    """Compute the Newton step of a symmetric matrix H whose curvature is raised to a fraction of that of B.
+
+    Each generalised eigenvalue rho of H v = rho B v is replaced by max(rho, least) + damping.
+    """
+    free, step = np.asarray(free), np.zeros(len(gradient))
+    largest = base.diagonal()[free].max(initial=0.0)
+    if not largest > 0.0:
+        return False, step
+    own = np.ix_(free, free)
+    try:
+        factor = np.linalg.cholesky(base[own] + ROUNDING * largest * np.eye(int(free.sum())))
+        whitened = np.linalg.solve(factor, np.linalg.solve(factor, hessian[own]).T)
+        values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
+    except np.linalg.LinAlgError:
+        return False, step
+    along = vectors.T @ np.linalg.solve(factor, -gradient[free])
+    step[free] = np.linalg.solve(factor.T, vectors @ (along / (np.maximum(values, least) + damping)))
+    return bool(np.isfinite(step).all()), step
+
+
+def goes_back(step: np.ndarray, last: np.ndarray, metric: np.ndarray) -> bool:
+    """Return whether a step undoes much of the last one: it oscillates about a kink of the bilinear interpolant."""
+    return float(step @ metric @ last) < -TO_AND_FRO * float(last @ metric @ last)
+
+
+def next_prior_scale(
+    hessian: np.ndarray, p: np.ndarray, prior: np.ndarray, dof: float, scale: float, strength: float, variance: float
+) -> float:
+    """Update the scale of the shape prior by one step of the evidence's fixed point (MacKay, Neural Comput. 4, 1992).
+
+    The prior is a Student distribution: p ~ N(0, scale Lambda), where the scale is drawn for each shape with ``dof``
+    degrees of freedom. Estimating the scale keeps a shape near the mean close to it, and leaves a distant one free to
+    move. The image determines p by ``hessian``, in which a residual of weight 1 has the given variance.
+
+    Returns
+    -------
+    float
+        (dof + p' Lambda^-1 p) / (dof + gamma), with gamma the number of parameters that the image determines. The last
+        scale if this is not finite.
+    """
+    if not 0.0 < variance < np.inf:
+        return scale
+    n, precision = len(p), strength * prior / scale
+    matrix = hessian[:n, :n] / variance + np.diag(precision)  # the angles are left out
+    matrix[np.arange(n), np.arange(n)] += LEAST_PRECISION * matrix.diagonal().max(initial=0.0) + 1e-300
+    try:
+        half = np.linalg.inv(np.linalg.cholesky(matrix))
+    except np.linalg.LinAlgError:
+        return scale
+    variances = np.square(half).sum(axis=0)
+    gamma = float((1.0 - precision * variances)[prior > 0].sum())
+    new = (dof + strength * float(prior @ np.square(p))) / (dof + gamma)
+    return new if new < np.inf else scale
+
+
+def solve_level(
+    objective: Any, image: Any, p: np.ndarray, angles, lam: np.ndarray, options: Any, blur: float, evaluate_last: bool
+) -> LevelFit:
+    """Minimise an objective over one encoded image, from a start; see ``src/core/level.cpp``."""
+    step = objective.method.step
+    problem, expected = Problem(objective, image), step == "expected"
+    problem.begin(p, angles, lam)
+    loop = Loop(problem, objective)
+    scoring = int(T["SCORING_STEPS"]) if options.scoring is None else options.scoring
+    more = min(scoring, options.max_iterations) if step == "scored" else 0
+    # Steps with the image's own gradient converge slowly: if no others follow, they need the full tolerance.
+    early = expected or not evaluate_last or more > 0
+    fraction, steps = (T[f"EARLY_{'EXPECTED' if expected else 'OWN'}{suffix}"] for suffix in ("", "_STEPS"))
+    fraction = fraction if options.early_tolerance is None else options.early_tolerance
+    reweighs, own = objective.method.reweighs, (blur * fraction, steps if blur > 0.0 else 0) if early else (0.0, 0)
+    controls = Controls(options, options.max_iterations, *own, options.damping, expected, reweighs, evaluate_last)
+    trace = loop.run(controls)
+    if more and not trace.flat:
+        # With fixed weights, unless ``scoring`` was set.
+        reweighs = reweighs and options.scoring is not None
+        score(loop, trace, Controls(options, more, 0.0, 0, 0.0, True, reweighs, evaluate_last))
+    return collect(loop, trace)
+
+
+def score(loop: Loop, trace: Trace, controls: Controls) -> None:
+    """Take steps with the expected gradient from the solution of a level; none if they raise the cost."""
+    problem, kept = loop.problem, ("prior_scale", "least_curvature", "point_variance", "last_step")
+    before, loops = {**vars(problem)}, {name: getattr(loop, name) for name in kept}
+    state = problem.p.copy(), problem.angles.copy(), problem.lam.copy()
+    more = loop.run(controls)
+    if more.costs[-1] <= T["SCORING_RISE"] * trace.costs[-1]:
+        for name in ("costs", "path", "angles"):
+            getattr(trace, name).extend(getattr(more, name)[1:])
+        trace.n_iterations, trace.held = trace.n_iterations + more.n_iterations, more.held
+        return
+    vars(problem).update(before)
+    vars(loop).update(loops)
+    problem.set_state(*state)
+    loop.run(replace(controls, max_iterations=0, expected=False, reweigh=False, evaluate_last=True))
+
+
+def collect(loop: Loop, trace: Trace) -> LevelFit:
+    """Collect the solution."""
+    problem = loop.problem
+    shown = GRADIENT_ROWS if loop.f["weighting"] == 2 else problem.k
+    return LevelFit(
+        p=problem.p,
+        angles=problem.angles,
+        lam=problem.lam,
+        costs=np.array(trace.costs),
+        path=np.array(trace.path),
+        angle_history=np.array(trace.angles),
+        n_iterations=trace.n_iterations,
+        converged=trace.converged,
+        held=trace.held,
+        flat=trace.flat,
+        noise_variance=problem.noise_variance,
+        squares=problem.squares,
+        weight=problem.weight,
+        prior_scale=loop.prior_scale,
+        expected_hessian=problem.expected_hessian,
+        usable=problem.usable,
+        contrast=contrast(problem, problem.own, shown),
+        weighted_contrast=contrast(problem, problem.masked, shown),
+        n_counted=int(np.count_nonzero(problem.masked[:, :shown])),
+        samples=problem.samples,
+        residual=problem.residual,
+    )
+
+
+def contrast(problem: Problem, sqrt_weights: np.ndarray, shown: int) -> np.ndarray:
+    """Sum weights, weighted samples and their squares, and weighted squares of the residual, per row, (shown, 4)."""
+    weights = problem.usable[:, None] * np.square(sqrt_weights[:, :shown])
+    samples, left = problem.gain * problem.samples[:, :shown], problem.residual[:, :shown]
+    parts = weights, weights * samples, weights * np.square(samples), weights * np.square(left)
+    return np.stack([part.sum(axis=0) for part in parts], axis=1)

@@ -1,0 +1,341 @@
+"""The core's loops over images in NumPy: they define the result of the compiled functions of the same names.
+
+They also replace these where the core could not be built. That of the fit is :mod:`liaam.fitting.reference`.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+CHANNELS = 8
+"""Channels of an encoded pixel; the last is its weight."""
+
+ALL = 0.999
+"""Fraction of a block's pixels above which the whole block counts as usable."""
+
+UNUSABLE = 1e-3
+"""Weight of an unusable pixel in a blur; usable pixels have about 1."""
+
+LOG_FLOOR, SOFTNESS, FLAT = 0.004, 0.1, 1e-4
+"""See :mod:`liaam.photometry.encoding`."""
+
+BRIGHTNESS, LUMINANCE = np.full(3, 1.0 / 3.0), np.array([0.2126, 0.7152, 0.0722])
+"""Weights of R, G and B."""
+
+REACH = 3.0
+"""Standard deviations at which a Gaussian is truncated."""
+
+ON_EDGE = 1e-9
+"""Tolerance on negative barycentric weights of pixels on an edge."""
+
+VALUE, LOG, ORIENTATION, SOFT = range(4)
+"""Numbers of the encodings, as in :data:`liaam.photometry.encoding.ENCODINGS`."""
+
+
+def _block_means(values: np.ndarray, start: float, size: float, count: int) -> np.ndarray:
+    """Average blocks along the first axis: differences of the cumulative sum, which is linear within a pixel."""
+    n = len(values)
+    edges = np.minimum(start + size * np.arange(count + 1), n)
+    whole = np.minimum(edges.astype(int), n - 1)
+    before = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
+    rest = (edges - whole).reshape(-1, *[1] * (values.ndim - 1))
+    return np.diff(before[whole] + rest * values[whole], axis=0) / size
+
+
+def value_means(values: np.ndarray, x: float, y: float, size: float, rows: int, columns: int) -> np.ndarray:
+    """Average blocks of pixels (h, w, c) to (rows, columns, c) float32.
+
+    The first block starts at (x, y), where 0 is the border of the first pixel. Blocks of side ``size``, at least 1, may
+    cut through pixels.
+    """
+    down = _block_means(values, y, size, rows)
+    return _block_means(down.swapaxes(0, 1), x, size, columns).swapaxes(0, 1).astype(np.float32)
+
+
+def stored_means(
+    image: np.ndarray,
+    table: np.ndarray,
+    x: float,
+    y: float,
+    size: float,
+    rows: int,
+    columns: int,
+) -> np.ndarray:
+    """Average blocks of integer pixels (h, w, 3) in linear light: R, G, B and the fraction of usable pixels.
+
+    ``table`` is that of :func:`liaam.photometry.encoding.light_table`; see :func:`value_means`.
+    """
+    pixels = table[0][image[..., 0]] * table[1][image[..., 1]] * table[2][image[..., 2]]
+    return value_means(pixels, x, y, size, rows, columns)
+
+
+def area_means(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Downsample an image (h, w) to means of the blocks that tile it."""
+    down = _block_means(np.asarray(image, np.float64), 0.0, image.shape[0] / rows, rows)
+    return _block_means(down.T, 0.0, image.shape[1] / columns, columns).T.astype(np.float32)
+
+
+def stored_luminance(image: np.ndarray, tables: np.ndarray) -> np.ndarray:
+    """Sum the channels of integer pixels by a table for each channel, (3, n), to (h, w) float32."""
+    channels = [tables[c][image[..., c]] for c in range(3)]
+    return np.asarray(channels[0] + channels[1] + channels[2], np.float32)
+
+
+def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Histogram (4081,) of the absolute response of the filter (1, -2, 1)' (1, -2, 1), which is zero on planes.
+
+    The image is (h, w, 3) uint8, and the filter is centred on the given rows.
+    """
+    above, own, below = (image[rows + shift].astype(np.int64) for shift in (-1, 0, 1))
+    bent = above - 2 * own + below
+    sizes = np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:])
+    return np.bincount(sizes.ravel(), minlength=16 * 255 + 1)
+
+
+def gaussian_taps(sigma: float) -> np.ndarray:
+    """Return the taps of a Gaussian, truncated at :data:`REACH`."""
+    reach = int(np.ceil(REACH * sigma))
+    taps = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / max(sigma, 1e-9)))
+    return taps / taps.sum()
+
+
+def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
+    """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
+    taps = gaussian_taps(sigma)
+    reach, (_, height, width) = len(taps) // 2, planes.shape
+    padded = np.pad(planes.astype(np.float64), ((0, 0), (reach, reach), (0, 0)), "edge")
+    down = np.sum([tap * padded[:, k : k + height] for k, tap in enumerate(taps)], axis=0)
+    padded = np.pad(down, ((0, 0), (0, 0), (reach, reach)), "edge")
+    return np.sum([tap * padded[:, :, k : k + width] for k, tap in enumerate(taps)], axis=0).astype(np.float32)
+
+
+def soft_directions(plane: np.ndarray, turn, softness: float) -> np.ndarray:
+    """Softly normalised gradient (h, w, 2) of an image (h, w): g / sqrt(|g|^2 + softness^2).
+
+    ``softness`` is the gradient per pixel for which the squared length is normalised to one half, and ``turn`` (4,) the
+    rotation from the image's to the object's axes.
+    """
+    # Central differences, and those to the one neighbour at the border.
+    slopes = [np.gradient(plane, axis=axis) if plane.shape[axis] > 1 else np.zeros_like(plane) for axis in (1, 0)]
+    gradient = np.stack(slopes, axis=2) @ np.reshape(turn, (2, 2)).T
+    return (gradient / np.sqrt(np.square(gradient).sum(axis=2) + softness**2)[..., None]).astype(np.float32)
+
+
+def srgb(linear: np.ndarray) -> np.ndarray:
+    """Encode linear light by the sRGB curve."""
+    power = np.power(np.maximum(linear, 1e-9), 1 / 2.4)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * power - 0.055)
+
+
+def encode(
+    light: np.ndarray,
+    finite: np.ndarray | None,
+    grey: bool,
+    encoding: int,
+    floor: float,
+    blur: float,
+    turn,
+    pixel: float,
+) -> np.ndarray:
+    """Encode means of light (h, w, 4) to eight channels (h, w, 8) float32.
+
+    ``finite`` (h, w) is the fraction of finite pixels, None if all are; ``floor`` the lower bound of light in
+    logarithms, ``blur`` a standard deviation in pixels, ``turn`` and ``pixel`` see
+    :func:`liaam.photometry.encoding.encode`.
+    """
+    colours, usable = light[..., :3].astype(np.float64), (light[..., 3] > ALL).astype(float)
+    oriented = encoding in (ORIENTATION, SOFT)
+    if encoding in (LOG, SOFT):
+        bright = np.log(colours @ BRIGHTNESS + LOG_FLOOR)
+        known = np.zeros_like(usable) if grey else usable
+        colours = np.log(np.maximum(colours, floor))
+        valid = np.ones_like(usable) if finite is None else (finite > ALL).astype(float)
+        by_bright, by_colour = finite is not None, finite is not None or not known.all()
+    else:
+        colours, valid = srgb(colours), usable
+        bright, known = colours @ LUMINANCE, np.zeros_like(usable) if oriented else usable
+        colours = np.zeros_like(colours) if oriented else colours
+        by_bright, by_colour = oriented and not usable.all(), not oriented and not usable.all()
+    # Pixels count in the blur by their weights plus a little.
+    bright = _weighted_blur(bright[None], valid if by_bright else None, blur)[0]
+    colours = np.moveaxis(_weighted_blur(np.moveaxis(colours, 2, 0), known if by_colour else None, blur), 0, 2)
+    channels = np.zeros((*usable.shape, CHANNELS), np.float32)
+    channels[..., -1] = valid if oriented else known
+    if not oriented:
+        channels[..., :3] = colours
+        return channels
+    softness = SOFTNESS * pixel if encoding == SOFT else FLAT
+    channels[..., :2] = soft_directions(bright, turn, softness)
+    channels[..., 2:5], channels[..., 5] = colours, known
+    return channels
+
+
+def _weighted_blur(planes: np.ndarray, weights: np.ndarray | None, sigma: float) -> np.ndarray:
+    if sigma <= 0.0 or weights is None:
+        return blur_planes(planes, sigma)
+    total = weights + UNUSABLE
+    # The weight in the denominator is blurred before the little is added.
+    return blur_planes(planes * total, sigma) / (blur_planes(weights[None], sigma) + UNUSABLE)
+
+
+def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sample an encoded image bilinearly, with the exact gradient of the interpolant.
+
+    The Jacobian is thus the derivative of the cost that is minimised. The gradient is discontinuous at pixel lines; on
+    a line it is the derivative from the right (from below). Channels are (h, w, c) and points (n, 2). Return the values
+    (n, c), the derivatives by x and y (n, 2, c), both 0 outside the image, and the weights (n,): 1 where all four
+    pixels around the point are inside the image and usable, else 0.
+    """
+    height, width, depth = channels.shape
+    with np.errstate(invalid="ignore"):  # points of a diverging fit may be NaN
+        inside = np.asarray(((points >= 0) & (points <= [width - 1, height - 1])).all(axis=1))
+    safe = np.where(inside[:, None], points, 0.0)
+    x, y = np.minimum(np.floor(safe), [width - 2, height - 2]).astype(int).T
+    u, v = (safe - np.stack([x, y], axis=1)).T[..., None]
+    pixels, corner = channels.reshape(-1, depth), y * width + x
+    c00, c10, c01, c11 = (pixels.take(corner + by, axis=0).astype(np.float64) for by in (0, 1, width, width + 1))
+    usable = (c00[:, -1] > 0) & (c10[:, -1] > 0) & (c01[:, -1] > 0) & (c11[:, -1] > 0) & inside
+    upper, lower = c10 - c00, c11 - c01
+    along_y = c01 + u * lower - (top := c00 + u * upper)
+    values, gradients = top + v * along_y, np.stack([upper + v * (lower - upper), along_y], axis=1)
+    values[~inside], gradients[~inside] = 0.0, 0.0
+    return values, gradients, usable.astype(float)
+
+
+def sample_channels(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sample an image (h, w, c + 1) bilinearly: values (n, c) and weights (n,), float32.
+
+    The last channel is the weight of the pixel; that of a sample is the least of the four pixels around.
+    """
+    values, _, _ = sample(channels, points)
+    with np.errstate(invalid="ignore"):
+        inside = np.asarray(((points >= 0) & (points <= np.array(channels.shape[1::-1]) - 1)).all(axis=1))
+    x, y = np.minimum(np.where(inside[:, None], points, 0.0).astype(int), np.array(channels.shape[1::-1]) - 2).T
+    weights = channels[..., -1]
+    least = np.min([weights[y + i, x + j] for i in (0, 1) for j in (0, 1)], axis=0)
+    return values[:, :-1].astype(np.float32), np.where(inside, least, 0.0).astype(np.float32)
+
+
+def correlate(left: np.ndarray, right: np.ndarray, product: np.ndarray) -> None:
+    """Compute the spectrum of the correlation of two images (2, h, w), left conj(right), summed over their channels.
+
+    All are Fourier transforms of real channels as packed by OpenCV's ``dft``; ``product`` (h, w) is the output.
+    """
+    import cv2
+
+    products = [cv2.mulSpectrums(a, b, 0, conjB=True) for a, b in zip(left, right, strict=True)]
+    product[:] = products[0] + products[1]
+
+
+def best_peaks(image: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Find up to `count` local maxima above `least` of a finite image (h, w), the largest first; ties in raster order.
+
+    No pixel within a square of `reach` pixels around a maximum is larger. Return rows and columns (k, 2), and values
+    (k,).
+    """
+    import cv2
+
+    size = 2 * reach + 1
+    around = cv2.dilate(np.ascontiguousarray(image), np.ones((size, size), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    rows, columns = np.nonzero((image >= around) & (image > np.float32(least)))
+    best = np.argsort(-image[rows, columns], kind="stable")[:count]
+    places = np.column_stack([rows, columns])[best]
+    return places, image[places[:, 0], places[:, 1]]
+
+
+def carry(
+    points: np.ndarray, triangles: np.ndarray, values: np.ndarray, width: int, height: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate values of a mesh's vertices, (n, c) float64, at the pixels of an image.
+
+    A pixel on a common edge belongs to the first triangle. Vertices (n, 2) may lie outside the image. Return the index
+    of each pixel's triangle, (height, width) int32, -1 outside the mesh, and the values, (height, width, c), 0 there.
+    """
+    owner, carried = np.full((height, width), -1, np.int32), np.zeros((height, width, values.shape[1]))
+    for t, corners in enumerate(triangles):
+        a, b, c = points[corners]
+        (x0, y0), (x1, y1) = b - a, c - a
+        determinant = x0 * y1 - x1 * y0
+        if determinant == 0:
+            continue
+        low = np.clip(np.floor(np.min([a, b, c], axis=0)), 0, [width, height]).astype(int)
+        high = np.clip(np.ceil(np.max([a, b, c], axis=0)) + 1, 0, [width, height]).astype(int)
+        x, y = np.mgrid[low[0] : high[0], low[1] : high[1]].reshape(2, -1)
+        dx, dy = x - a[0], y - a[1]
+        v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+        weights = np.column_stack([1.0 - v - w, v, w])
+        inside = (weights >= -ON_EDGE).all(axis=1) & (owner[y, x] < 0)
+        owner[y[inside], x[inside]], carried[y[inside], x[inside]] = t, weights[inside] @ values[corners]
+    return owner, carried
+
+
+def draw_triangles(
+    points: np.ndarray, triangles: np.ndarray, attributes: np.ndarray, height: int, width: int, farthest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw triangles (m, 3) with a z-buffer, which begins at ``farthest``.
+
+    The vertices (n, 3) are (column, row, nearness); the largest nearness is visible, and of equal ones the first.
+    Returns their interpolated attributes (height, width, k) float32, 0 where nothing is drawn, and the nearness
+    (height, width) float64.
+    """
+    image, depth = np.zeros((height * width, attributes.shape[1]), np.float32), np.full(height * width, farthest)
+    for pixels, nearness, weights, corners in _visible(points, triangles, height, width, depth):
+        depth[pixels] = nearness
+        image[pixels] = np.einsum("nv,nvk->nk", weights, attributes[corners])
+    return image.reshape(height, width, -1), depth.reshape(height, width)
+
+
+AT_ONCE = 2_000_000
+"""Pixels of the triangles' boxes that are looked at together."""
+
+
+def _visible(points: np.ndarray, triangles: np.ndarray, height: int, width: int, depth: np.ndarray) -> Iterator:
+    """Yield pixels that triangles cover nearer than ``depth`` (height * width,), which the caller updates.
+
+    Each item has the pixels (n,), their nearness (n,), and the barycentric weights and the vertices (n, 3) of the
+    nearest triangle; of equally near ones the first.
+    """
+    corners = points[triangles, :2]
+    (x0, y0), (x1, y1) = (np.moveaxis(corners[:, i] - corners[:, 0], 1, 0) for i in (1, 2))
+    low = np.maximum(np.ceil(corners.min(axis=1)), 0).astype(int)
+    high = np.minimum(np.floor(corners.max(axis=1)), (width - 1, height - 1)).astype(int)
+    sides = np.where((x0 * y1 - y0 * x1 != 0.0)[:, None], np.maximum(high - low + 1, 0), 0)
+    parts = np.cumsum(sides.prod(axis=1)) // AT_ONCE
+    for part in range(int(parts[-1]) + 1 if len(parts) else 0):
+        chosen = np.flatnonzero(parts == part)
+        pixels, nearness, weights, owners = _covered(points, triangles, chosen, low, sides, width)
+        nearer = nearness > depth[pixels]
+        pixels, nearness, weights, owners = (each[nearer] for each in (pixels, nearness, weights, owners))
+        order = np.lexsort((owners, -nearness, pixels))
+        first = order[np.flatnonzero(np.diff(pixels[order], prepend=-1))]
+        yield pixels[first], nearness[first], weights[first], triangles[owners[first]]
+
+
+def _covered(points, triangles, chosen, low, sides, width):
+    """Return all pixels of some triangles, with nearness, barycentric weights and the triangle of each."""
+    counts = sides[chosen].prod(axis=1)
+    owners = np.repeat(chosen, counts)
+    within = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+    x = low[owners, 0] + within % sides[owners, 0]
+    y = low[owners, 1] + within // sides[owners, 0]
+    a, b, c = points[triangles[owners]].transpose(1, 2, 0)
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    second = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+    third = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+    weights = np.column_stack([1.0 - second - third, second, third])
+    nearness = weights[:, 0] * a[2] + weights[:, 1] * b[2] + weights[:, 2] * c[2]
+    inside = (weights >= -ON_EDGE).all(axis=1)
+    return (y * width + x)[inside], nearness[inside], weights[inside], owners[inside]
+
+
+def filter_rows_and_columns(layers: np.ndarray, across: np.ndarray, down: np.ndarray) -> None:
+    """Filter (h, w, c) recursively along rows and then columns, forward and backward, in place.
+
+    ``across`` (h, w - 1) and ``down`` (h - 1, w) are the feedback between neighbours (domain transform, Gastal and
+    Oliveira, ACM TOG 2011).
+    """
+    for lines, kept in ((layers.swapaxes(0, 1), across.T), (layers, down)):
+        for i in range(1, len(lines)):
+            lines[i] += kept[i - 1][:, None] * (lines[i - 1] - lines[i])
+        for i in range(len(lines) - 2, -1, -1):
+            lines[i] += kept[i][:, None] * (lines[i + 1] - lines[i])

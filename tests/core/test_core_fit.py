@@ -1,0 +1,180 @@
+"""Whole fits of the core: those of the reference, the same in any thread, and interruptible."""
+
+import _thread
+import pickle
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from liaam import _core
+from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
+from liaam.fitting.levels import CompiledLevels, LinearImage, solve_levels
+from setups import disturb, finest_objective, make_level, model_pixels, stands_light, without_core
+
+pytestmark = pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
+
+WEIGHED = ("soft-li+tukey", "grey+tukey", "rgb+learnt", "li+noise", "li-pcs+cauchy", "igo+geman-mcclure")
+IN_CORE = [name for name in (*METHODS, *WEIGHED) if not get_method(name).normalise]
+SHORT = SolverOptions(max_iterations=4)
+"""Longer fits may differ in the number of steps, by rounding."""
+
+
+@pytest.mark.parametrize(
+    ("method", "light"),
+    [(name, "same") for name in IN_CORE] + [(name, "other") for name in IN_CORE if stands_light(name)],
+)
+def test_whole_fits_are_those_of_the_reference(model, same_light_scene, lit_scene, method, light):
+    scene = same_light_scene if light == "same" else lit_scene
+    start = disturb(scene.landmarks)
+    core = Fitter(model, method, SHORT).fit(scene.image, start)
+    with without_core():
+        reference = Fitter(model, method, SHORT).fit(scene.image, start)
+    assert core.n_iterations == reference.n_iterations
+    assert model_pixels(model, core.landmarks, reference.landmarks) < 1e-2
+    np.testing.assert_allclose(core.cost, reference.cost, rtol=2e-3)
+    np.testing.assert_allclose(core.lam, reference.lam, atol=5e-3 * np.abs(reference.lam).max())
+    np.testing.assert_allclose(core.landmark_covariances, reference.landmark_covariances, rtol=0.05, atol=1e-6)
+    np.testing.assert_allclose(core.evidence, reference.evidence, rtol=1e-2, atol=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("method", ["soft-li", "li", "grey", "igo"])
+def test_one_call_is_the_levels_one_by_one(model, lit_scene, method, dtype):
+    """The blocks, the encoding and the noise of each level are those of the Python modules that training uses."""
+    image = lit_scene.image if dtype == np.float32 else np.rint(lit_scene.image * np.iinfo(dtype).max).astype(dtype)
+    fitter = Fitter(model, method, SHORT)
+    for scale in (1.0, 0.4, 2.3):
+        size = np.array(image.shape[1::-1]) * scale
+        y, x = (np.linspace(0, n - 1, int(m)).astype(int) for n, m in zip(image.shape, size[::-1], strict=False))
+        target, _ = fitter.target(image[np.ix_(y, x)], scale * disturb(lit_scene.landmarks))
+        one, other = fitter._compiled(0).fit(target, SHORT), solve_levels(fitter._pairs, target, SHORT)
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_allclose(a.reached, b.reached, atol=2e-2)
+            np.testing.assert_array_equal(a.patch_size, b.patch_size)
+            np.testing.assert_allclose(a.to_patch.offset, b.to_patch.offset, atol=1e-9)
+            np.testing.assert_allclose(a.solution.costs, b.solution.costs, rtol=2e-3)
+
+
+def test_threads_that_share_a_fitter_get_the_bits_of_one(model, same_light_scene, lit_scene):
+    fitters = {method: Fitter(model, method) for method in ("soft-li", "li", "grey", "igo")}
+    scenes = (same_light_scene, lit_scene)
+    tasks = [(method, scene) for method in fitters for scene in scenes] * 5
+
+    def fit(task):
+        method, scene = task
+        return fitters[method].fit(scene.image, disturb(scene.landmarks))
+
+    alone = [fit(task) for task in tasks]
+    with ThreadPoolExecutor(10) as pool:
+        together = list(pool.map(fit, tasks))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one.landmarks, other.landmarks)
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_a_pickled_fitter_gives_the_same_bits(model, lit_scene):
+    for method in ("soft-li", "li"):
+        fitter, start = Fitter(model, method), disturb(lit_scene.landmarks)
+        first = fitter.fit(lit_scene.image, start)
+        again = pickle.loads(pickle.dumps(fitter)).fit(lit_scene.image, start)
+        np.testing.assert_array_equal(again.landmarks, first.landmarks)
+        np.testing.assert_array_equal(again.covariance, first.covariance)
+
+
+@pytest.mark.parametrize("kind", ["strided", "read only", "of four channels", "mirrored", "float16"])
+def test_images_of_any_layout_are_fitted(model, lit_scene, kind):
+    image, start = np.rint(lit_scene.image * 255).astype(np.uint8), disturb(lit_scene.landmarks)
+    expected = Fitter(model).fit(image, start)
+    given = {
+        "strided": np.repeat(image, 2, axis=1)[:, ::2],
+        "of four channels": np.concatenate([image, image[..., :1]], axis=2),
+        "mirrored": np.ascontiguousarray(image[..., ::-1])[..., ::-1],
+        "float16": (image / 255).astype(np.float16),
+    }.get(kind, image.copy())
+    given.flags.writeable = kind != "read only"
+    found = Fitter(model).fit(given, start)
+    np.testing.assert_allclose(found.landmarks, expected.landmarks, atol=0.05 if kind == "float16" else 0.0)
+
+
+def test_ctrl_c_ends_a_fit(fine_model, lit_scene):
+    """A fit that would take minutes ends within a fifth of a second."""
+    objective = finest_objective(fine_model, "grey")
+    image, p = make_level(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective)
+    endless = SolverOptions(max_iterations=1_000_000, tolerance=0.0, damping=0.0)
+    pressed = []
+
+    def press():
+        pressed.append(time.monotonic())
+        _thread.interrupt_main()
+
+    timer = threading.Timer(0.3, press)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        objective.solve(image, objective.start(p), endless)
+    assert time.monotonic() - pressed[0] < 0.2
+
+
+DAMAGED = {
+    "a triangle that names no vertex": ("triangles", lambda a: a + 1000),
+    "pixels that are not sorted": ("starts", lambda a: a[::-1].copy()),
+    "fewer rows": ("rows", lambda a: a[:-1].copy()),
+    "shorter lines": ("lines", lambda a: a[:-8].copy()),
+    "a metric of another size": ("metric", lambda a: a[:, :-1].copy()),
+    "another type": ("rows", lambda a: a.astype(np.float64)),
+    "weights of another size": ("sqrt_weights", lambda a: a[:-1].copy()),
+    "errors of another size": ("errors", lambda a: a[:-1].copy()),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_objectives_that_do_not_fit_together_are_refused(model, case):
+    fields, (name, damage) = dict(finest_objective(model, "soft-li").fields), DAMAGED[case]
+    fields[name] = damage(fields[name])
+    with pytest.raises(ValueError):
+        _core.make_objective(fields)
+
+
+def test_a_state_of_another_size_is_refused(model, lit_scene):
+    objective = finest_objective(model, "soft-li")
+    image, p = make_level(model, lit_scene.image, lit_scene.landmarks, objective)
+    with pytest.raises(ValueError, match="differs in size"):
+        objective.solve(image, objective.start(p[:-1]), SolverOptions())
+    smaller = replace(image, patch=replace(image.patch, channels=image.channels[:1]))
+    with pytest.raises(ValueError, match="at least 2 by 2"):
+        objective.solve(smaller, objective.start(p), SolverOptions())
+
+
+def test_large_images_of_floats_are_fitted_level_by_level(model, lit_scene, monkeypatch):
+    start = disturb(lit_scene.landmarks)
+    whole = Fitter(model, "li").fit(lit_scene.image, start)
+    monkeypatch.setattr("liaam.fitting.levels.LARGEST_FLOATS", 10)
+    target = Fitter(model, "li").target(lit_scene.image, start)[0]
+    assert isinstance(target.linear, LinearImage) and not CompiledLevels.can_take(target, SolverOptions())
+    again = Fitter(model, "li").fit(lit_scene.image, start)
+    np.testing.assert_allclose(again.landmarks, whole.landmarks, atol=2e-2)
+
+
+@pytest.mark.parametrize("choice", ["baseline", "numpy", "else"])
+def test_the_instruction_set_can_be_forced(choice):
+    code = "from liaam import _core; print(_core.INSTRUCTION_SET, _core.BUILT)"
+    environment = {"LIAAM_CPU": choice}
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    if choice == "else":
+        assert ran.returncode and "LIAAM_CPU=else is unknown; choose from baseline, avx2, numpy" in ran.stderr
+    else:
+        assert ran.stdout.split() == [choice, str(choice == "baseline")]
+        assert not ran.stderr
+
+
+def test_a_core_can_be_required():
+    environment = {"LIAAM_CPU": "numpy", "LIAAM_REQUIRE_CORE": "1"}
+    code = "import liaam._core"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert ran.returncode and "without its compiled core" in ran.stderr
