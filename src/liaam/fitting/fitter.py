@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -522,6 +523,38 @@ def _with_prior(result: FitResult, prior: float) -> FitResult:
     return replace(result, quality=quality, status=FitStatus.DOUBTFUL if doubtful else result.status)
 
 
+FITTERS_KEPT = 4
+"""Number of fitters that :func:`fit` keeps with a model, so that calls in a loop cost what :meth:`Fitter.fit` costs."""
+
+_turn = Lock()
+
+
+def _kept_fitter(
+    model: AAM, method: str | Method, camera: CameraModel | None, rotations: str, restarts: bool, margin: float, options
+) -> Fitter:
+    """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
+
+    def make() -> Fitter:
+        about = {"camera": camera, "rotations": rotations, "restarts": restarts, "margin": margin}
+        return Fitter.of(model, method, **about, **options)
+
+    if not isinstance(model, AAM):
+        return make()  # which says what is wrong
+    key = method, id(camera), rotations, restarts, margin, *sorted(options.items())
+    with _turn:
+        kept = vars(model).setdefault("_fitters", {})
+        fitter = kept.pop(key, None)
+        if fitter is not None and fitter.camera is camera:
+            kept[key] = fitter  # the last used is dropped last
+            return fitter
+    fitter = make()
+    with _turn:
+        kept[key] = fitter
+        while len(kept) > FITTERS_KEPT:
+            kept.pop(next(iter(kept)))
+    return fitter
+
+
 def fit(
     model: AAM,
     image,
@@ -559,6 +592,6 @@ def fit(
     ImageError, StartError, MethodError
         If an argument is invalid.
     """
-    fitter = Fitter.of(model, method, camera=camera, rotations=rotations, restarts=restarts, margin=margin, **options)
+    fitter = _kept_fitter(model, method, camera, rotations, restarts, margin, options)
     result = fitter.fit(image, init)
     return result if result.image is not None else replace(result, image=image)

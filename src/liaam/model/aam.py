@@ -64,6 +64,10 @@ class AAM:
     points: PointMap | None = None
     features: Features | None = None
 
+    def __getstate__(self) -> dict:
+        """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
+        return {name: value for name, value in self.__dict__.items() if name != "_fitters"}
+
     def __repr__(self) -> str:
         images = count_of(self.n_images, "image")
         return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {images})"
