@@ -24,16 +24,23 @@ struct CornerPairs {
     }
 };
 
-// w^2 (gradient by x, by y, residual, angle column or 0) of each residual.
-void weigh_columns(Workspace& work, const std::vector<float>& gradients, const float* column) {
+// Pixels of a triangle, and their residuals.
+struct Range {
+    std::size_t begin, end;
+};
+
+// w^2 (gradient by x, by y, residual, angle column or 0) of the residuals of a triangle's pixels.
+void weigh_columns(const Workspace& work, const std::vector<float>& gradients, const float* column, Range residuals,
+                   std::vector<float>& fours) {
     const float *root = work.masked.data(), *residual = work.residual.data(), *slopes = gradients.data();
-    float* fours = work.fours.data();
-    for (std::size_t e = 0; e < work.residual.size(); ++e) {
+    fours.resize(std::max(fours.size(), 4 * (residuals.end - residuals.begin) + kEight));
+    float* out = fours.data();
+    for (std::size_t e = residuals.begin; e < residuals.end; ++e, out += 4) {
         const float square = root[e] * root[e];
-        fours[4 * e] = square * slopes[2 * e];
-        fours[4 * e + 1] = square * slopes[2 * e + 1];
-        fours[4 * e + 2] = square * residual[e];
-        fours[4 * e + 3] = column ? square * column[e] : 0.0f;
+        out[0] = square * slopes[2 * e];
+        out[1] = square * slopes[2 * e + 1];
+        out[2] = square * residual[e];
+        out[3] = column ? square * column[e] : 0.0f;
     }
 }
 
@@ -81,23 +88,6 @@ void add_triangle(const Mesh& mesh, std::span<const std::int64_t> triangle, cons
     }
 }
 
-// E'J, E'r and E' times an angle column, for x and y of each vertex.
-void sum_by_vertex(const Objective& objective, const std::vector<float>& expected, Workspace& work) {
-    const Mesh& mesh = objective.model.mesh;
-    const std::size_t k = objective.k();
-    work.by_vertex.resize(2 * mesh.n_vertices(), mesh.basis.n_columns + kEight);
-    work.by_vertex.fill(0.0);
-    for (std::size_t t = 0; t < mesh.triangles.n_rows; ++t) {
-        const auto begin = static_cast<std::size_t>(mesh.starts[t]), end = static_cast<std::size_t>(mesh.starts[t + 1]);
-        if (begin == end) continue;
-        CornerPairs pairs;
-        for (std::size_t i = begin; i < end; ++i)
-            pairs.add(mesh.beta[i].data(),
-                      pixel_products(work.fours.data() + 4 * i * k, expected.data() + 2 * i * k, k));
-        add_triangle(mesh, mesh.triangles[t], pairs, work.by_vertex);
-    }
-}
-
 // J'A of eight modes over a triangle, for x and y of its three vertices.
 struct ModeSums {
     Eight ax{}, ay{}, bx{}, by{}, cx{}, cy{};
@@ -112,33 +102,55 @@ struct ModeSums {
     }
 };
 
-// J'A for x and y of each vertex.
-void sum_modes_by_vertex(const Objective& objective, Workspace& work) {
+// Adds J'A of a triangle to the rows of its vertices.
+void add_modes(const Objective& objective, std::span<const std::int64_t> triangle, Range pixels, Workspace& work) {
     const Mesh& mesh = objective.model.mesh;
     const std::size_t k = objective.k(), width = objective.width();
-    work.modes_by_vertex.resize(2 * mesh.n_vertices(), width);
-    work.modes_by_vertex.fill(0.0);
-    for (std::size_t t = 0; t < mesh.triangles.n_rows; ++t) {
-        const auto triangle = mesh.triangles[t];
-        const auto begin = static_cast<std::size_t>(mesh.starts[t]), end = static_cast<std::size_t>(mesh.starts[t + 1]);
-        for (std::size_t column = 0; column < width; column += kEight) {
-            ModeSums sums;
-            for (std::size_t i = begin; i < end; ++i) {
-                Eight x{}, y{};
-                for (std::size_t e = i * k; e < (i + 1) * k; ++e) {
-                    const Eight line = load(work.lines.data() + e * width + column);
-                    x += work.fours[4 * e] * line;
-                    y += work.fours[4 * e + 1] * line;
-                }
-                sums.add(mesh.beta[i].data(), x, y);
+    for (std::size_t column = 0; column < width; column += kEight) {
+        ModeSums sums;
+        const float* four = work.fours.data();
+        const float* lines = work.lines.data() + pixels.begin * k * width + column;
+        for (std::size_t i = pixels.begin; i < pixels.end; ++i) {
+            Eight x{}, y{};
+            for (std::size_t r = 0; r < k; ++r, four += 4, lines += width) {
+                const Eight line = load(lines);
+                x += four[0] * line;
+                y += four[1] * line;
             }
-            const Eight* of_corner[3][2] = {{&sums.ax, &sums.ay}, {&sums.bx, &sums.by}, {&sums.cx, &sums.cy}};
-            for (std::size_t corner = 0; corner < 3; ++corner)
-                for (std::size_t axis = 0; axis < 2; ++axis) {
-                    double* out = work.modes_by_vertex[2 * triangle[corner] + axis] + column;
-                    for (std::size_t j = 0; j < kEight; ++j) out[j] += (*of_corner[corner][axis])[j];
-                }
+            sums.add(mesh.beta[i].data(), x, y);
         }
+        const Eight* of_corner[3][2] = {{&sums.ax, &sums.ay}, {&sums.bx, &sums.by}, {&sums.cx, &sums.cy}};
+        for (std::size_t corner = 0; corner < 3; ++corner)
+            for (std::size_t axis = 0; axis < 2; ++axis) {
+                double* out = work.modes_by_vertex[2 * triangle[corner] + axis] + column;
+                for (std::size_t j = 0; j < kEight; ++j) out[j] += (*of_corner[corner][axis])[j];
+            }
+    }
+}
+
+// E'J, E'r and E' times an angle column, for x and y of each vertex; and J'A, with the first column. Triangle by
+// triangle, so that what is summed stays in the cache.
+void sum_by_vertex(const Objective& objective, const std::vector<float>& of_j, const std::vector<float>& of_e,
+                   std::size_t f, Workspace& work) {
+    const Mesh& mesh = objective.model.mesh;
+    const std::size_t k = objective.k();
+    const float* column = work.columns.empty() ? nullptr : work.columns[f].data();
+    work.by_vertex.resize(2 * mesh.n_vertices(), mesh.basis.n_columns + kEight);
+    work.by_vertex.fill(0.0);
+    if (f == 0) {
+        work.modes_by_vertex.resize(2 * mesh.n_vertices(), objective.width());
+        work.modes_by_vertex.fill(0.0);
+    }
+    for (std::size_t t = 0; t < mesh.triangles.n_rows; ++t) {
+        const Range pixels{static_cast<std::size_t>(mesh.starts[t]), static_cast<std::size_t>(mesh.starts[t + 1])};
+        if (pixels.begin == pixels.end) continue;
+        weigh_columns(work, of_j, column, {pixels.begin * k, pixels.end * k}, work.fours);
+        CornerPairs pairs;
+        const float* fours = work.fours.data();
+        for (std::size_t i = pixels.begin; i < pixels.end; ++i, fours += 4 * k)
+            pairs.add(mesh.beta[i].data(), pixel_products(fours, of_e.data() + 2 * i * k, k));
+        add_triangle(mesh, mesh.triangles[t], pairs, work.by_vertex);
+        if (f == 0) add_modes(objective, mesh.triangles[t], pixels, work);
     }
 }
 
@@ -234,13 +246,11 @@ void linearise(const Objective& objective, Workspace& work, Linearisation kind) 
     differentiate_angles(objective, work);
     sum_angle_products(objective, work);
     for (std::size_t f = 0; f < std::max<std::size_t>(n_free, 1); ++f) {
-        weigh_columns(work, of_j, n_free ? work.columns[f].data() : nullptr);
-        sum_by_vertex(objective, of_e, work);
+        sum_by_vertex(objective, of_j, of_e, f, work);
         carry(mesh, work.by_vertex, n_p, work.carried);
         for (std::size_t i = 0; i < n_p && n_free; ++i)
             work.hessian[i][n_p + f] = work.hessian[n_p + f][i] = work.carried[i][width + 1];
     }
-    sum_modes_by_vertex(objective, work);
     carry(mesh, work.modes_by_vertex, n_p, work.carried_modes);
     for (std::size_t i = 0; i < n_p; ++i) {
         work.gradient[i] = work.carried[i][width];

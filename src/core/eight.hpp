@@ -12,6 +12,7 @@ constexpr std::size_t kEight = 8;
 #if defined(__GNUC__) || defined(__clang__)
 
 typedef float Eight __attribute__((vector_size(32)));
+typedef float Four __attribute__((vector_size(16)));
 
 #else  // plain, for compilers without this extension
 
@@ -38,7 +39,31 @@ inline Eight operator*(float a, Eight b) {
 }
 inline Eight operator*(const Eight& a, float b) { return b * a; }
 
+struct Four {
+    float lane[4];
+    Four& operator+=(const Four& b) {
+        for (std::size_t i = 0; i < 4; ++i) lane[i] += b.lane[i];
+        return *this;
+    }
+};
+inline Four operator*(Four a, const Four& b) {
+    for (std::size_t i = 0; i < 4; ++i) a.lane[i] *= b.lane[i];
+    return a;
+}
+inline Four operator*(float a, Four b) {
+    for (std::size_t i = 0; i < 4; ++i) b.lane[i] *= a;
+    return b;
+}
+
 #endif
+
+inline Four load_four(const float* from) {
+    Four four;
+    std::memcpy(&four, from, sizeof(four));
+    return four;
+}
+
+inline void store_four(float* to, Four four) { std::memcpy(to, &four, sizeof(four)); }
 
 inline Eight load(const float* from) {
     Eight eight;
@@ -82,6 +107,14 @@ inline void transpose(const float* rows, std::size_t stride, float* out) {
 #endif
 }
 
-inline float sum(Eight a) { return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7])); }
+inline float sum(Eight a) {
+#if defined(__GNUC__) || defined(__clang__)
+    const Eight fours = a + __builtin_shufflevector(a, a, 4, 5, 6, 7, 0, 1, 2, 3);
+    const Eight twos = fours + __builtin_shufflevector(fours, fours, 2, 3, 0, 1, 6, 7, 4, 5);
+    return twos[0] + twos[1];
+#else
+    return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]));
+#endif
+}
 
 }  // namespace liaam

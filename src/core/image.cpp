@@ -3,6 +3,8 @@
 #include <cmath>
 #include <cstdlib>
 
+#include "eight.hpp"
+
 namespace liaam {
 
 namespace {
@@ -46,10 +48,9 @@ void cut_light(const std::vector<float>& sums, const Taps& taps, std::ptrdiff_t 
     for (std::ptrdiff_t j = 0; j < columns; ++j) {
         const float* shares = taps.of(j);
         const float* from = sums.data() + 4 * taps.first[j];
-        float total[4] = {0.0f, 0.0f, 0.0f, 0.0f};
-        for (std::size_t k = 0; k < taps.n_taps; ++k)
-            for (std::size_t c = 0; c < 4; ++c) total[c] += shares[k] * from[4 * k + c];
-        for (std::size_t c = 0; c < 4; ++c) means[4 * j + c] = total[c];
+        Four total{};
+        for (std::size_t k = 0; k < taps.n_taps; ++k) total += shares[k] * load_four(from + 4 * k);
+        store_four(means + 4 * j, total);
     }
 }
 
@@ -58,10 +59,9 @@ void decode_row(const Stored<T>& image, std::ptrdiff_t y, const LightTable& tabl
     const T* pixel = image.row(y);
     const float *reds = table.of(0), *greens = table.of(1), *blues = table.of(2);
     for (std::ptrdiff_t x = 0; x < image.width; ++x, pixel += image.by_pixel) {
-        const float *r = reds + 4 * pixel[0], *g = greens + 4 * pixel[image.by_channel];
-        const float* b = blues + 4 * pixel[2 * image.by_channel];
-        const float four[4] = {r[0] * g[0] * b[0], r[1] * g[1] * b[1], r[2] * g[2] * b[2], r[3] * g[3] * b[3]};
-        std::copy(four, four + 4, light + 4 * x);
+        const Four red = load_four(reds + 4 * pixel[0]), green = load_four(greens + 4 * pixel[image.by_channel]);
+        const Four blue = load_four(blues + 4 * pixel[2 * image.by_channel]);
+        store_four(light + 4 * x, red * green * blue);
     }
 }
 

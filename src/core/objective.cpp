@@ -2,7 +2,6 @@
 
 #include <limits>
 
-#include "eight.hpp"
 #include "step.hpp"
 
 namespace liaam {
@@ -38,7 +37,6 @@ void Workspace::begin(const Objective& objective, const State& start) {
     for (auto* each : {&ar, &lam_step}) each->assign(m, 0.0);
     columns.resize(method.n_free());
     for (auto& column : columns) column.resize(n * k);
-    fours.resize(4 * n * k + kEight);
     for (auto* each : {&hessian, &expected_hessian, &damping_matrix}) {
         each->resize(n_q, n_q);
         each->fill(0.0);

@@ -123,7 +123,7 @@ struct Workspace {
     std::vector<float> appearance_slopes;  // (2 n k): of the fitted appearance, reference frame
     std::vector<float> expected;           // (2 n k): the gradient that the model expects, by x and y
     std::vector<std::vector<float>> columns;  // derivatives by the free angles
-    std::vector<float> fours;
+    std::vector<float> fours;  // of the pixels of a triangle
     Matrix by_vertex, modes_by_vertex, carried, carried_modes;
     Matrix aj, whitened, product;
     Matrix hessian;           // E'QJ, with E the expected derivatives or J
