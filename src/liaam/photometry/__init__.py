@@ -15,7 +15,6 @@ from liaam.photometry.invariant import (
     temperature_direction,
     wien_theta,
 )
-from liaam.photometry.masks import dark_pixels, saturated_pixels, specular_pixels, usable_pixels
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.projection import invariant_image
 from liaam.photometry.response import (
@@ -40,7 +39,6 @@ __all__ = [
     "Response",
     "ResponseCurve",
     "camera_from",
-    "dark_pixels",
     "describe_response",
     "encode",
     "exposure_faults",
@@ -55,11 +53,8 @@ __all__ = [
     "log_slope",
     "noise_deviation",
     "parse_response",
-    "saturated_pixels",
-    "specular_pixels",
     "srgb_to_linear",
     "temperature_direction",
     "to_linear",
-    "usable_pixels",
     "wien_theta",
 ]
