@@ -1,7 +1,7 @@
 """Direct light-invariant registration of two images by a homography (the paper's reference [10]).
 
-Objective and solver are those of a fit (eq 9 and 10). The model is the first image, an appearance without modes, the
-warp is a homography, and the method is any of :data:`liaam.fitting.METHODS`.
+Cost (eq 9 and 10) and solver are those of a fit. The model is the first image, an appearance without modes, the warp is
+a homography, and the method is any of :data:`liaam.fitting.METHODS`.
 """
 
 from dataclasses import dataclass, replace

@@ -241,7 +241,7 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
 
 
 def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: bool = False) -> np.ndarray:
-    """Compute the spectral power (m, n) of Planckian radiators, 1 at 560 nm (paper eq 6, which is Wien's law)."""
+    """Compute the spectral power (m, n) of Planckian radiators, 1 at 560 nm; ``wien``: by Wien's approximation."""
     nm, reach = np.asarray(wavelengths_nm, dtype=np.float64), K2_NM / np.atleast_1d(kelvin)[:, None]
     ratio = np.exp(reach / 560.0 - reach / nm) if wien else np.expm1(reach / 560.0) / np.expm1(reach / nm)
     return ratio * (560.0 / nm) ** 5

@@ -1,4 +1,4 @@
-"""Statistical shape models: Procrustes alignment, PCA, and the four similarity vectors (paper eq 1-2)."""
+"""Statistical shape models: Procrustes alignment, PCA, and the four similarity vectors (paper eq 2)."""
 
 from cmath import isfinite
 from collections.abc import Callable, Sequence
@@ -131,7 +131,7 @@ def similarity_modes(mean: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ShapeModel:
-    """Shapes s(p) = s0 + sum_i p_i s_i (paper eq 1-2).
+    """Shapes s(p) = s0 + sum_i p_i s_i (paper eq 2).
 
     Attributes
     ----------

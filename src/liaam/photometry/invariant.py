@@ -26,7 +26,7 @@ lights of 3000-8000 K. Published sensor sensitivities give 116-122 degrees."""
 
 
 def invariant_row(theta: float) -> np.ndarray:
-    """Row L(theta) = (cos, sin, -cos - sin) of paper eq 7, (1, 3) float64, of a camera with angle theta in radians.
+    """Row L(theta) = (cos, sin, -cos - sin) of paper eq 8, (1, 3) float64, of a camera with angle theta in radians.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def temperature_direction(theta: float) -> np.ndarray:
 
 
 def invariant(log_rgb: np.ndarray, theta: float) -> np.ndarray:
-    """Light-invariant value L(theta) . log rho (...) float64 of logarithms of linear RGB (..., 3) (paper eq 8)."""
+    """Light-invariant value L(theta) . log rho (...) float64 of logarithms of linear RGB (..., 3) (paper eq 7)."""
     return np.asarray(log_rgb, dtype=np.float64) @ invariant_row(theta)[0]
 
 

@@ -10,7 +10,7 @@ from liaam.photometry.invariant import invariant
 def invariant_image(
     image: np.ndarray, camera: CameraModel | None = None, *, blur: float = 0.0, name: str = "image"
 ) -> np.ndarray:
-    """Light-invariant value L(theta) . log rho of every pixel (paper eq 8).
+    """Light-invariant value L(theta) . log rho of every pixel (paper eq 7).
 
     Parameters
     ----------

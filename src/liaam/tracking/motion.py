@@ -1,7 +1,7 @@
 """Motion coordinates of a shape: four for the similarity and one per shape mode, all in image pixels.
 
 A shape is y0 s0 + y1 (-v, u) + y2 (1, 0, ...) + y3 (0, 1, ...) + R (y4 s1 + y5 s2 + ...), with unit vectors of the
-shape model (paper eq 1-2) and R the rotation given by y0 and y1. All columns are orthonormal, so distances in y equal
+shape model (paper eq 2) and R the rotation given by y0 and y1. All columns are orthonormal, so distances in y equal
 distances of landmarks, and a projection on the columns converts covariances.
 """
 

@@ -4,9 +4,8 @@
 >>> training = make_set(2, head=Head(7))
 >>> test = render(Head(7), lights=lateral("left"))
 
-The image formation is that of Pizarro, Peyras and Bartoli (CVPR 2008), section 3, after Finlayson: a
-Lambertian surface, Planckian light, and a sensor that is linear up to its response curve. Everything follows
-from the seeds.
+The image formation is that of Pizarro, Peyras and Bartoli (CVPR 2008), after Finlayson: a Lambertian surface, Planckian
+light, and a sensor that is linear up to its response curve. Everything follows from the seeds.
 """
 
 from liaam.datasets.scenes.camera import Camera, narrow_band_camera

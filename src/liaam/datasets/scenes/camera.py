@@ -69,8 +69,8 @@ class Camera:
     def matrix(self, mired: np.ndarray | float, radiator: Radiator) -> np.ndarray:
         """Matrices (..., 3, 3) from the coefficients of a reflectance to linear channel values.
 
-        Row k holds the integrals of E(lambda, T) b_j(lambda) Q_k(lambda) over the wavelength (the paper's
-        equation 6 with the reflectance spectrum S = sum_j r_j b_j), with the gains of the white balance.
+        Row k holds the integrals of E(lambda, T) b_j(lambda) Q_k(lambda) over the wavelength, with the gains of the
+        white balance. The reflectance spectrum is S = sum_j r_j b_j.
         """
         mired = np.asarray(mired, float)[..., None]
         nodes, sensitivity = self._quadrature()

@@ -1,7 +1,7 @@
 """Light: Planckian sources, their spectra, and the shadows they cast.
 
-Spectra follow the paper's equation 6: a source of temperature T has the spectral power
-E(lambda, T) = I k1 lambda^-5 exp(-k2 / (T lambda)) (Wien), or Planck's law.
+A source of temperature T has the spectral power E(lambda, T) = I k1 lambda^-5 exp(-k2 / (T lambda)) (Wien's
+approximation, as in the paper), or that of Planck's law.
 """
 
 from dataclasses import dataclass

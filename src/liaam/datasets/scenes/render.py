@@ -77,9 +77,8 @@ def render(
 ) -> Scene:
     """Render an image of a head.
 
-    A pixel has one reflectance spectrum S and, per light, one irradiance. Its linear value in channel k is
-    the paper's equation 6: the sum over the lights of irradiance times the integral of
-    E(lambda, T) S(lambda) Q_k(lambda).
+    A pixel has one reflectance spectrum S and, per light, one irradiance. Its linear value in channel k is the sum over
+    the lights of irradiance times the integral of E(lambda, T) S(lambda) Q_k(lambda), the image formation of the paper.
 
     Parameters
     ----------
@@ -269,7 +268,7 @@ def _develop(
     mixing: Mixing,
     radiator: Radiator,
 ) -> np.ndarray:
-    """Linear values (h, w, 3): the paper's equation 6 at every pixel."""
+    """Linear values (h, w, 3) of every pixel under all lights."""
     mired = np.array([1e6 / source.temperature_K for source in lights])
     colour = colour.astype(float)
     if mixing == "additive":
