@@ -196,7 +196,7 @@ def main(share: float = 0.1) -> None:
     """Print the metrics for a fraction of the images. The bars apply to 1."""
     with tempfile.TemporaryDirectory() as folder:
         world = World(Path(folder), DISTINCT)
-        world.run(2, "warm.csv", "--jobs", 1)  # compiles
+        world.run(2, "warm.csv", "--jobs", 1)
         for measure, n in MEASURES:
             measure(world, max(20, round(share * n)))
 

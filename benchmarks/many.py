@@ -1,7 +1,7 @@
 """Images per second of ``liaam.fit_many`` on one thread and on two, compared with the gain that two cores allow.
 
 Generated faces under hard light from the side are fitted with a model of the same head under diffuse light, from starts
-with errors of a few per cent. The images are in memory, and everything is compiled. Time is wall-clock time. Under
+with errors of a few per cent. The images are in memory. Time is wall-clock time. Under
 other load the ratio is meaningful only if that of work without the interpreter, measured in turn, is near 2.
 """
 

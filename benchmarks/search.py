@@ -60,7 +60,7 @@ def pictures_of(samples: Dataset) -> list[Picture]:
 def measure(training: list[Picture], tests: list[Picture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Errors as fractions of the distance between the eyes, seconds of one core, and scores, (n,) each."""
     finder = Finder(train(training, lamps=None))
-    finder.find(tests[0][0])  # compiles, and makes the templates
+    finder.find(tests[0][0])  # makes the templates
     rows = []
     for image, truth in tests:
         before = process_time()

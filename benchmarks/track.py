@@ -154,7 +154,7 @@ def measure(model: AAM, video: Path, n: int) -> None:
         frames = list(reader)
     results: list[FitResult] = []
     tracker = Tracker(model)
-    tracker.update(frames[0].image)  # compiles
+    tracker.update(frames[0].image)  # prepares the fitters
     tracker.reset()
     with VideoReader(video, stop=n) as reader:
         before, spent, tracked = perf_counter(), thread_time(), []
