@@ -7,8 +7,11 @@ from liaam import _core
 
 def transform(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Apply an affine map (3, 4) to points (n, 3); unlike a BLAS product it uses one core."""
-    x, y, z = points.T[..., None]
-    return x * frame[:, 0] + y * frame[:, 1] + z * frame[:, 2] + frame[:, 3]
+    moved = np.empty(points.shape)
+    x, y, z = np.ascontiguousarray(points.T)
+    for k, (a, b, c, d) in enumerate(frame.tolist()):
+        moved[:, k] = a * x + b * y + c * z + d
+    return moved
 
 
 def draw(
@@ -39,21 +42,24 @@ def _int(numbers: np.ndarray) -> np.ndarray:
 
 def visibility(points: np.ndarray, depth: np.ndarray, bias: float) -> np.ndarray:
     """Fraction of light (n,) float32 that reaches points (n, 3) of a depth map: 2 x 2 comparisons, bilinear."""
-    size = len(depth)
-    x, y = np.floor(points[:, :2]).astype(int).T
-    inside = (x >= 0) & (y >= 0) & (x < size - 1) & (y < size - 1)
-    seen, (x, y), points = np.ones(len(points), np.float32), (x[inside], y[inside]), points[inside]
-    across, down, z = points[:, 0] - x, points[:, 1] - y, points[:, 2] + bias
-    top = (1 - across) * (depth[y, x] <= z) + across * (depth[y, x + 1] <= z)
-    bottom = (1 - across) * (depth[y + 1, x] <= z) + across * (depth[y + 1, x + 1] <= z)
+    size, seen = len(depth), np.ones(len(points), np.float32)
+    x, y, z = np.ascontiguousarray(points.T)
+    column, row = np.floor(x), np.floor(y)
+    inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < size - 1) & (row < size - 1))
+    x, y, z, column, row = (each.take(inside) for each in (x, y, z + bias, column, row))
+    across, down, at, flat = x - column, y - row, (row * size + column).astype(np.intp), depth.ravel()
+    top = (1 - across) * (flat.take(at) <= z) + across * (flat.take(at + 1) <= z)
+    bottom = (1 - across) * (flat.take(at + size) <= z) + across * (flat.take(at + size + 1) <= z)
     seen[inside] = (1 - down) * top + down * bottom
     return seen
 
 
 def splat_map(points: np.ndarray, size: int) -> np.ndarray:
     """Nearness map (size, size) of a cloud of points (n, 3), each drawn as one pixel."""
-    depth = np.full((size, size), -np.float32(1e9), np.float32)
-    x, y = np.floor(points[:, :2] + 0.5).astype(int).T
-    inside = (x >= 0) & (y >= 0) & (x < size) & (y < size)
-    np.maximum.at(depth, (y[inside], x[inside]), points[inside, 2].astype(np.float32))
-    return depth
+    depth = np.full(size * size, -np.float32(1e9), np.float32)
+    x, y, z = np.ascontiguousarray(points.T)
+    column, row = np.floor(x + 0.5), np.floor(y + 0.5)
+    inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < size) & (row < size))
+    at = (row.take(inside) * size + column.take(inside)).astype(np.intp)
+    np.maximum.at(depth, at, z.take(inside).astype(np.float32))
+    return depth.reshape(size, size)
