@@ -98,11 +98,13 @@ def test_what_cannot_be_measured_is_empty() -> None:
     assert np.isfinite(table["X1"]).tolist() == [True, False, False, False, False]
 
 
-def test_mixed_specimens_are_refused() -> None:
-    with pytest.raises(LiaamError, match=r"a has 4 landmarks and b 3: measure specimens with the same landmarks"):
-        measure([Specimen("a", SQUARE), Specimen("b", SQUARE[:3])])
-    with pytest.raises(LiaamError, match=r"1 of 2 specimens have no scale \(b\): give one for all"):
-        measure([Specimen("a", SQUARE, scale=1.5), Specimen("b", SQUARE)])
+def test_specimens_with_other_landmarks_are_left_out() -> None:
+    with pytest.warns(UserWarning, match="b: it has 3 landmarks where most have 4; it is left out"):
+        columns = measure([Specimen("a", SQUARE), Specimen("b", SQUARE[:3]), Specimen("c", SQUARE)])
+    assert columns["specimen"] == ["a", "c"]
+
+
+def test_without_landmarks_to_use_there_is_nothing_to_measure() -> None:
     with pytest.raises(LiaamError, match="there are 1 specimens, none with landmarks to use"):
         measure([Specimen("a", SQUARE, status="diverged")])
 

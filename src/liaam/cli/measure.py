@@ -35,19 +35,33 @@ def measure(
             "as 11-12=5. By default the SCALE of .tps, or else results are in pixels."
         ),
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse, instead of leaving out, specimens with other landmarks than most.")
+    ] = False,
 ) -> None:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
-    from liaam.morphometry import measure as measured, read_specimens, write_measurements
+    from liaam.morphometry import alike, measure as measured, read_specimens, write_measurements
 
     check_output(output)
     if real_path(output).is_relative_to(real_path(results)):
         raise LiaamError(f"{output} is the input, or a file in it; give a name elsewhere with -o")
     specimens = read_specimens(results, complain)
+    specimens, left_out = alike(specimens)
+    if left_out and strict:
+        raise LiaamError(f"{len(left_out)} specimens have other landmarks than most: {'; '.join(left_out)}")
+    for line in left_out:
+        complain(line)
     columns = measured(specimens, measures or (), scale)
     write_measurements(output, columns)
     unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
     say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
-    unused = [name for name, size in zip(columns["specimen"], columns["centroid_size"], strict=True) if size != size]
+    names, sizes = columns["specimen"], columns["centroid_size"]
+    unused = [name for name, size in zip(names, sizes, strict=True) if size != size]
+    scales = zip(names, columns.get("scale", sizes), sizes, strict=True)
+    pixels = [name for name, scale, size in scales if scale != scale and size == size]
+    if pixels:
+        some = ", ".join(pixels[:5]) + " …" * (len(pixels) > 5)
+        complain(f"{len(pixels)} of {len(specimens)} have no scale, so that they are in pixels: {some}")
     if unused:
         complain(
             f"{len(unused)} of {len(specimens)} have no shape, because landmarks are missing or the fit is not to be "

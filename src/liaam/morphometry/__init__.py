@@ -2,6 +2,6 @@
 
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.specimens import Specimen, read_specimens
-from liaam.morphometry.table import measure, write_measurements
+from liaam.morphometry.table import alike, measure, write_measurements
 
-__all__ = ["Measure", "ScaleBar", "Specimen", "measure", "read_specimens", "write_measurements"]
+__all__ = ["Measure", "ScaleBar", "Specimen", "alike", "measure", "read_specimens", "write_measurements"]

@@ -6,8 +6,10 @@ import csv
 import io
 import math
 import os
+import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,13 +51,13 @@ def measure(
     Parameters
     ----------
     specimens : iterable of Specimen
-        With the same landmarks.
+        Those that have other landmarks than most are left out with a warning, see :func:`alike`.
     measures : str, or iterable of str or Measure
         Such as ``"distance:1-5"``, ``"angle:1-2-3"`` (at landmark 2) and ``"area:1-2-3-4"``, by numbers counted from
         1 or by names.
     scale : str, float or ScaleBar, optional
         Length of a pixel, or a scale bar such as ``"11-12=5"``, whose ends are then not part of the shape. Default:
-        each specimen's own, and pixels if none has one.
+        each specimen's own. Specimens without any are in pixels, and their ``scale`` is NaN.
 
     Returns
     -------
@@ -69,22 +71,21 @@ def measure(
     Raises
     ------
     LiaamError
-        If there is no specimen, numbers of landmarks differ, a measure names a landmark that does not exist, or some
-        specimens have a scale and others do not.
+        If there is no specimen with landmarks to use, or a measure names a landmark that does not exist.
     """
-    specimens = list(specimens)
+    specimens, left_out = alike(specimens)
+    for line in left_out:
+        warnings.warn(line, stacklevel=2)
     usable = [specimen for specimen in specimens if specimen.status in _USABLE]
     if not usable:
         raise LiaamError(f"there are {len(specimens)} specimens, none with landmarks to use: fit the images again.")
-    n = _same_number(usable)
+    n = len(usable[0].points)
     given = [measures] if isinstance(measures, str) else measures
     wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
     names = next((specimen.names for specimen in usable if specimen.names), ())
     places = [_indices(item.column, item.landmarks, names, n) for item in wanted]
     rule = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
     bar = _indices("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
-    if rule is None:
-        _check_scales(usable)
     inside = [index for index in range(n) if index not in bar]
     items = [_Item(item.column, item, own, item.power) for item, own in zip(wanted, places, strict=True)]
     items.append(_Item("centroid_size", centroid_size, inside, 1))
@@ -117,16 +118,59 @@ def _has_shape(points: np.ndarray) -> bool:
     return bool(np.isfinite(points).all() and np.ptp(points, axis=0).any())
 
 
-def _same_number(specimens: Sequence[Specimen]) -> int:
-    """Return the number of landmarks. Raise if it is not the same for all."""
-    first = specimens[0]
-    for other in specimens:
-        if len(other.points) != len(first.points):
-            raise LiaamError(
-                f"{first.name} has {len(first.points)} landmarks and {other.name} {len(other.points)}: measure "
-                "specimens with the same landmarks only"
-            )
-    return len(first.points)
+def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[str, ...]]:
+    """Keep the specimens that have the same landmarks, in one order, and tell why others are left out.
+
+    Names decide where there are names: most specimens' names are those of all, in the order of the first of these
+    specimens. Without names it is the number of landmarks that most have.
+
+    Parameters
+    ----------
+    specimens : iterable of Specimen
+
+    Returns
+    -------
+    kept : tuple of Specimen
+        With the same landmarks in the same order.
+    left_out : tuple of str
+        A sentence for each specimen that is left out.
+    """
+    specimens = tuple(specimens)
+    fitted = [specimen for specimen in specimens if specimen.status in _USABLE]
+    if not fitted:
+        return specimens, ()
+    usual = Counter(len(specimen.points) for specimen in fitted).most_common(1)[0][0]
+    sets = Counter(frozenset(specimen.names) for specimen in fitted if len(specimen.names) == usual)
+    shared = sets.most_common(1)[0][0] if sets else frozenset()
+    names = next((specimen.names for specimen in fitted if frozenset(specimen.names) == shared), ()) if shared else ()
+    kept, left_out = [], []
+    for specimen in specimens:
+        reason = _unlike(specimen, usual, names)
+        if reason and specimen.status in _USABLE:
+            left_out.append(f"{specimen.name}: {reason}")
+        else:
+            kept.append(specimen if reason else _in_order(specimen, names))
+    return tuple(kept), tuple(left_out)
+
+
+def _unlike(specimen: Specimen, usual: int, names: tuple[str, ...]) -> str:
+    """Return why a specimen cannot be measured with those of these names, or nothing."""
+    n = len(specimen.points)
+    absent = [name for name in names if name not in specimen.names] if specimen.names else []
+    if absent:
+        return f"it has no landmark {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}; it is left out"
+    if n != usual:
+        return f"it has {n} landmarks where most have {usual}; it is left out"
+    return ""
+
+
+def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
+    """Return a specimen with its landmarks in the order of these names; without names it keeps its own order."""
+    if not names or not specimen.names or specimen.names == names:
+        return specimen
+    order = [specimen.names.index(name) for name in names]
+    spread = None if specimen.covariances is None else np.asarray(specimen.covariances)[order]
+    return replace(specimen, points=specimen.points[order], covariances=spread, names=names)
 
 
 def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
@@ -137,16 +181,6 @@ def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) 
             known = f" or their names ({', '.join(names[:5])} …)" if names else ", since these landmarks have no names"
             raise LiaamError(f"{what}: there is no landmark '{landmark}'; give numbers from 1 to {n}{known}")
     return [numbers[landmark] for landmark in landmarks]
-
-
-def _check_scales(specimens: Sequence[Specimen]) -> None:
-    """Raise if only some specimens have a scale, because their units would be mixed."""
-    without = [specimen.name for specimen in specimens if specimen.scale is None]
-    if 0 < len(without) < len(specimens):
-        some = ", ".join(without[:3]) + " …" * (len(without) > 3)
-        raise LiaamError(
-            f"{len(without)} of {len(specimens)} specimens have no scale ({some}): give one for all, or add SCALE="
-        )
 
 
 def _row(
@@ -161,7 +195,9 @@ def _row(
     if specimen.status not in _USABLE:
         return row
     pixel = _pixel(specimen, rule, bar)
-    row["scale"] = math.nan if rule is None and specimen.scale is None else pixel[0]
+    known = pixel[0] > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
+    row["scale"] = pixel[0] if known else math.nan
+    pixel = pixel if known else (1.0, np.zeros_like(specimen.points))
     for item in items:
         row[item.column], gradient = _scaled(item, specimen.points, pixel)
         row[f"{item.column}_se"] = _standard_error(specimen, gradient)
