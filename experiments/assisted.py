@@ -206,9 +206,9 @@ def assisted_experiment(
     for what, given, known in (("recipe", recipes, RECIPES), ("order", orders, ORDERS)):
         for name in given:
             if name not in known:
-                raise MethodError(f"{what} {name!r} does not exist; there are {', '.join(known)}")
+                raise MethodError(f"unknown {what} {name!r}; choose from {', '.join(known)}")
         if not given:
-            raise MethodError(f"no {what} is given; there are {', '.join(known)}")
+            raise MethodError(f"no {what} is given; choose from {', '.join(known)}")
     check_trials("liaam", trials)
     found, left_out = find_persons(data)
     if len(found) < persons:

@@ -118,7 +118,7 @@ class GenericRequest(Request):
         if not self.starts or not set(self.starts) <= set(STARTED) or len(set(self.starts)) < len(self.starts):
             raise LiaamError(f"starts {','.join(self.starts)}: give some of {', '.join(STARTED)}, each once")
         if self.unit not in UNITS:
-            raise LiaamError(f"unit {self.unit}: there are {', '.join(UNITS)}")
+            raise LiaamError(f"unknown unit {self.unit}; choose from {', '.join(UNITS)}")
         if self.test is not None and self.first is not None:
             raise LiaamError("pictures to fit are those of --test, or those of --data after the --first; give one")
 

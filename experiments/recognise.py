@@ -163,7 +163,7 @@ def recognise_experiment(
     lights = sorted({each.light for each in shown})
     for name in (training_lamp, *far):
         if name not in lights:
-            raise LiaamError(f"{test}: no image under the light {name}; there are {', '.join(lights)}")
+            raise LiaamError(f"{test}: no image under the light {name}; choose from {', '.join(lights)}")
     return Experiment(
         name="recognise",
         title="Persons, recognised across light",

@@ -127,7 +127,7 @@ def plan(person: Path | None, persons: Path | None, size: str, seed: int) -> lis
     seed : int
     """
     if size not in SIZES:
-        raise LiaamError(f"size {size!r} does not exist; there are {', '.join(SIZES)}")
+        raise LiaamError(f"unknown size {size!r}; choose from {', '.join(SIZES)}")
     amount = SIZES[size]
     parts = [*_main_parts("scenes", "generated scenes", None, amount, seed)]
     if person is not None:

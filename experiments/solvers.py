@@ -89,7 +89,7 @@ def get_solver(name: str) -> Solver:
         If there is none of that name.
     """
     if name not in SOLVERS:
-        raise MethodError(f"solver {name!r} does not exist; there are {', '.join(SOLVERS)}")
+        raise MethodError(f"unknown solver {name!r}; choose from {', '.join(SOLVERS)}")
     return SOLVERS[name]
 
 

@@ -65,5 +65,5 @@ def check_options(
             continue
         close = difflib.get_close_matches(name, known, n=1)
         remedy = (remedies or {}).get(name) or (f"did you mean {close[0]!r}?" if close else "")
-        listed = f"option {name!r} does not exist; there are {', '.join(known)}"
+        listed = f"unknown option {name!r}; choose from {', '.join(known)}"
         raise error(f"{listed}; {remedy}" if remedy else listed)

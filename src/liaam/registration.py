@@ -212,7 +212,7 @@ def register(
         method = replace(method, bias="rows")
     method = scored(method, options)
     if group not in GROUPS:
-        raise MethodError(f"warp {group!r} does not exist; there are {', '.join(GROUPS)}")
+        raise MethodError(f"unknown warp {group!r}; choose from {', '.join(GROUPS)}")
     for picture, name in ((a, name_a), (b, name_b)):
         if method.needs_colour:
             refuse_grey(picture, name, f"method {method.name} compares colours; use igo or grey")

@@ -141,7 +141,7 @@ def test_priors_are_for_all_views_or_for_one(given, priors):
 def test_a_prior_of_no_view_is_refused(run, portraits, tmp_path):
     code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--prior", "ears=smooth")
     assert code == 1
-    assert "view 'ears' does not exist; there are mesh, surroundings" in err
+    assert "unknown view 'ears'; choose from mesh, surroundings" in err
 
 
 def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tmp_path):

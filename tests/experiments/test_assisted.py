@@ -100,9 +100,9 @@ def test_the_command_prints_the_table(finished, six_persons, tmp_path, run_exper
 
 def test_refuses_before_the_work_starts(six_persons):
     make = assisted.assisted_experiment
-    with pytest.raises(MethodError, match="recipe 'magic' does not exist"):
+    with pytest.raises(MethodError, match="unknown recipe 'magic'"):
         make(six_persons, ["magic"], persons=PERSONS)
-    with pytest.raises(MethodError, match="order 'random' does not exist"):
+    with pytest.raises(MethodError, match="unknown order 'random'"):
         make(six_persons, ["smooth"], ["random"], persons=PERSONS)
     with pytest.raises(MethodError, match="no recipe is given"):
         make(six_persons, [], persons=PERSONS)

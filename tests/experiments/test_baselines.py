@@ -96,7 +96,7 @@ def test_tasks_have_names_of_their_own():
 
 
 @pytest.mark.parametrize(
-    ("options", "message"), [({"trials": 0}, "at least 1"), ({"solver": "oracle"}, "'oracle' does not exist")]
+    ("options", "message"), [({"trials": 0}, "at least 1"), ({"solver": "oracle"}, "unknown solver 'oracle'")]
 )
 def test_refuses_before_the_work_starts(options, message):
     with pytest.raises(MethodError, match=message):

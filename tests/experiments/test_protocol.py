@@ -74,7 +74,7 @@ def test_refuses_before_the_work_starts(make, folder, tmp_path, name):
         make(name, methods=["magic"])
     with pytest.raises(MethodError, match="at least 1"):
         make(name, trials=0)
-    with pytest.raises(MethodError, match="'oracle' does not exist"):
+    with pytest.raises(MethodError, match="unknown solver 'oracle'"):
         make(name, solver="oracle")
     copy_files(folder, tmp_path, "03-1*")
     with pytest.raises(LiaamError, match="no person has"):

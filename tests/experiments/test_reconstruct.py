@@ -74,7 +74,7 @@ def test_methods_that_rebuild_nothing_are_refused_before_any_work(method, tmp_pa
         ({"methods": ()}, "no method is given"),
         ({"methods": ("li", "li")}, "given twice"),
         ({"trials": 0}, "at least 1"),
-        ({"solver": "oracle"}, "'oracle' does not exist"),
+        ({"solver": "oracle"}, "unknown solver 'oracle'"),
     ],
 )
 def test_refuses_before_the_work_starts(options, message):

@@ -74,7 +74,7 @@ def test_a_changed_or_broken_summary_is_done_again(report, monkeypatch):
 
 
 def test_a_size_that_does_not_exist_is_refused(tmp_path):
-    with pytest.raises(LiaamError, match="size 'huge' does not exist; there are quick, full"):
+    with pytest.raises(LiaamError, match="unknown size 'huge'; choose from quick, full"):
         reproduce(tmp_path, size="huge")
 
 

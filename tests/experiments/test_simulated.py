@@ -96,7 +96,7 @@ def test_papers_solver_reaches_the_same_shape():
         ({"methods": ("li", "magic")}, "'magic' does not exist"),
         ({"methods": ("li", "li")}, "given twice"),
         ({"methods": ()}, "no method is given"),
-        ({"solver": "oracle"}, "'oracle' does not exist; there are liaam, liaam-smooth, liaam-sample, paper"),
+        ({"solver": "oracle"}, "unknown solver 'oracle'; choose from liaam, liaam-smooth, liaam-sample, paper"),
         ({"trials": 0}, "at least 1"),
     ],
 )

@@ -150,7 +150,7 @@ def test_a_single_image_is_refused(model, single):
     [
         ({"workers": 0}, "workers 0 is too small; give 1 or more"),
         ({"errors": "ignore"}, "errors 'ignore' does not exist; there are raise, return"),
-        ({"iterations": 3}, "option 'iterations' does not exist"),
+        ({"iterations": 3}, "unknown option 'iterations'"),
         ({"method": "magic"}, "there are soft-li, grey"),
     ],
 )

@@ -159,7 +159,7 @@ def test_methods_that_learn_light_need_a_model_that_has(fine_model):
 
 def test_unknown_options_are_listed(model, scenes):
     with pytest.raises(
-        MethodError, match=r"'max_iteration' does not exist; there are camera, .*max_iterations, tolerance"
+        MethodError, match=r"unknown option 'max_iteration'; choose from camera, .*max_iterations, tolerance"
     ):
         fit(model, scenes[0].image, scenes[0].landmarks, max_iteration=3)
     with pytest.raises(MethodError, match="finite"):

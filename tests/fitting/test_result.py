@@ -79,7 +79,7 @@ def test_fit_and_fit_many_take_what_a_fitter_takes(model, image, lit_scene):
     (many,) = fit_many(model, [image], start, "li", **settings)
     np.testing.assert_array_equal(one.landmarks, many.landmarks)
     np.testing.assert_array_equal(one.landmarks, Fitter.of(model, "li", **settings).fit(image, start).landmarks)
-    with pytest.raises(MethodError, match=r"option 'iterations' does not exist; there are camera, .*max_iterations"):
+    with pytest.raises(MethodError, match=r"unknown option 'iterations'; choose from camera, .*max_iterations"):
         liaam.fit(model, image, start, iterations=2)
 
 

@@ -137,9 +137,9 @@ def test_pictures_that_tell_no_lamps_are_refused(pictures, change, message):
 
 
 def test_the_light_of_training_has_to_be_told(pictures):
-    with pytest.raises(TrainingError, match=r"--training-lamp.* there are day, left, right"):
+    with pytest.raises(TrainingError, match=r"--training-lamp.* choose from day, left, right"):
         learn_lamps(pictures)
-    with pytest.raises(TrainingError, match="no image has the lamp 'night' in its name; there are day, left, right"):
+    with pytest.raises(TrainingError, match="no image has the lamp 'night' in its name; choose from day, left, right"):
         learn_lamps(pictures, "night")
     only = [pictures[0], pictures[1], pictures[3], pictures[5]]  # one lamp is common to both heads
     assert learn_lamps(only).names == ("head2-left", "head3-right")

@@ -156,7 +156,7 @@ def test_equal_shapes_have_no_modes_under_any_prior(prior):
 
 
 def test_a_prior_that_does_not_exist_is_refused():
-    with pytest.raises(TrainingError, match="prior 'rough' does not exist; there are sample, shrunk, smooth"):
+    with pytest.raises(TrainingError, match="unknown prior 'rough'; choose from sample, shrunk, smooth"):
         check_prior("rough")
 
 

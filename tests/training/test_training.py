@@ -516,7 +516,7 @@ def test_each_view_has_its_own_levels(pairs):
     assert [[level.blur for level in view.levels] for view in both.views.values()] == [[2.0], [2.0]]
     one = train(pairs, blurs={SURROUNDINGS: (2.0,)}, **options)
     assert [[level.blur for level in view.levels] for view in one.views.values()] == [[3.0, 0.5], [2.0]]
-    refused(pairs, "blurs: view 'ears' does not exist; there are mesh, surroundings", blurs={"ears": (1.0,)})
+    refused(pairs, "blurs: unknown view 'ears'; choose from mesh, surroundings", blurs={"ears": (1.0,)})
 
 
 def test_many_landmarks_have_no_smooth_deformations_unasked(pairs, monkeypatch):
@@ -527,7 +527,7 @@ def test_many_landmarks_have_no_smooth_deformations_unasked(pairs, monkeypatch):
 
 def test_a_prior_that_does_not_exist_is_refused(pairs):
     for prior in ("flat", {SURROUNDINGS: "flat"}):
-        refused(pairs, "prior 'flat' does not exist; there are sample, shrunk, smooth", prior=prior)
+        refused(pairs, "unknown prior 'flat'; choose from sample, shrunk, smooth", prior=prior)
 
 
 @pytest.mark.parametrize("bad", ["ab", [["a", "b"]] * 5, [[1, 2], [3]]])
@@ -548,7 +548,7 @@ def test_options_come_as_an_object_by_name_or_both(pairs):
     by_name = train(pairs, diagonal=40.0, blurs=(1.0,), leave_out=False)
     assert by_object.to_bytes() == by_name.to_bytes()
     assert train(pairs, options, diagonal=50.0).diagonal == pytest.approx(50.0)
-    refused(pairs, "option 'size' does not exist; there are diagonal, variance", size=3)
+    refused(pairs, "unknown option 'size'; choose from diagonal, variance", size=3)
     refused(pairs, ".* camera, lamps, .*; did you mean 'features'", featurs=None)
     refused(pairs, "option 'response' .*; give camera=CameraModel", response="linear")
 

@@ -114,13 +114,13 @@ def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> s
     if requested is not None:
         if requested not in counts:
             raise TrainingError(
-                f"no image has the lamp {requested!r} in its name; there are {', '.join(sorted(counts))}"
+                f"no image has the lamp {requested!r} in its name; choose from {', '.join(sorted(counts))}"
             )
         return requested
     common = [lamp for lamp, count in counts.items() if count == len(objects)]
     if len(common) != 1:
         raise TrainingError(
-            f"the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...); there are "
+            f"the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...); choose from "
             f"{', '.join(sorted(counts))}"
         )
     return common[0]

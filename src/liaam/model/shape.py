@@ -224,7 +224,7 @@ class Recipe:
 def check_prior(prior: str) -> None:
     """Raise unless a prior exists."""
     if prior not in PRIORS:
-        raise TrainingError(f"prior {prior!r} does not exist; there are {', '.join(PRIORS)}")
+        raise TrainingError(f"unknown prior {prior!r}; choose from {', '.join(PRIORS)}")
 
 
 def scaled_mean(shapes: np.ndarray, diagonal: float) -> np.ndarray:

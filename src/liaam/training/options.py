@@ -151,7 +151,7 @@ def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any
         return dict.fromkeys(usual, given)
     unknown = [view for view in given if view not in usual]
     if unknown:
-        raise TrainingError(f"{option}: view {unknown[0]!r} does not exist; there are {', '.join(usual)}")
+        raise TrainingError(f"{option}: unknown view {unknown[0]!r}; choose from {', '.join(usual)}")
     return {**usual, **given}
 
 
