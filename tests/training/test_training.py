@@ -550,7 +550,7 @@ def test_options_come_as_an_object_by_name_or_both(pairs):
     assert train(pairs, options, diagonal=50.0).diagonal == pytest.approx(50.0)
     refused(pairs, "unknown option 'size'; choose from diagonal, variance", size=3)
     refused(pairs, ".* camera, lamps, .*; did you mean 'features'", featurs=None)
-    refused(pairs, "option 'response' .*; give camera=CameraModel", response="linear")
+    refused(pairs, "unknown option 'response'; .*; give camera=CameraModel", response="linear")
 
 
 def test_messages_list_all_arguments_of_train():
