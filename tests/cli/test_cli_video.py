@@ -259,7 +259,7 @@ def test_processes_write_the_same_file(run, model_file, clip, tmp_path, in_stret
         (("{clip}", "--video", "own.mp4"), "own.mp4 exists and is not a video"),
         (("{clip}", "--shading-free", "own.mp4"), "own.mp4 exists and is not a video"),
         (("{clip}", "-m", "grey", "--shading-free", "s.mp4"), "cannot remove shading"),
-        (("{clip}", "-m", "magic"), "'magic' does not exist"),
+        (("{clip}", "-m", "magic"), "unknown method 'magic'"),
         (("{clip}", "--init", "nowhere.pts"), "there is no such file"),
         (("{clip}", "--init", "9000,9000,9100,9100"), "outside the image"),
         (("{clip}", "--init", "9000,9000,9100,9100", "--start", "2"), "talk.mp4, frame 2"),

@@ -51,10 +51,10 @@ def test_a_stopped_experiment_says_how_to_go_on(run_experiments, person, tmp_pat
     [
         (("spot", "--data", "{person}", "--out", "o"), "named as the IMM"),
         (("spot", "--data", "{person}", "--out", "o", "--methods", ","), "is empty"),
-        (("noise", "--out", "o", "--methods", "li,magic"), "'magic' does not exist"),
+        (("noise", "--out", "o", "--methods", "li,magic"), "unknown method 'magic'"),
         (("generic", "--data", "{person}", "--out", "o"), "named as the IMM"),
-        (("peer", "--data", "{person}", "--out", "o", "--methods", "magic"), "'magic' does not exist"),
-        (("displacement", "--out", "o", "--solver", "oracle"), "there are liaam, liaam-smooth, liaam-sample, paper"),
+        (("peer", "--data", "{person}", "--out", "o", "--methods", "magic"), "unknown method 'magic'"),
+        (("displacement", "--out", "o", "--solver", "oracle"), "choose from liaam, liaam-smooth, liaam-sample, paper"),
         (("displacement", "--out", "{person}/p0.png", "--methods", "li"), "is a file"),
         (("convergence", "--out", "o", "--data", "missing"), "does not exist"),
     ],

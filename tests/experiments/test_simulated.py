@@ -93,7 +93,7 @@ def test_papers_solver_reaches_the_same_shape():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"methods": ("li", "magic")}, "'magic' does not exist"),
+        ({"methods": ("li", "magic")}, "unknown method 'magic'"),
         ({"methods": ("li", "li")}, "given twice"),
         ({"methods": ()}, "no method is given"),
         ({"solver": "oracle"}, "unknown solver 'oracle'; choose from liaam, liaam-smooth, liaam-sample, paper"),

@@ -59,7 +59,7 @@ def test_starts_depend_on_seed_person_and_trial_only(persons_folder):
 
 
 def test_refuses_before_the_work_starts(persons_folder, tmp_path):
-    with pytest.raises(MethodError, match="'magic' does not exist; there are soft-li, grey, rgb, li"):
+    with pytest.raises(MethodError, match="'magic'; choose from soft-li, grey, rgb, li"):
         run_experiment(spot_experiment(persons_folder, ["magic"]), tmp_path / "out")
     write_person(tmp_path, 6, conditions="12")
     with pytest.raises(LiaamError, match=r"no person has pictures NN-1.*IMM"):

@@ -45,7 +45,7 @@ def test_a_camera_file_or_no_method_is_refused_at_once(model, scenes):
         Fitter(model, camera="lab.json")
     with pytest.raises(CameraError, match="is not a camera"):
         train([(scene.image, scene.landmarks) for scene in scenes[:3]], camera="lab.json")
-    with pytest.raises(MethodError, match="method None is neither a name nor a Method; there are soft-li, grey"):
+    with pytest.raises(MethodError, match="method None is neither a name nor a Method; choose from soft-li, grey"):
         Fitter(model, None)
 
 
@@ -180,7 +180,7 @@ def test_a_missing_picture_is_refused_by_name(model, start, tmp_path):
 
 
 def test_an_unknown_method_is_refused_before_the_first_picture(model):
-    with pytest.raises(MethodError, match="'magic' does not exist; there are soft-li, grey"):
+    with pytest.raises(MethodError, match="'magic'; choose from soft-li, grey"):
         Fitter(model, "magic")
 
 

@@ -149,9 +149,9 @@ def test_a_single_image_is_refused(model, single):
     ("options", "message"),
     [
         ({"workers": 0}, "workers 0 is too small; give 1 or more"),
-        ({"errors": "ignore"}, "errors 'ignore' does not exist; there are raise, return"),
+        ({"errors": "ignore"}, "unknown errors 'ignore'; choose from raise, return"),
         ({"iterations": 3}, "unknown option 'iterations'"),
-        ({"method": "magic"}, "there are soft-li, grey"),
+        ({"method": "magic"}, "choose from soft-li, grey"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(model, options, message):

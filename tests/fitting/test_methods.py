@@ -12,7 +12,7 @@ from liaam.photometry import invariant_row
 
 
 def test_an_unknown_method_lists_those_that_exist():
-    with pytest.raises(MethodError, match="'sift' does not exist; there are soft-li, grey, rgb, li, li-lit, li-pc"):
+    with pytest.raises(MethodError, match="'sift'; choose from soft-li, grey, rgb, li, li-lit, li-pc"):
         get_method("sift")
 
 
@@ -54,7 +54,7 @@ def test_an_appearance_that_is_already_projected_fixes_theta_1(free):
     "field", ["encoding", "appearance", "metric", "free_angles", "bias", "weights", "step", "view"]
 )
 def test_an_unknown_choice_lists_those_that_exist(field):
-    with pytest.raises(MethodError, match=f"{field} 'nonsense' does not exist; there are .*, "):
+    with pytest.raises(MethodError, match=f"unknown {field} 'nonsense'; choose from .*, "):
         replace(METHODS["li"], **{field: "nonsense"})
 
 
@@ -91,7 +91,7 @@ def test_rows_that_cannot_be_are_refused(row, match):
     [
         ({"illumination": True}, "need encoding value"),
         ({"normalise": True}, "need encoding value"),
-        ({"loss": "nonsense"}, "loss 'nonsense' does not exist; there are squares, huber, l1"),
+        ({"loss": "nonsense"}, "unknown loss 'nonsense'; choose from squares, huber, l1"),
     ],
 )
 def test_terms_that_do_not_suit_are_refused(changes, match):

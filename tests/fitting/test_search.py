@@ -399,5 +399,5 @@ def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):
 
 
 def test_rotations_that_do_not_exist_are_refused(model):
-    with pytest.raises(MethodError, match="rotations 'sideways' does not exist; there are upright, all"):
+    with pytest.raises(MethodError, match="unknown rotations 'sideways'; choose from upright, all"):
         Fitter(model, rotations="sideways")

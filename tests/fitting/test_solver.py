@@ -21,7 +21,7 @@ EXACT = {"tolerance": 1e-4, "early_tolerance": 0.0, "max_iterations": 300, "shap
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"elimination": "magic"}, "'magic' does not exist; there are varpro, joint"),
+        ({"elimination": "magic"}, "'magic'; choose from varpro, joint"),
         ({"max_iterations": -1}, "of at least 0|from 0 to"),
         ({"tolerance": -0.1}, "of at least 0|from 0 to"),
         ({"early_tolerance": -0.1}, "of at least 0|from 0 to"),

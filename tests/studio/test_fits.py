@@ -568,7 +568,7 @@ class TestRequests:
             ({}, 422, "the picture to fit is unclear"),
             ({"picture": "face.png", "upload": "x"}, 422, "the picture to fit is unclear"),
             ({"picture": 7}, 422, "the picture to fit is unclear"),
-            ({"picture": "face.png", "method": "magic"}, 422, "method 'magic' does not exist"),
+            ({"picture": "face.png", "method": "magic"}, 422, "unknown method 'magic'"),
             ({"picture": "face.png", "method": 7}, 422, "the method is not a string"),
             ({"picture": "face.png", "start": "there"}, 422, "the start is unclear"),
             ({"picture": "face.png", "start": {"box": [5, 5, 5, 5]}}, 422, "the box 5, 5, 5, 5 is empty"),

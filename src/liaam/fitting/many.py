@@ -136,7 +136,7 @@ def fit_each(
     if workers < 1:
         raise MethodError(f"workers {workers} is too small; give 1 or more, or leave it out for one per core")
     if errors not in ERRORS:
-        raise MethodError(f"errors {errors!r} does not exist; there are {', '.join(ERRORS)}")
+        raise MethodError(f"unknown errors {errors!r}; choose from {', '.join(ERRORS)}")
     n_images = _count(images)
     return _fits(fitter, _tasks(images, _starts(init, n_images)), workers, n_images, progress, errors)
 

@@ -254,7 +254,7 @@ class Method:
 
 def _check(what: str, value: str, known) -> None:
     if value not in known:
-        raise MethodError(f"{what} {value!r} does not exist; there are {', '.join(known)}")
+        raise MethodError(f"unknown {what} {value!r}; choose from {', '.join(known)}")
 
 
 METHODS: dict[str, Method] = {
@@ -387,11 +387,11 @@ def get_method(method: str | Method) -> Method:
     if isinstance(method, Method):
         return method
     if not isinstance(method, str):
-        raise MethodError(f"method {method!r} is neither a name nor a Method; there are {', '.join(METHODS)}")
+        raise MethodError(f"method {method!r} is neither a name nor a Method; choose from {', '.join(METHODS)}")
     method = "+".join(part.strip() for part in method.split("+"))
     base, *suffixes = method.split("+")
     if base not in METHODS:
-        raise MethodError(f"method {method!r} does not exist; there are {', '.join(METHODS)} (see 'liaam methods')")
+        raise MethodError(f"unknown method {method!r}; choose from {', '.join(METHODS)} (see 'liaam methods')")
     changes: dict = {}
     for suffix in suffixes:
         key, value = ("weights", "noise") if suffix == NOISE_SUFFIX else ("loss", suffix)

@@ -200,7 +200,7 @@ class Finder:
                 f"{described(self.model)} is not a model; give a model first; of a file, give liaam.load_model(path)"
             )
         if self.rotations not in TURNS:
-            raise MethodError(f"rotations {self.rotations!r} does not exist; there are {', '.join(TURNS)}")
+            raise MethodError(f"unknown rotations {self.rotations!r}; choose from {', '.join(TURNS)}")
 
     @cached_property
     def small(self) -> AAM:

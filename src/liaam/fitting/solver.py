@@ -68,9 +68,9 @@ class SolverOptions:
     def __post_init__(self) -> None:
         """Raise an error for invalid options."""
         if self.elimination not in ELIMINATIONS:
-            raise MethodError(f"elimination {self.elimination!r} does not exist; there are {', '.join(ELIMINATIONS)}")
+            raise MethodError(f"unknown elimination {self.elimination!r}; choose from {', '.join(ELIMINATIONS)}")
         if self.angle_start not in ANGLE_STARTS:
-            raise MethodError(f"angle_start {self.angle_start!r} does not exist; there are {', '.join(ANGLE_STARTS)}")
+            raise MethodError(f"unknown angle_start {self.angle_start!r}; choose from {', '.join(ANGLE_STARTS)}")
         for name in ("tolerance", "early_tolerance", "relative_tolerance", "damping", "shape_prior", "observable"):
             value = getattr(self, name)
             if value is None and name == "early_tolerance":

@@ -255,7 +255,7 @@ def block_means(
     Blocks of side ``size``, at least 1, may cut through pixels; for all parameters see :func:`encode`.
     """
     if not callable(encoding) and encoding not in ENCODINGS:
-        raise MethodError(f"encoding {encoding!r} does not exist; there are {', '.join(ENCODINGS)}")
+        raise MethodError(f"unknown encoding {encoding!r}; choose from {', '.join(ENCODINGS)}")
     image = _three_channels(image)
     rows, columns = (int((n - first) / size + 1e-9) for n, first in zip(image.shape, start[::-1], strict=False))
     grey = encoding == "soft" and is_grey(image)
