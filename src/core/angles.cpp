@@ -3,6 +3,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "modes.hpp"
 #include "normal_equations.hpp"
 #include "residual.hpp"
 

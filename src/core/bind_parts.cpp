@@ -2,7 +2,7 @@
 #include "angles.hpp"
 #include "binding.hpp"
 #include "linear.hpp"
-#include "normal_equations.hpp"
+#include "modes.hpp"
 #include "step.hpp"
 #include "thresholds.hpp"
 #include "weights.hpp"

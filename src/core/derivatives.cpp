@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "eight.hpp"
+#include "modes.hpp"
 #include "normal_equations.hpp"
 
 namespace liaam {
@@ -103,7 +104,7 @@ struct ModeSums {
 };
 
 // Adds J'A of a triangle to the rows of its vertices.
-void add_modes(const Objective& objective, std::span<const std::int64_t> triangle, Range pixels, Workspace& work) {
+void add_triangle_modes(const Objective& objective, std::span<const std::int64_t> triangle, Range pixels, Workspace& work) {
     const Mesh& mesh = objective.model.mesh;
     const std::size_t k = objective.k(), width = objective.width();
     for (std::size_t column = 0; column < width; column += kEight) {
@@ -150,28 +151,8 @@ void sum_by_vertex(const Objective& objective, const std::vector<float>& of_j, c
         for (std::size_t i = pixels.begin; i < pixels.end; ++i, fours += 4 * k)
             pairs.add(mesh.beta[i].data(), pixel_products(fours, of_e.data() + 2 * i * k, k));
         add_triangle(mesh, mesh.triangles[t], pairs, work.by_vertex);
-        if (f == 0) add_modes(objective, mesh.triangles[t], pixels, work);
+        if (f == 0) add_triangle_modes(objective, mesh.triangles[t], pixels, work);
     }
-}
-
-// The basis without its padding times sums by vertex.
-void carry(const Mesh& mesh, const Matrix& by_vertex, std::size_t n_p, Matrix& out) {
-    const std::size_t width = by_vertex.columns(), n = 2 * mesh.n_vertices();
-    out.resize(n_p, width);
-    out.fill(0.0);
-    std::size_t i = 0;
-    for (; i + 4 <= n; i += 4) {  // two vertices at a time: sums are loaded and stored once for four products
-        const double *a = by_vertex[i], *b = by_vertex[i + 1], *c = by_vertex[i + 2], *d = by_vertex[i + 3];
-        for (std::size_t j = 0; j < n_p; ++j) {
-            double* sums = out[j];
-            const double wa = mesh.basis[i][j], wb = mesh.basis[i + 1][j], wc = mesh.basis[i + 2][j], wd = mesh.basis[i + 3][j];
-#pragma omp simd
-            for (std::size_t x = 0; x < width; ++x) sums[x] += (wa * a[x] + wb * b[x]) + (wc * c[x] + wd * d[x]);
-        }
-    }
-    for (; i < n; ++i)
-        for (std::size_t j = 0; j < n_p; ++j)
-            for (std::size_t x = 0; x < width; ++x) out[j][x] += mesh.basis[i][j] * by_vertex[i][x];
 }
 
 void differentiate_angle(const Objective& objective, std::size_t f, Workspace& work) {
@@ -218,18 +199,8 @@ void sum_angle_products(const Objective& objective, Workspace& work) {
 }  // namespace
 
 void model_gradient(const Objective& objective, Workspace& work) {
-    float* out = work.appearance_slopes.data();
-    const std::size_t n = work.appearance_slopes.size();
-    for (std::size_t begin = 0; begin < n; begin += kBlock) {
-        const std::size_t size = std::min(kBlock, n - begin);
-        std::copy_n(work.slopes[0].data() + begin, size, out + begin);
-        for (std::size_t j = 0; j < work.state.lam.size(); ++j) {
-            const float* slope = work.slopes[1 + j].data() + begin;
-            const auto scale = static_cast<float>(work.state.lam[j]);
-#pragma omp simd
-            for (std::size_t e = 0; e < size; ++e) out[begin + e] += scale * slope[e];
-        }
-    }
+    std::copy_n(work.slopes.data, work.appearance_slopes.size(), work.appearance_slopes.begin());
+    add_modes(work.slopes, work.state.lam, 1.0, work.appearance_slopes);
     vertices_at(objective.model.mesh, work.state.p, work.vertices);
     pull_gradients(objective.model.mesh, work.vertices, work.appearance_slopes, work.expected);
 }
@@ -247,11 +218,11 @@ void linearise(const Objective& objective, Workspace& work, Linearisation kind) 
     sum_angle_products(objective, work);
     for (std::size_t f = 0; f < std::max<std::size_t>(n_free, 1); ++f) {
         sum_by_vertex(objective, of_j, of_e, f, work);
-        carry(mesh, work.by_vertex, n_p, work.carried);
+        multiply_transposed(mesh.basis, work.by_vertex.view(), n_p, work.carried);
         for (std::size_t i = 0; i < n_p && n_free; ++i)
             work.hessian[i][n_p + f] = work.hessian[n_p + f][i] = work.carried[i][width + 1];
     }
-    carry(mesh, work.modes_by_vertex, n_p, work.carried_modes);
+    multiply_transposed(mesh.basis, work.modes_by_vertex.view(), n_p, work.carried_modes);
     for (std::size_t i = 0; i < n_p; ++i) {
         work.gradient[i] = work.carried[i][width];
         std::copy_n(work.carried[i], n_p, work.hessian[i]);

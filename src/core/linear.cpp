@@ -167,26 +167,23 @@ void solve(const Matrix& factor, std::span<double> right) {
     }
 }
 
-void multiply_transposed(const Matrix& left, const Matrix& right, std::size_t rows, Matrix& out) {
-    const std::size_t width = right.columns(), n = left.rows();
+void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out) {
+    const std::size_t width = right.n_columns, n = left.n_rows;
     out.resize(rows, width);
-    for (std::size_t j = 0; j < rows; ++j) {
-        double* sums = out[j];
-        std::fill(sums, sums + width, 0.0);
-        std::size_t i = 0;
-        for (; i + 4 <= n; i += 4) {
+    out.fill(0.0);
+    std::size_t i = 0;
+    for (; i + 4 <= n; i += 4) {  // four rows at a time: sums are loaded and stored once for four products
+        const double *a = right[i].data(), *b = right[i + 1].data(), *c = right[i + 2].data(), *d = right[i + 3].data();
+        for (std::size_t j = 0; j < rows; ++j) {
             const double wa = left[i][j], wb = left[i + 1][j], wc = left[i + 2][j], wd = left[i + 3][j];
-            const double *a = right[i], *b = right[i + 1], *c = right[i + 2], *d = right[i + 3];
+            double* sums = out[j];
 #pragma omp simd
             for (std::size_t x = 0; x < width; ++x) sums[x] += (wa * a[x] + wb * b[x]) + (wc * c[x] + wd * d[x]);
         }
-        for (; i < n; ++i) {
-            const double weight = left[i][j];
-            const double* row = right[i];
-#pragma omp simd
-            for (std::size_t x = 0; x < width; ++x) sums[x] += weight * row[x];
-        }
     }
+    for (; i < n; ++i)
+        for (std::size_t j = 0; j < rows; ++j)
+            for (std::size_t x = 0; x < width; ++x) out[j][x] += left[i][j] * right[i][x];
 }
 
 bool solve_clamped(Matrix& matrix, double least, Spectrum& spectrum, std::span<double> right) {

@@ -17,8 +17,8 @@ void solve_lower(const Matrix& factor, Matrix& right);
 // Replaces r by (L L')^-1 r.
 void solve(const Matrix& factor, std::span<double> right);
 
-// Writes L'R, of L (n, a) and R (n, b), to the first `rows` rows of a matrix with b columns.
-void multiply_transposed(const Matrix& left, const Matrix& right, std::size_t rows, Matrix& out);
+// Writes the first `rows` rows of L'R, of L (n, a) and R (n, b).
+void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out);
 
 // Room for the eigensolver, reused between calls.
 struct Spectrum {

@@ -9,20 +9,11 @@
 
 namespace liaam {
 
-constexpr std::size_t kBlock = 2048;  // residuals whose products are summed in float32 before they are added in float64
-
 // Solves for lambda under the weights if `solves`, and sums the squares of the residual that it leaves (eq 9 and 10).
 // `weighed` says that the weights have changed.
 void solve_appearance(const Objective& objective, Workspace& work, bool weighed, bool solves);
 
 // Replaces J'J and J'r by the symmetrised Hessian J'QJ and the gradient J'Qr.
 void eliminate_appearance(Workspace& work);
-
-// A'A of the modes (all rows but the first) under weights.
-void weighted_gram(Rows<const float> rows, Floats sqrt_weights, std::vector<float>& block, Matrix& gram);
-
-// A'c: weighted products of a column with the modes.
-void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, std::vector<float>& block,
-                    std::span<double> out);
 
 }  // namespace liaam

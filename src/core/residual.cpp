@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "eight.hpp"
+#include "modes.hpp"
 
 namespace liaam {
 
@@ -74,14 +75,12 @@ void sample(const LevelImage& image, std::size_t k, Workspace& work) {
 
 // Subtracts the appearance (eq 4) from the samples.
 void subtract_appearance(Workspace& work) {
-    for (std::size_t j = 0; j < work.rows.n_rows; ++j) {
-        const float scale = j == 0 ? 1.0f : static_cast<float>(work.state.lam[j - 1]);
-        if (scale == 0.0f) continue;
-        const float* row = work.rows[j].data();
-        float* residual = work.residual.data();
+    const float* mean = work.rows[0].data();
+    float* residual = work.residual.data();
 #pragma omp simd
-        for (std::size_t e = 0; e < work.residual.size(); ++e) residual[e] -= scale * row[e];
-    }
+    for (std::size_t e = 0; e < work.residual.size(); ++e) residual[e] -= mean[e];
+    if (std::any_of(work.state.lam.begin(), work.state.lam.end(), [](double each) { return each != 0.0; }))
+        add_modes(work.rows, work.state.lam, -1.0, work.residual);
 }
 
 }  // namespace

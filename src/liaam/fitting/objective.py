@@ -270,9 +270,10 @@ class Objective:
 
 
 THINNING = 1.5
-"""Distance between sampled pixels, in standard deviations of a level's blur. Closer pixels are redundant. On the spot
-protocol ``soft-li`` has a median error of 4.03 % with all pixels, 4.05 with half of the sharpest level's and 4.11 with
-a quarter. The 90th percentile is 5.6 in each case."""
+"""Distance between sampled pixels, in standard deviations of a level's blur, rounded to whole pixels. Closer pixels are
+redundant: with every second row and column of its sharpest level instead of twice as many pixels, ``soft-li`` is off by
+0.015 more on average (standard error 0.013), in per cent of the distance between the eyes, over 590 fits to strangers
+and the same person. Coarse levels need their pixels: with a quarter less, distant starts are lost."""
 
 
 def make_objectives(model: AAM, method: Method, thinning: float | None = None) -> tuple[Objective, ...]:

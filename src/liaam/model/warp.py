@@ -120,12 +120,10 @@ class PiecewiseAffineWarp:
         )
 
     def every(self, spacing: float) -> np.ndarray:
-        """Indices of pixels at a spacing (all, a chequerboard, or a square grid), sorted by triangle."""
+        """Indices of pixels on a square grid of about this spacing, sorted by triangle."""
         rows, columns = self.frame.pixels.T
-        if spacing < 1.75:
-            kept = np.flatnonzero((rows + columns) % 2 < (2 if spacing < 1.25 else 1))
-        else:
-            kept = np.flatnonzero((rows % round(spacing) == 0) & (columns % round(spacing) == 0))
+        step = max(1, round(spacing))
+        kept = np.flatnonzero((rows % step == 0) & (columns % step == 0))
         if len(kept) < min(FEWEST, len(rows)):  # a small frame under a wide blur
             return self.every(0.5 * spacing)
         return kept[np.argsort(self.frame.owners[kept], kind="stable")]

@@ -1,0 +1,22 @@
+// Products with the appearance modes: A'A, A'c and A lambda (eq 4). Of rows (1 + m, n k), the first is the mean.
+#pragma once
+
+#include <vector>
+
+#include "arrays.hpp"
+
+namespace liaam {
+
+constexpr std::size_t kBlock = 2048;  // residuals whose products are summed in float32 before they are added in float64
+
+// A'A of the modes (all rows but the first) under weights.
+void weighted_gram(Rows<const float> rows, Floats sqrt_weights, std::vector<float>& block, Matrix& gram);
+
+// A'c: weighted products of a column with the modes.
+void multiply_modes(Rows<const float> rows, Floats sqrt_weights, Floats column, std::vector<float>& block,
+                    std::span<double> out);
+
+// Adds scale A lambda to a column, such as the residual or, of the modes' gradients, the mean's.
+void add_modes(Rows<const float> rows, Doubles lam, double scale, std::span<float> out);
+
+}  // namespace liaam
