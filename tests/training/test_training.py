@@ -5,6 +5,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from liaam.datasets import Sample
 from liaam.errors import ImageError, TrainingError
@@ -108,6 +109,12 @@ def test_progress_is_told(pairs):
     )
     assert len(set(total)) == 1
     assert done[0] == 0 and done[-1] == total[0] and (np.diff(done) > 0).all()
+
+
+def test_training_holds_blas_to_one_thread(pairs):
+    seen = set()
+    train(pairs, progress=lambda *_: seen.update(info["num_threads"] for info in threadpool_info()), **OPTIONS)
+    assert seen == {1}
 
 
 def test_progress_is_shown_if_asked_for(pairs, capsys):

@@ -27,11 +27,13 @@ from liaam.training.points import Points, map_of_points
 from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import level_appearances, sample_all
+from liaam.workers import one_blas_thread
 
 AUTO = "auto"
 """Value of ``lamps``: those of generated heads if the objects are faces."""
 
 
+@one_blas_thread()
 def train(
     data: Iterable,
     options: TrainingOptions | None = None,
@@ -122,7 +124,7 @@ def train(
     symmetric = mirror_order(mean)
     copied = _copies(lit, symmetric, checked, model, options)
     if copied.offset:
-        warnings.warn(describe_offset(copied.offset), stacklevel=2)
+        warnings.warn(describe_offset(copied.offset), stacklevel=3)
     model = replace(
         model,
         n_textures=len(copied.owners),
