@@ -66,8 +66,8 @@ _MESSAGES = {
         "was kept fixed."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit converged, but explains the image no better than wrong fits do; check it, and start nearer to the "
-        "object if it is wrong."
+        "The fit converged, but its quality is low, so that it is probably wrong; check the landmarks, and start nearer "
+        "to the object if they are wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit did not converge within its iterations; start nearer to the object or allow more iterations."
