@@ -10,12 +10,6 @@ using namespace liaam;
 
 namespace {
 
-template <class T>
-Stored<T> stored(const Image<T>& image) {
-    return {image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
-            image.stride(0), image.stride(1), image.stride(2)};
-}
-
 void check_blocks(double height, double width, const Blocks& blocks) {
     require(blocks.size >= 1.0 && blocks.x >= 0.0 && blocks.y >= 0.0 && blocks.rows >= 0 && blocks.columns >= 0,
             "blocks start within the image and have a size of at least 1");

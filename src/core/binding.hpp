@@ -1,4 +1,4 @@
-// What both files of bindings share: arrays in and out. Sizes and types are checked here and nowhere else.
+// What all files of bindings share: arrays in and out. Sizes and types are checked here and nowhere else.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "arrays.hpp"
+#include "image.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -59,5 +60,13 @@ inline liaam::Matrix matrix_of(const Array<double, 2>& array) {
     return matrix;
 }
 
+template <class T>
+liaam::Stored<T> stored(const Image<T>& image) {
+    return {image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
+            image.stride(0), image.stride(1), image.stride(2)};
+}
+
+void bind_level(nb::module_& module);
+void bind_fit(nb::module_& module);
 void bind_images(nb::module_& module);
 void bind_parts(nb::module_& module);

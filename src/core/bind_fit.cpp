@@ -1,0 +1,134 @@
+// Bindings of a whole fit.
+#include "bind_level.hpp"
+
+#include <memory>
+
+using namespace liaam;
+
+namespace {
+
+// A model and a method, prepared for many images.
+struct Prepared {
+    std::vector<LevelSpec> levels;
+    Shapes shapes;
+    Encoding encoding = Encoding::soft;
+    double theta_1 = 0.0;
+    bool has_invariant = false;
+    bool keeps_samples = false;
+    std::vector<nb::object> kept;
+};
+
+std::unique_ptr<Prepared> prepare(const nb::dict& given) {
+    auto prepared = std::make_unique<Prepared>();
+    Fields fields(given, prepared->kept);
+    prepared->shapes = {fields.rows<double>("basis"), fields.numbers<double>("mean")};
+    prepared->encoding = static_cast<Encoding>(fields.value<int>("encoding"));
+    prepared->theta_1 = fields.value<double>("theta_1");
+    prepared->has_invariant = fields.value<bool>("has_invariant");
+    prepared->keeps_samples = fields.value<bool>("keeps_samples");
+    for (nb::handle each : nb::cast<nb::list>(given["levels"])) {
+        const auto [objective, blur, density] = nb::cast<std::tuple<nb::object, double, double>>(each);
+        const auto& held = nb::cast<const HeldObjective&>(objective);
+        require(held.objective.n_p() == prepared->shapes.basis.n_rows, "a level has other shape modes");
+        prepared->levels.push_back({&held.objective, blur, density});
+        prepared->kept.push_back(objective);
+    }
+    require(!prepared->levels.empty(), "there are no levels");
+    require(prepared->shapes.basis.n_columns == prepared->shapes.mean.size() && prepared->shapes.mean.size() >= 6,
+            "the shape model is damaged");
+    return prepared;
+}
+
+Target target_of(const Prepared& prepared, const nb::dict& given, std::vector<nb::object>& kept) {
+    Fields fields(given, kept);
+    Target target;
+    const Doubles start = fields.numbers<double>("start"), points = fields.numbers<double>("points");
+    target.start.assign(start.begin(), start.end());
+    target.points.assign(points.begin(), points.end());
+    target.margin = fields.value<double>("margin");
+    target.theta_1 = prepared.theta_1;
+    target.theta_2 = fields.value<double>("theta_2");
+    target.has_invariant = prepared.has_invariant;
+    target.log_noise = fields.numbers<float>("log_noise");
+    target.first_log = fields.value<double>("first_log");
+    target.last_log = fields.value<double>("last_log");
+    target.point_precision = fields.rows<double>("point_precision");
+    const std::size_t n_p = prepared.shapes.basis.n_rows;
+    require(start.size() == prepared.shapes.mean.size(), "the start has another number of landmarks");
+    require(std::all_of(start.begin(), start.end(), [](double each) { return std::abs(each) < 1e7; }),
+            "the start is not finite, or far away");
+    require(points.empty() || (points.size() == start.size() && target.point_precision.n_rows == n_p &&
+                               target.point_precision.n_columns == n_p),
+            "the mapped points differ in size");
+    require(target.log_noise.size() >= 2 && target.last_log > target.first_log, "the table of noise is damaged");
+    return target;
+}
+
+std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& picture, const nb::dict& given,
+                                 const nb::dict& options) {
+    std::vector<nb::object> kept;
+    const Target target = target_of(prepared, given, kept);
+    Options own = options_of(options);
+    own.keeps_samples = prepared.keeps_samples;
+    require(picture.height >= 8 && picture.width >= 8, "the image is smaller than 8 by 8 pixels");
+    Signals signals;
+    std::vector<LevelResult> results;
+    {
+        nb::gil_scoped_release unlocked;
+        results = fit_levels(prepared.levels, prepared.shapes, picture, target, own, EncodingConstants{}, room(),
+                             std::ref(signals));
+    }
+    signals.rethrow();
+    return results;
+}
+
+template <class T>
+std::vector<LevelResult> fit_stored(const Prepared& prepared, const Image<T>& image, const Array<float, 3>& table,
+                                    bool grey, float floor, const nb::dict& target, const nb::dict& options) {
+    require(table.size() == 12 * (std::size_t{1} << (8 * sizeof(T))), "the table has an entry for each stored value");
+    const Stored<T> view = stored(image);
+    Picture picture;
+    picture.height = view.height;
+    picture.width = view.width;
+    if constexpr (sizeof(T) == 1) picture.bytes = &view;
+    else picture.words = &view;
+    picture.table = {{table.data(), table.size()}};
+    picture.grey = grey;
+    picture.encoding = prepared.encoding;
+    picture.floor = floor;
+    return run_fit(prepared, picture, target, options);
+}
+
+std::vector<LevelResult> fit_light(const Prepared& prepared, const Array<float, 3>& light,
+                                   const std::optional<Array<float, 2>>& finite, bool grey, float floor,
+                                   const nb::dict& target, const nb::dict& options) {
+    require(light.shape(2) == 4 && (!finite || finite->size() * 4 == light.size()), "light has four channels");
+    Picture picture;
+    picture.height = light.shape(0);
+    picture.width = light.shape(1);
+    picture.light = light.data();
+    picture.finite = finite ? finite->data() : nullptr;
+    picture.grey = grey;
+    picture.encoding = prepared.encoding;
+    picture.floor = floor;
+    return run_fit(prepared, picture, target, options);
+}
+
+}  // namespace
+
+void bind_fit(nb::module_& module) {
+    const auto rows = [](const Similarity& s) {
+        return owned(std::vector<double>{s.xx, s.xy, s.x0, s.yx, s.yy, s.y0}, {2, 3});
+    };
+    nb::class_<LevelResult>(module, "LevelResult")
+        .def_ro("fit", &LevelResult::fit)
+        .def_prop_ro("pose", [rows](const LevelResult& result) { return rows(result.pose); })
+        .def_prop_ro("to_patch", [rows](const LevelResult& result) { return rows(result.to_patch); })
+        .def_prop_ro("patch_size",
+                     [](const LevelResult& result) { return std::make_pair(result.patch_height, result.patch_width); });
+    nb::class_<Prepared>(module, "Prepared")
+        .def("fit", fit_stored<std::uint8_t>, "image"_a.noconvert(), "table"_a, "grey"_a, "floor"_a, "target"_a, "options"_a)
+        .def("fit", fit_stored<std::uint16_t>, "image"_a.noconvert(), "table"_a, "grey"_a, "floor"_a, "target"_a, "options"_a)
+        .def("fit_light", fit_light, "light"_a, "finite"_a.none(), "grey"_a, "floor"_a, "target"_a, "options"_a);
+    module.def("prepare", prepare, "fields"_a);
+}

@@ -1,0 +1,295 @@
+// Bindings of a level: its objective, its encoded image, its solution, and its parts at a state.
+#include "bind_level.hpp"
+
+#include <memory>
+
+#include "derivatives.hpp"
+#include "normal_equations.hpp"
+#include "residual.hpp"
+#include "weights.hpp"
+
+using namespace liaam;
+
+FitRoom& room() {
+    static thread_local FitRoom own;
+    return own;
+}
+
+Options options_of(const nb::dict& given) {
+    const auto optional = [&](const char* name, double otherwise) {
+        nb::object value = given[name];
+        return value.is_none() ? otherwise : nb::cast<double>(value);
+    };
+    Options options;
+    options.max_iterations = nb::cast<int>(given["max_iterations"]);
+    options.tolerance = nb::cast<double>(given["tolerance"]);
+    options.early_tolerance = optional("early_tolerance", -1.0);
+    options.relative_tolerance = nb::cast<double>(given["relative_tolerance"]);
+    options.damping = nb::cast<double>(given["damping"]);
+    options.shape_prior = nb::cast<double>(given["shape_prior"]);
+    options.observable = nb::cast<double>(given["observable"]);
+    options.best_angle = nb::cast<std::string>(given["angle_start"]) == "best";
+    options.scoring = static_cast<int>(optional("scoring", -1.0));
+    return options;
+}
+
+namespace {
+
+void check_mesh(const Mesh& mesh, std::size_t n_p) {
+    const std::size_t n = mesh.n_pixels(), n_vertices = mesh.n_vertices();
+    require(mesh.beta.n_columns == 3 && mesh.triangles.n_columns == 3 && mesh.rest.n_columns == 2, "the mesh is damaged");
+    require(mesh.starts.size() == mesh.triangles.n_rows + 1 && mesh.basis.n_rows == 2 * n_vertices &&
+                mesh.basis.n_columns >= n_p && mesh.basis.n_columns % 8 == 0,
+            "the mesh is damaged");
+    for (std::size_t t = 0; t + 1 < mesh.starts.size(); ++t)
+        require(mesh.starts[t] <= mesh.starts[t + 1], "the pixels are not sorted by triangle");
+    require(mesh.starts.front() == 0 && static_cast<std::size_t>(mesh.starts.back()) == n,
+            "the pixels are not sorted by triangle");
+    for (std::size_t i = 0; i < mesh.triangles.n_rows * 3; ++i)
+        require(mesh.triangles.data[i] >= 0 && static_cast<std::size_t>(mesh.triangles.data[i]) < n_vertices,
+                "a triangle names a vertex that does not exist");
+}
+
+void check_objective(const Objective& objective) {
+    const Model& model = objective.model;
+    const std::size_t n = objective.n(), k = objective.k(), m = objective.m(), e = n * k;
+    check_mesh(model.mesh, objective.n_p());
+    require(n > 0 && k > 0 && k <= kChannels && objective.method.metric[0].size() == k * kChannels, "the metric is damaged");
+    require(model.rows.n_rows == m + 1 && model.rows.n_columns == e, "rows differ in size");
+    require(model.lines.size() == e * objective.width() && objective.width() >= m && objective.width() % 8 == 0,
+            "lines differ in size");
+    require(model.slopes.n_rows == m + 1 &&
+                (model.slopes.n_columns == 2 * e || objective.method.step == StepKind::own),
+            "slopes differ in size");
+    require(model.sqrt_weights.size() == e && model.gram.n_rows == m && model.gram.n_columns == m &&
+                model.errors.size() == n,
+            "weights or errors differ in size");
+    require(objective.method.directions.n_rows == 2 && objective.method.n_free() <= 2, "there are at most two angles");
+    for (const auto& parts : model.row_parts)
+        require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == e), "parts differ in size");
+    for (const auto& parts : model.slope_parts)
+        require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == model.slopes.n_columns),
+                "parts differ in size");
+}
+
+std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
+    auto held = std::make_unique<HeldObjective>();
+    Fields fields(given, held->kept);
+    Model& model = held->objective.model;
+    Method& method = held->objective.method;
+    model.mesh = {fields.rows<float>("beta"), fields.numbers<std::int64_t>("starts"), fields.rows<std::int64_t>("triangles"),
+                  fields.rows<double>("rest"), fields.rows<double>("basis"), fields.value<double>("movement")};
+    model.rows = fields.rows<float>("rows");
+    model.lines = fields.numbers<float>("lines");
+    model.slopes = fields.rows<float>("slopes");
+    model.row_parts = fields.parts("row_parts");
+    model.slope_parts = fields.parts("slope_parts");
+    model.sqrt_weights = fields.numbers<float>("sqrt_weights");
+    model.gram = fields.rows<double>("gram");
+    model.ridge = fields.numbers<double>("ridge");
+    model.errors = fields.numbers<double>("errors");
+    model.prior = fields.numbers<double>("prior");
+    model.correlated = fields.value<double>("correlated");
+    model.dof = fields.value<double>("dof");
+    model.colours = fields.value<bool>("colours");
+    const Rows<const float> metric = fields.rows<float>("metric");
+    require(metric.n_rows == 3, "the metric has a constant, a cos and a sin part");
+    method.metric = {metric[0], metric[1], metric[2]};
+    method.directions = fields.rows<double>("directions");
+    method.weighting = static_cast<Weighting>(fields.value<int>("weighting"));
+    method.loss = static_cast<Loss>(fields.value<int>("loss"));
+    method.gaussian_median = fields.value<double>("gaussian_median");
+    method.step = static_cast<StepKind>(fields.value<int>("step"));
+    check_objective(held->objective);
+    return held;
+}
+
+// An encoded image with the arrays that it views.
+struct HeldImage {
+    LevelImage image;
+    std::vector<nb::object> kept;
+};
+
+Similarity similarity_of(const Rows<const double>& rows) {
+    require(rows.n_rows == 2 && rows.n_columns == 3, "a similarity is (2, 3)");
+    return {rows[0][0], rows[0][1], rows[0][2], rows[1][0], rows[1][1], rows[1][2]};
+}
+
+std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
+    auto held = std::make_unique<HeldImage>();
+    Fields fields(given, held->kept);
+    LevelImage& image = held->image;
+    image.pixels = fields.numbers<float>("pixels");
+    image.height = fields.value<int>("height");
+    image.width = fields.value<int>("width");
+    require(image.height >= 2 && image.width >= 2 &&
+                image.pixels.size() == kChannels * static_cast<std::size_t>(image.height) * image.width &&
+                image.pixels.size() / kChannels < (std::size_t{1} << 31),
+            "an encoded image has eight channels, and at least 2 by 2 pixels");
+    image.from_model = similarity_of(fields.rows<double>("from_model"));
+    image.log_noise = fields.numbers<float>("log_noise");
+    image.first_log = fields.value<double>("first_log");
+    image.last_log = fields.value<double>("last_log");
+    require(image.log_noise.size() >= 2 && image.last_log > image.first_log, "the table of noise is damaged");
+    image.value_left = fields.value<double>("value_left");
+    image.slope_left = fields.value<double>("slope_left");
+    image.correlated = fields.value<double>("correlated");
+    image.point_precision = fields.rows<double>("point_precision");
+    image.points = fields.numbers<double>("points");
+    require(image.point_precision.n_rows == image.points.size() && image.point_precision.n_columns == image.points.size(),
+            "the precision of the points differs in size");
+    return held;
+}
+
+State state_of(const Objective& objective, const Array<double, 1>& p, std::array<double, 2> angles,
+               const Array<double, 1>& lam) {
+    require(p.size() == objective.n_p() && lam.size() == objective.m(), "the state differs in size from the model");
+    return {{p.data(), p.data() + p.size()}, angles, {lam.data(), lam.data() + lam.size()}};
+}
+
+nb::object contrasts(const std::vector<Contrast>& all) {
+    std::vector<double> numbers;
+    for (const Contrast& each : all) numbers.insert(numbers.end(), each.begin(), each.end());
+    return owned(std::move(numbers), {all.size(), 4});
+}
+
+void bind_level_fit(nb::module_& module) {
+    nb::class_<LevelFit>(module, "LevelFit")
+        .def_prop_ro("p", [](const LevelFit& fit) { return copied(fit.state.p, {fit.state.p.size()}); })
+        .def_prop_ro("angles", [](const LevelFit& fit) { return fit.state.angles; })
+        .def_prop_ro("lam", [](const LevelFit& fit) { return copied(fit.state.lam, {fit.state.lam.size()}); })
+        .def_prop_ro("costs", [](const LevelFit& fit) { return copied(fit.trace.costs, {fit.trace.costs.size()}); })
+        .def_prop_ro("path",
+                     [](const LevelFit& fit) {
+                         return copied(fit.trace.path, {fit.trace.costs.size(), fit.state.p.size()});
+                     })
+        .def_prop_ro("angle_history",
+                     [](const LevelFit& fit) {
+                         std::vector<double> angles;
+                         for (const auto& each : fit.trace.angles) angles.insert(angles.end(), each.begin(), each.end());
+                         return owned(std::move(angles), {fit.trace.angles.size(), 2});
+                     })
+        .def_prop_ro("n_iterations", [](const LevelFit& fit) { return fit.trace.n_iterations; })
+        .def_prop_ro("converged", [](const LevelFit& fit) { return fit.trace.converged; })
+        .def_prop_ro("held", [](const LevelFit& fit) { return fit.trace.held; })
+        .def_prop_ro("flat", [](const LevelFit& fit) { return fit.trace.flat; })
+        .def_ro("noise_variance", &LevelFit::noise_variance)
+        .def_ro("squares", &LevelFit::squares)
+        .def_ro("weight", &LevelFit::weight)
+        .def_ro("prior_scale", &LevelFit::prior_scale)
+        .def_ro("n_counted", &LevelFit::n_counted)
+        .def_prop_ro("expected_hessian", [](const LevelFit& fit) { return copied(fit.expected_hessian); })
+        .def_prop_ro("usable", [](const LevelFit& fit) { return copied(fit.usable, {fit.usable.size()}); })
+        .def_prop_ro("samples", [](const LevelFit& fit) { return copied(fit.samples, {fit.samples.size()}); })
+        .def_prop_ro("residual", [](const LevelFit& fit) { return copied(fit.residual, {fit.residual.size()}); })
+        .def_prop_ro("contrast", [](const LevelFit& fit) { return contrasts(fit.contrast); })
+        .def_prop_ro("weighted_contrast", [](const LevelFit& fit) { return contrasts(fit.weighted_contrast); });
+}
+
+// A level at a state, in the parts that the loop calls: for tests, residual images and relighting.
+class Problem {
+  public:
+    Problem(const HeldObjective& objective, const HeldImage& image) : objective_(objective.objective), image_(image.image) {}
+
+    void begin(const Array<double, 1>& p, std::array<double, 2> angles, const Array<double, 1>& lam) {
+        work_.begin(objective_, state_of(objective_, p, angles, lam));
+    }
+    void set_state(const Array<double, 1>& p, std::array<double, 2> angles, const Array<double, 1>& lam) {
+        work_.state = state_of(objective_, p, angles, lam);
+    }
+    void evaluate(bool solves) {
+        evaluate_residual(objective_, image_, work_, solves);
+        solve_appearance(objective_, work_, false, solves);
+    }
+    bool reweigh(bool solves) {
+        const bool changed = objective_.method.reweighs() && update_weights(objective_, image_, work_);
+        if (changed) solve_appearance(objective_, work_, true, solves);
+        return changed;
+    }
+    void differentiate(bool image_in_j, bool image_in_e) {
+        require((image_in_j && image_in_e) || objective_.method.step != StepKind::own, "the method expects no gradient");
+        if (!image_in_j || !image_in_e) model_gradient(objective_, work_);
+        linearise(objective_, work_, {image_in_j, image_in_e});
+    }
+    LevelFit fit(Trace trace) const { return collect(objective_, std::move(trace), work_); }
+    const Workspace& work() const { return work_; }
+    const Objective& objective() const { return objective_; }
+
+  private:
+    const Objective& objective_;
+    const LevelImage& image_;
+    Workspace work_;
+};
+
+nb::dict arrays_of(const Problem& problem) {
+    const Workspace& work = problem.work();
+    const Objective& objective = problem.objective();
+    const std::size_t n = objective.n(), k = objective.k(), rows = work.rows.n_rows;
+    nb::dict all;
+    all["values"] = copied(work.values, {n, kChannels});
+    all["residual"] = copied(work.residual, {n * k});
+    all["gradients"] = copied(work.gradients, {n * k, 2});
+    all["usable"] = copied(work.usable, {n});
+    all["rows"] = owned(std::vector<float>(work.rows.data, work.rows.data + rows * n * k), {rows, n * k});
+    all["metric"] = copied(work.metric, {k, kChannels});
+    all["base_sqrt_weights"] = copied(work.base_sqrt_weights, {n * k});
+    all["sqrt_weights"] = copied(work.sqrt_weights, {n * k});
+    all["weight_slope"] = copied(work.weight_slope, {work.weight_slope.size()});
+    all["masked"] = copied(work.masked, {n * k});
+    all["variance"] = copied(work.variance, {work.variance.size()});
+    all["noise_variance"] = work.noise_variance;
+    all["squares"] = work.squares;
+    all["weight"] = work.weight;
+    all["lam"] = copied(work.state.lam, {work.state.lam.size()});
+    all["gram"] = copied(work.gram);
+    all["factor"] = copied(work.factor);
+    all["ar"] = copied(work.ar, {work.ar.size()});
+    all["expected"] = copied(work.expected, {work.expected.size() / 2, 2});
+    std::vector<float> columns;
+    for (const auto& column : work.columns) columns.insert(columns.end(), column.begin(), column.end());
+    all["columns"] = owned(std::move(columns), {work.columns.size(), n * k});
+    all["aj"] = copied(work.aj);
+    all["hessian"] = copied(work.hessian);
+    all["gradient"] = copied(work.gradient, {work.gradient.size()});
+    return all;
+}
+
+void bind_problem(nb::module_& module) {
+    nb::class_<Problem>(module, "Problem")
+        .def(nb::init<const HeldObjective&, const HeldImage&>(), nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>())
+        .def("begin", &Problem::begin, "p"_a, "angles"_a, "lam"_a)
+        .def("set_state", &Problem::set_state, "p"_a, "angles"_a, "lam"_a)
+        .def("evaluate", &Problem::evaluate, "solves"_a)
+        .def("reweigh", &Problem::reweigh, "solves"_a)
+        .def("differentiate", &Problem::differentiate, "image_in_j"_a, "image_in_e"_a)
+        .def("arrays", arrays_of);
+}
+
+LevelFit solve_one(const HeldObjective& held, const HeldImage& image, const Array<double, 1>& p,
+                   std::array<double, 2> angles, const Array<double, 1>& lam, const nb::dict& options, double blur,
+                   bool evaluate_last) {
+    const State start = state_of(held.objective, p, angles, lam);
+    Options own = options_of(options);
+    own.keeps_samples = true;
+    Signals signals;
+    LevelFit fit;
+    {
+        nb::gil_scoped_release unlocked;
+        fit = solve_level(held.objective, image.image, start, own, blur, evaluate_last, room().work, std::ref(signals));
+    }
+    signals.rethrow();
+    return fit;
+}
+
+}  // namespace
+
+void bind_level(nb::module_& module) {
+    nb::class_<HeldObjective>(module, "Objective");
+    nb::class_<HeldImage>(module, "LevelImage");
+    module.def("make_objective", make_objective, "fields"_a);
+    module.def("make_image", make_image, "fields"_a);
+    bind_level_fit(module);
+    bind_problem(module);
+    module.def("solve_level", solve_one, "objective"_a, "image"_a, "p"_a, "angles"_a, "lam"_a, "options"_a, "blur"_a,
+               "evaluate_last"_a);
+}
