@@ -17,7 +17,7 @@ from liaam.io import (
     write_image,
     write_landmarks,
 )
-from liaam.io.landmarks import parse_landmark_data
+from liaam.io.landmarks import Reading, parse_landmark_data
 
 NAN = np.nan
 WINGS = (
@@ -187,15 +187,34 @@ BAD = [
     ("LM=1\n1,5 2\nID=0\n", r"'1,5' in line 2 is not a number: correct it \(decimal points"),
     ("LM=1\n1 1e999\nID=0\n", "in line 2 is not a number"),
     ("LM=1\n1 2\nCURVES=1\nPOINTS=2\n1 2\nID=0\n", r"line 4 \('POINTS=2'\) promises 2 points but 1 follow"),
+    ("LM=0\nIMAGE=a.jpg\n", "has no points: place the landmarks of at least one image first"),
+    ("nothing of the kind\n", r"line 1 \('nothing of the kind'\) is not expected here"),
+]
+
+ONE_RECORD = [
     ("LM=1\n1 2\nSCALE=-0.5\n", r"line 3 \('SCALE=-0.5'\) is not the length of a pixel: give a positive number"),
     ("LM=1\n1 2\nSCALE=0\n", "is not the length of a pixel"),
     ("LM=1\n1 2\nSCALE=inf\n", "is not the length of a pixel"),
     ("LM=1\n1 2\nSCALE=big\n", "is not the length of a pixel"),
-    ("LM=1\n1 2\nIMAGE=a.jpg\nLM=1\n3 4\nIMAGE=a.jpg\n", "line 4 begins a second record of 'a.jpg'.*line 1.: remove"),
     ("LM=1\n1 2\nIMAGE=a.jpg\nLM=1\n3 4\nSCALE=1\n", "the record of line 4 names no image: add a line IMAGE="),
-    ("LM=0\nIMAGE=a.jpg\n", "has no points: place the landmarks of at least one image first"),
-    ("nothing of the kind\n", r"line 1 \('nothing of the kind'\) is not expected here"),
 ]
+
+
+@pytest.mark.parametrize(("text", "words"), ONE_RECORD, ids=[words[:40] for _, words in ONE_RECORD])
+def test_one_bad_record_stops_only_strict_reading(tmp_path: Path, text: str, words: str) -> None:
+    path = save(tmp_path, text)
+    with pytest.warns(UserWarning, match=r"a\.tps: (have no scale|left out the record of line 4)"):
+        assert read_landmarks(path, (100, 100)).scale is None
+    with pytest.raises(LandmarkError, match=words):
+        read_landmarks(path, (100, 100), reading=Reading(strict=True))
+
+
+def test_two_records_of_an_image_are_two_specimens(tmp_path: Path) -> None:
+    text = "LM=1\n1 2\nIMAGE=a.jpg\nID={}\nLM=1\n3 4\nIMAGE=a.jpg\nID={}\n"
+    named = read_landmarks(save(tmp_path, text.format("left", "right")), (10, 10))
+    assert [name for name, _ in named.objects("a")] == ["a#left", "a#right"]
+    numbered = read_landmarks(save(tmp_path, text.format(0, 0)), (10, 10))
+    assert [(name, own.points.tolist()) for name, own in numbered.objects("a")] == [("a", [[1, 7]]), ("a#2", [[3, 5]])]
 
 
 @pytest.mark.parametrize(("text", "words"), BAD, ids=[words[:40] for _, words in BAD])

@@ -131,7 +131,7 @@ def _write_tps(path: Path, table: Table) -> None:
             if row["status"] in USABLE:
                 points = np.array(row["landmarks"], dtype=np.float64).reshape(-1, 2)
                 landmarks = Landmarks(points, table.contours, image_name=row["path"], scale=row["scale"])
-                file.write(tps.dump(tps.place(landmarks, row["size"])))
+                file.write(tps.dump(tps.upwards(landmarks, row["size"])))
 
 
 TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")

@@ -8,12 +8,8 @@ from itertools import islice
 from pathlib import Path
 
 from liaam.io.files import is_number, some_names
-from liaam.io.images import IMAGE_SUFFIXES, UNREAD_SUFFIXES
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
-from liaam.io.raw import RAW_SUFFIXES
-
-PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
-"""Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
 
 NO_IMAGE = "no image has its name"
 """Reason for leaving out a landmark file."""

@@ -30,10 +30,28 @@ from liaam.datasets.advice import (
 from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import count_of, natural_key, some_names
-from liaam.io.images import image_size, read_image
-from liaam.io.landmarks import FORMATS, LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
+from liaam.io.images import read_image, size_and_orientation
+from liaam.io.landmarks import (
+    LANDMARK_SUFFIXES,
+    ImageNames,
+    Landmarks,
+    Notes,
+    Reading,
+    UnrecognisedError,
+    in_pixels,
+    may_hold_many,
+    parse_landmark_file,
+    rank_of,
+    titles_of,
+)
+from liaam.io.landmarks.base import Placing
 
 _BARE = "the image has no landmarks"
+_UNREAD = "the landmarks cannot be read"
+_SAME = 1.5
+"""Largest difference of positions in pixels that the conventions of programs and rounding explain."""
+
+_LESSER = "another landmark file takes precedence"
 _PARTIAL = "one of several objects in an image lacks landmarks"
 
 
@@ -103,11 +121,14 @@ class Dataset:
         Files that were not used, with the reason.
     source : str
         Origin of the samples, for the report.
+    notes : tuple of str
+        Lines about records that were left out, and about what was done with others, for the report.
     """
 
     samples: tuple[Sample, ...]
     left_out: tuple[LeftOut, ...] = ()
     source: str = ""
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -158,7 +179,7 @@ class Dataset:
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
         source = f" from {self.source}" if self.source else ""
-        lines = [f"{count_of(len(self), 'sample')}{source}", *self._landmark_lines(), *self._shared_lines()]
+        lines = [f"{count_of(len(self), 'sample')}{source}", *self._landmark_lines(), *self._shared_lines(), *self.notes]
         groups: dict[str, list[LeftOut]] = defaultdict(list)
         for left in self.left_out:
             if left.partly:
@@ -183,8 +204,12 @@ class Dataset:
     def _landmark_lines(self) -> list[str]:
         if not self.samples:
             return []
-        suffixes = Counter(sample.landmark_file.suffix.lower() for sample in self.samples if sample.landmark_file)
-        formats = ", ".join(f"{FORMATS[suffix].title} ({suffix}): {n}" for suffix, n in suffixes.items())
+        kinds = Counter(
+            f"{sample.landmarks.format or titles_of(suffix)} ({suffix})"
+            for sample in self.samples
+            if sample.landmark_file and (suffix := sample.landmark_file.suffix.lower())
+        )
+        formats = ", ".join(f"{kind}: {n}" for kind, n in kinds.items())
         n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
         missing = f", {n_missing} missing in total" if n_missing else ""
         count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
@@ -196,11 +221,12 @@ def load_folder(
     pattern: str | None = None,
     recursive: bool = False,
     progress: bool = False,
+    reading: Reading = Reading(),
 ) -> Dataset:
     """Find the landmarked images of a folder.
 
-    The images are not decoded; headers are read for landmarks that need the image's size (``.asf``, ``.tps``).
-    Hidden files are ignored.
+    The images are not decoded; their headers are read for sizes and EXIF orientations. Hidden files are ignored.
+    Landmarks with names are put into one order.
 
     Parameters
     ----------
@@ -213,6 +239,8 @@ def load_folder(
         Whether to include subfolders.
     progress : bool, optional
         Whether to show a progress bar on stderr.
+    reading : Reading, optional
+        How to read the landmark files.
 
     Returns
     -------
@@ -225,7 +253,7 @@ def load_folder(
     ImageError
         If the folder is missing, or contains no (matching) image.
     LandmarkError
-        If no image has landmarks.
+        If no image has landmarks; if `reading` is strict, also if landmarks have to be left out.
     """
     root = Path(folder)
     files = _list_files(root, recursive)
@@ -234,7 +262,8 @@ def load_folder(
     if not wanted:
         raise ImageError(no_images(root, files, pattern, recursive))
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
-    samples, left_out = pair_files(root, images, _track(marks, progress), wanted)
+    pairing = _pair(root, images, _track(marks, progress), wanted, reading)
+    samples, left_out = pairing.finish(), pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
     unread = unread_landmarks(files, bare)
     if not samples:
@@ -243,9 +272,19 @@ def load_folder(
     orphans = [left.path for left in left_out if left.reason == NO_IMAGE]
     left_out += [LeftOut(file, UNKNOWN) for file in unread]
     left_out += [LeftOut(file, UNKNOWN_IMAGE) for file in unread_images(files, orphans)]
+    samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
-    left_out = sorted([*left_out, *odd], key=lambda left: natural_key(str(left.path)))
-    return Dataset(tuple(samples), tuple(left_out), str(root))
+    left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
+    if reading.strict:
+        _refuse(left_out, [*unnamed, *odd])
+    return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
+
+
+def _refuse(left_out: list[LeftOut], odd: list[LeftOut]) -> None:
+    """Raise if landmarks were left out because of a fault in them."""
+    for left in left_out:
+        if left in odd or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, ABSENT)):
+            raise LandmarkError(f"{left.path}: {left.reason} (refused because of --strict).")
 
 
 def pair_files(
@@ -255,10 +294,15 @@ def pair_files(
 
     Samples are made of the ``wanted`` images, all by default. Also return the files that were not used.
     """
-    pairing = _Pairing(root, images, images if wanted is None else wanted)
+    pairing = _pair(root, images, marks, images if wanted is None else wanted, Reading())
+    return pairing.finish(), pairing.left_out
+
+
+def _pair(root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path], reading: Reading) -> "_Pairing":
+    pairing = _Pairing(root, images, wanted, reading)
     for file in marks:
         pairing.add(file)
-    return pairing.finish(), pairing.left_out
+    return pairing
 
 
 def _list_files(root: Path, recursive: bool) -> list[Path]:
@@ -306,33 +350,42 @@ class _Option:
 class _Pairing:
     """Collects the candidate landmarks of each image, file by file."""
 
-    def __init__(self, root: Path, images: list[Path], wanted: list[Path]) -> None:
+    def __init__(self, root: Path, images: list[Path], wanted: list[Path], reading: Reading) -> None:
         self.root = root
         self.wanted = wanted
+        self.reading = reading
+        self.notes = Notes(reading.strict)
         self.left_out: list[LeftOut] = []
         self.reported: set[Path] = set()
         """Images whose landmark file was left out, with the reason."""
         self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
+        preferred = sorted(images, key=lambda path: (path not in self.options, _rank(path, PICTURE_SUFFIXES)))
+        self.names = ImageNames(preferred)
         self.by_stem: dict[Path, Path] = {}
-        self.by_name: dict[str, list[Path]] = defaultdict(list)
-        for image in sorted(images, key=lambda path: (path not in self.options, _rank(path, PICTURE_SUFFIXES))):
+        for image in preferred:
             self.by_stem.setdefault(image.with_suffix(""), image)
-            self.by_name[image.name.casefold()].append(image)
 
     def add(self, file: Path) -> None:
         """Read one landmark file if a wanted image may need it."""
-        form = FORMATS[file.suffix.lower()]
-        image = self.by_stem.get(file.with_suffix(""))
-        if image is not None and image not in self.options and not form.may_be_collection:
+        image = self.by_stem.get(file.with_suffix("")) or self.names.of_file(file)
+        if not may_hold_many(file) and (image is None or image not in self.options):
+            if image is None:
+                self._leave_out(file, NO_IMAGE)
             return
-        if image is None and form.place is None and not form.may_be_collection:
-            self._leave_out(file, NO_IMAGE)
-            return
+        notes = Notes(self.reading.strict)
         try:
-            parsed = parse_landmark_file(file)
+            parsed = parse_landmark_file(file, self.reading, notes)
+        except UnrecognisedError as fault:
+            if file.suffix.lower() != ".txt" or image is not None:
+                self._leave_out(file, f"{_UNREAD}: {fault}", image)
         except LandmarkError as fault:
-            self._leave_out(file, f"the landmarks cannot be read: {fault}", image)
+            self._leave_out(file, f"{_UNREAD}: {fault}", image)
         else:
+            for what, which in notes.done.items():
+                self.notes.done.setdefault(what, []).extend(which)
+            if notes.left_out:
+                line = Notes(left_out=notes.left_out).lines()[0]
+                self.left_out.append(LeftOut(file, line, partly=True))
             self._add_parsed(file, image, parsed)
 
     def finish(self) -> list[Sample]:
@@ -341,17 +394,26 @@ class _Pairing:
         samples = []
         for image in self.wanted:
             best = winners[image.with_suffix("")]
-            options = sorted(self.options[image], key=lambda each: (not each.own, _rank(each.file, LANDMARK_SUFFIXES)))
+            options = sorted(self.options[image], key=lambda each: (not each.own, rank_of(each.landmarks)))
             if image != best:
                 self._leave_out(image, f"another image has the same name: {best.name} is used")
             elif options:
                 used, *others = options
                 samples += self._samples(image, used)
-                for other in others:
-                    self._leave_out(other.file, f"another landmark file takes precedence: {used.file.name} is used")
+                self._note_others(image, used, others)
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
+
+    def _note_others(self, image: Path, used: _Option, others: list[_Option]) -> None:
+        """Record files that other ones take precedence over, and in which images they disagree."""
+        for other in others:
+            left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
+            if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
+                self.left_out.append(left)
+            if _disagree(used.landmarks, other.landmarks):
+                kinds = f"{used.file.suffix} and {other.file.name}"
+                self.notes.repair(f"have landmarks that disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name)
 
     def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
         """Yield a sample of each object: of the largest in any case, of others if no landmark is missing."""
@@ -401,21 +463,25 @@ class _Pairing:
         if image not in self.options:
             return
         try:
-            size = image_size(image) if FORMATS[file.suffix.lower()].place is not None else None
-            self.options[image].append(_Option(file, in_pixels(file, landmarks, size), own))
+            try:
+                size, orientation = size_and_orientation(image)
+            except ImageError:
+                if landmarks.placing != Placing():
+                    raise
+                size, orientation = None, 1
+            placed = in_pixels(file, landmarks, size, None, self.reading, self.notes, image.name, orientation)
+            self.options[image].append(_Option(file, placed, own))
         except ImageError as fault:
             self._leave_out(file, f"its image cannot be read: {fault}", image)
         except LandmarkError as fault:
-            self._leave_out(file, f"the landmarks cannot be read: {fault}", image)
+            self._leave_out(file, f"{_UNREAD}: {fault}", image)
 
     def _find(self, folder: Path, entry: str) -> Path | None:
-        """Find the image that an entry names: by its path, by a unique file name in any case, or without suffix."""
-        relative = PurePosixPath(entry.replace("\\", "/"))
-        candidates = self.by_name.get(relative.name.casefold(), [])
-        exact = [image for image in candidates if image == folder / relative]
-        if exact:
-            return exact[0]
-        return candidates[0] if len(candidates) == 1 else self.by_stem.get(folder / relative)
+        """Find the image that an entry names, and note what was done to find it."""
+        image, how = self.names.find(entry, folder)
+        if image is not None and how:
+            self.notes.say(how, image.name)
+        return image
 
     def _leave_out(self, path: Path, reason: str, image: Path | None = None) -> None:
         """Record a file that is not used, and the image that it leaves without landmarks, if any."""
@@ -424,8 +490,40 @@ class _Pairing:
             self.reported.add(image)
 
 
+def _disagree(landmarks: Landmarks, others: Landmarks) -> bool:
+    """Return whether two records of an image have different points, by more than their conventions explain."""
+    try:
+        points = others.in_order_of(landmarks.names).points
+    except LandmarkError:
+        return True
+    if points.shape != landmarks.points.shape:
+        return True
+    return not np.allclose(points, landmarks.points, rtol=0, atol=_SAME, equal_nan=True)
+
+
 def _rank(file: Path, suffixes: tuple[str, ...]) -> int:
     return suffixes.index(file.suffix.lower())
+
+
+def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[LeftOut]]:
+    """Put landmarks into the order of names that most samples have. Leave out those that lack some of the names."""
+    orders = Counter(sample.landmarks.names for sample in samples if sample.landmarks.names)
+    if len(orders) < 2:
+        return samples, []
+    (usual, count), *_ = orders.most_common()
+    if count == 1 and len({frozenset(names) for names in orders}) == 1:  # rows in no order
+        usual = tuple(sorted(usual, key=natural_key))
+    kept, odd = [], []
+    for sample in samples:
+        try:
+            landmarks = sample.landmarks.in_order_of(usual)
+        except LandmarkError as fault:
+            odd.append(LeftOut(sample.landmark_file or Path(sample.name), f"other landmarks than most: {sample.name}: {fault}"))
+            continue
+        if landmarks is not sample.landmarks:
+            notes.say("name their landmarks in another order, and are taken by name", sample.name)
+        kept.append(replace(sample, landmarks=landmarks))
+    return kept, odd
 
 
 def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:

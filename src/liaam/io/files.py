@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import unicodedata
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
@@ -23,6 +24,11 @@ def natural_key(text: str) -> list[Any]:
     words = re.split(r"([0-9]+)", text.casefold())  # every second one is a number, perhaps too long for int
     numbers = ((len(digits), digits) for digits in (word.lstrip("0") for word in words[1::2]))
     return [*chain.from_iterable(zip(words[::2], numbers, strict=False)), words[-1]]
+
+
+def name_key(name: str) -> str:
+    """Return a key that is equal for names that differ in case, or in composed and decomposed letters, only."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
 
 
 def some_names(names: Sequence[str], most: int = 6, joint: str = ", ") -> str:

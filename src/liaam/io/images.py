@@ -18,10 +18,13 @@ import numpy as np
 from liaam.errors import ImageError
 from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import MAX_PIXELS, as_three_channels, check_size, existing_file, read_bytes
-from liaam.io.raw import is_raw, raw_size, read_raw
+from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
 """Suffixes (lower case) of the image files that can be read and written, lossless ones first."""
+
+PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
+"""Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
 
 UNREAD_SUFFIXES = (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".svg", ".psd", ".jp2", ".exr")
 """Suffixes of images that are not supported, to name them in messages."""
@@ -166,9 +169,15 @@ def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
     ImageError
         If the file is missing, a folder, empty, or its header cannot be read.
     """
+    return size_and_orientation(path)[0]
+
+
+def size_and_orientation(path: str | os.PathLike[str]) -> tuple[tuple[int, int], int]:
+    """Return (width, height) of an image as :func:`image_size` does, and its EXIF orientation, 1 to 8."""
     if is_raw(path):
-        return raw_size(path)
-    return _read_header(existing_file(path, ImageError, "image")).size
+        return raw_size(path), 1
+    header = _read_header(existing_file(path, ImageError, "image"))
+    return header.size, header.orientation
 
 
 def _read(path: str | os.PathLike[str], max_pixels: int, preview: int | None = None) -> np.ndarray:

@@ -16,7 +16,7 @@ from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import existing_file, natural_key
-from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, Notes, Reading, UnrecognisedError, in_pixels, parse_landmark_file
 from liaam.io.results import corrected_file, points_of_fit, read_fit
 
 _MOST = 1e9
@@ -76,7 +76,9 @@ class Specimen:
 
 
 def read_specimens(
-    path: str | os.PathLike[str], on_fault: Callable[[str], object] | None = None
+    path: str | os.PathLike[str],
+    on_fault: Callable[[str], object] | None = None,
+    reading: Reading = Reading(),
 ) -> tuple[Specimen, ...]:
     """Read the specimens of a folder or a file.
 
@@ -87,7 +89,10 @@ def read_specimens(
         or a folder of such files. Of several files of an image, its ``.json`` is read, or else the first in the order
         of `liaam.io.LANDMARK_SUFFIXES`. Images are not needed, except for ``.asf``.
     on_fault : callable, optional
-        Called with a message for each file of a folder that is skipped because it cannot be read. Default: a warning.
+        Called with a message for each file of a folder that is skipped because it cannot be read, and about records
+        that are left out. Default: a warning.
+    reading : Reading, optional
+        How to read landmark files. If strict, a file or record that cannot be read is an error.
 
     Returns
     -------
@@ -101,13 +106,17 @@ def read_specimens(
     """
     path, complain = Path(path), on_fault or partial(warnings.warn, stacklevel=2)
     if not path.is_dir():
-        return tuple(_of_file(existing_file(path, LiaamError, "file of results"), complain))
+        return tuple(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
     found: dict[str, Specimen] = {}
     for file in _chosen(path):
         try:
-            for specimen in _of_file(file, complain):
+            for specimen in _of_file(file, complain, reading):
                 found.setdefault(specimen.name, specimen)
+        except UnrecognisedError:
+            continue
         except LiaamError as fault:
+            if reading.strict:
+                raise
             complain(f"skipped {file.name}: {fault}")
     if not found:
         raise LiaamError(
@@ -127,7 +136,7 @@ def _chosen(folder: Path) -> list[Path]:
     return list(chosen.values())
 
 
-def _of_file(path: Path, complain: Callable[[str], object]) -> Iterator[Specimen]:
+def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) -> Iterator[Specimen]:
     fit = read_fit(path) if path.suffix.lower() == ".json" else None
     if fit:  # other .json files hold landmarks only
         fitted = _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
@@ -136,7 +145,7 @@ def _of_file(path: Path, complain: Callable[[str], object]) -> Iterator[Specimen
         for row in read_rows(path):
             yield _specimen(path, PureWindowsPath(row["path"]).stem, row, row.get("covariance"))
     else:
-        yield from _of_landmarks(path)
+        yield from _of_landmarks(path, reading, complain)
 
 
 def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) -> Specimen:
@@ -175,13 +184,18 @@ def _numbers(values: Any) -> np.ndarray:
     return np.where(np.abs(numbers) <= _MOST, numbers, np.nan)
 
 
-def _of_landmarks(path: Path) -> Iterator[Specimen]:
-    parsed = parse_landmark_file(path)
+def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object]) -> Iterator[Specimen]:
+    notes = Notes(reading.strict)
+    parsed = parse_landmark_file(path, reading, notes)
     for entry, landmarks in ({path.stem: parsed} if isinstance(parsed, Landmarks) else parsed).items():
-        # The height of the image only shifts the points of .tps, which no measure depends on.
-        placed = in_pixels(path, landmarks, (1, 1) if path.suffix.lower() == ".tps" else None)
+        # Measures depend on neither the height of the image nor its orientation.
+        placing = landmarks.placing
+        size = placing.size or (None if placing.fractions else (1, 1))
+        placed = in_pixels(path, landmarks, size, reading=reading)
         try:
             for name, own in placed.objects(PureWindowsPath(entry).stem):
                 yield Specimen(name, own.points, names=own.names, scale=own.scale)
         except LandmarkError as fault:
             raise LandmarkError(f"{path}: {fault}") from fault
+    for line in notes.lines():
+        complain(f"{path.name}: {line}")

@@ -18,7 +18,7 @@ from liaam.datasets.folder import pair_files
 from liaam.errors import LandmarkError
 from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
-from liaam.io.landmarks import FORMATS, Landmarks, parse_landmark_data
+from liaam.io.landmarks import Landmarks, parse_landmark_data, writer_of
 from liaam.studio.folder import remove, revision_of
 from liaam.studio.listing import File, Listing, Signature
 from liaam.studio.safety import Refusal
@@ -255,7 +255,7 @@ class LandmarkFiles:
 
 def text_of(landmarks: Landmarks, suffix: str) -> str:
     """Return the text of a landmark file in a format that can be written."""
-    dump = FORMATS[suffix.lower()].dump
+    dump = writer_of(Path(f"x{suffix}")).dump
     assert dump is not None
     return dump(landmarks)
 

@@ -14,7 +14,6 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.io import image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
-from liaam.io.landmarks import FORMATS
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align
@@ -65,8 +64,7 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
 
 def _size_for(landmarks: str | os.PathLike, image: Any) -> tuple[int, int] | None:
     """Return (width, height) of an image, (h, w, ...) or a path, if the format of a landmark file needs it."""
-    form = FORMATS.get(Path(landmarks).suffix.lower())
-    if form is None or form.place is None:
+    if Path(landmarks).suffix.lower() not in (".asf", ".tps", ".nts"):
         return None
     if isinstance(image, str | os.PathLike):
         return image_size(image)
@@ -124,8 +122,8 @@ def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
 
 
 def image_of(name: str) -> str:
-    """Return the name of the image of a sample, which may be one of several objects in it: party#2."""
-    return re.sub(r"#\d+$", "", name)
+    """Return the name of the image of a sample, which may be one of several objects in it: party#2, party#left."""
+    return re.sub(r"#[^#/]*$", "", name)
 
 
 def check_flat(mean: np.ndarray, shapes: np.ndarray) -> None:

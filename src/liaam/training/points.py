@@ -9,7 +9,6 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.io import LANDMARK_SUFFIXES, read_landmarks
 from liaam.io.landmarkers import LANDMARKERS
-from liaam.io.landmarks import FORMATS
 from liaam.model.file import MAX_POINTS
 from liaam.model.point_map import PointMap, learn_point_map
 from liaam.photometry.encoding import as_colour
@@ -82,8 +81,7 @@ def _read(folder: Path, entry: Entry) -> np.ndarray | None:
     found = next((file for file in files if file.is_file()), None)
     if found is None:
         return None
-    needs_size = FORMATS[found.suffix.lower()].place is not None
-    return read_landmarks(found, entry.read_image().shape[1::-1] if needs_size else None).points
+    return read_landmarks(found, entry.read_image().shape[1::-1]).points
 
 
 def _checked(name: str, points, first) -> np.ndarray:

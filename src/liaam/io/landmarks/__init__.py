@@ -1,12 +1,13 @@
-"""Landmark files: one module per format, and a registry of formats by suffix.
+"""Landmark files: one module per format, and a table of formats (:mod:`liaam.io.landmarks.formats`).
 
 Every format is converted to liaam's convention, pixel centres counted from 0. The docstring of each format's module
 describes the conversion.
 """
 
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path, PureWindowsPath
 
@@ -15,91 +16,82 @@ import numpy as np
 from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
-from liaam.io.images import IMAGE_SUFFIXES, image_size as size_of
-from liaam.io.landmarks import asf, coco, csv_points, dlib_xml, ljson, pts, tem, tps
-from liaam.io.landmarks.base import Contour, Landmarks, decode_text, read_text
+from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
+from liaam.io.landmarks import coco, placing, tps
+from liaam.io.landmarks.base import (
+    Contour,
+    Landmarks,
+    Notes,
+    Placing,
+    Reading,
+    Source,
+    UnrecognisedError,
+    decode_text,
+    read_text,
+)
+from liaam.io.landmarks.formats import (
+    FORMATS,
+    LANDMARK_SUFFIXES,
+    Format,
+    Parsed,
+    formats_of,
+    may_hold_many,
+    parse_source,
+    rank_of,
+    titles_of,
+    writer_of,
+)
+from liaam.io.landmarks.matching import ImageNames
 
 __all__ = [
     "FORMATS",
     "LANDMARK_SUFFIXES",
     "Contour",
     "Format",
+    "ImageNames",
     "Landmarks",
+    "Notes",
+    "Parsed",
+    "Reading",
+    "UnrecognisedError",
     "collection_text",
     "in_pixels",
+    "may_hold_many",
     "parse_landmark_data",
     "parse_landmark_file",
+    "rank_of",
     "read_collection",
     "read_landmarks",
+    "titles_of",
     "write_collection",
     "write_landmarks",
+    "writer_of",
 ]
 
-Parsed = Landmarks | dict[str, Landmarks]
 Size = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Format:
-    """A landmark file format."""
-
-    title: str
-    """Name of the format."""
-    parse: Callable[[Path, str], Parsed]
-    """Parse a path (for messages) and the file's text into landmarks of one or many images."""
-    place: Callable[[Landmarks, Size], Landmarks] | None = None
-    """Convert what `parse` returns to pixels, for formats that need the image's (width, height)."""
-    dump: Callable[[Landmarks], str] | None = None
-    """Format landmarks (`place` applied once more) as the file's text; None if the format is read-only."""
-    dump_collection: Callable[[Mapping[str, Landmarks]], str] | None = None
-    """Format the landmarks of many images as the file's text."""
-    may_be_collection: bool = False
-    """Whether one file can hold many images."""
-
-
-FORMATS: dict[str, Format] = {
-    ".pts": Format("300-W points", pts.parse, dump=pts.dump),
-    ".ljson": Format("menpo landmarks", ljson.parse, dump=ljson.dump),
-    ".tem": Format("WebMorph template", tem.parse),
-    ".asf": Format("AAM-API shape", asf.parse, asf.place),
-    ".csv": Format(
-        "CSV table",
-        csv_points.parse,
-        dump=csv_points.dump,
-        dump_collection=csv_points.dump_collection,
-        may_be_collection=True,
-    ),
-    ".xml": Format("dlib imglab", dlib_xml.parse, may_be_collection=True),
-    ".json": Format("COCO keypoints", coco.parse, dump_collection=coco.dump_collection, may_be_collection=True),
-    ".tps": Format(
-        "tpsDig points",
-        tps.parse,
-        tps.place,
-        dump=tps.dump,
-        dump_collection=tps.dump_collection,
-        may_be_collection=True,
-    ),
-}
-"""Formats by suffix, in order of preference where an image has several files."""
-
-LANDMARK_SUFFIXES = tuple(FORMATS)
-"""Suffixes (lower case) of the landmark files that can be read, in order of preference."""
-
-
 def read_landmarks(
-    path: str | os.PathLike[str], image_size: Size | None = None, image_name: str | None = None
+    path: str | os.PathLike[str],
+    image_size: Size | None = None,
+    image_name: str | None = None,
+    reading: Reading = Reading(),
 ) -> Landmarks:
     """Read the landmarks of one image.
+
+    Warns about records that are left out, and about positions that are converted to another size or orientation.
 
     Parameters
     ----------
     path : path-like
         A file with a suffix in `LANDMARK_SUFFIXES`.
     image_size : tuple of float, optional
-        (width, height) of the image in pixels. ``.asf`` and ``.tps`` need it; by default it is taken from the image
-        that they name, if it lies beside them.
+        (width, height) of the image in pixels. ``.asf``, ``.tps`` and ``.nts`` need it; by default it is taken from
+        the image that they name, if it lies beside them.
     image_name : str, optional
         File name of the image, to choose from a file for many images. By default the file must hold exactly one.
+    reading : Reading, optional
+        How to read the file.
 
     Returns
     -------
@@ -112,34 +104,35 @@ def read_landmarks(
         If the file is missing, empty, cut short, inconsistent, has an unknown suffix, holds invalid numbers, or holds
         several images.
     """
-    parsed = parse_landmark_file(path)
-    if isinstance(parsed, Landmarks):
-        return in_pixels(path, parsed, image_size)
-    if image_name is not None and len(parsed) > 1:
-        parsed = {name: parsed[name] for name in _named(image_name, parsed)}
-        if not parsed:
-            raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
-    if len(parsed) > 1:
+    path, notes = Path(path), Notes(reading.strict)
+    parsed = parse_landmark_file(path, reading, notes)
+    found = parsed if isinstance(parsed, Landmarks) else _one_of(path, parsed, image_name)
+    placed = in_pixels(path, found, image_size, reading=reading, notes=notes)
+    _warn(path, notes)
+    return placed
+
+
+def _one_of(path: Path, parsed: dict[str, Landmarks], image_name: str | None) -> Landmarks:
+    """Return the landmarks of the only image, or of that with a name."""
+    if len(parsed) == 1:
+        return next(iter(parsed.values()))
+    if image_name is None:
         some = ", ".join(list(parsed)[:3])
         raise LandmarkError(
             f"{path} holds the landmarks of {len(parsed)} images ({some} ...): use read_collection, or load its folder."
         )
-    return in_pixels(path, next(iter(parsed.values())), image_size)
+    names = ImageNames([Path(image_name)])
+    entry = next((entry for entry in parsed if PureWindowsPath(entry).name == image_name), None)
+    entry = entry or next((entry for entry in parsed if names.find(entry)[0] is not None), None)
+    if entry is None:
+        raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
+    return parsed[entry]
 
 
-def _named(image: str, entries: Iterable[str]) -> list[str]:
-    """Return the entries of a file that name an image: its file name, or else in any case, or without suffix."""
-    names = {entry: PureWindowsPath(entry).name for entry in entries}
-    alike = (image.casefold(), Path(image).stem.casefold())
-    return [entry for entry, name in names.items() if name == image] or [
-        entry for entry, name in names.items() if name.casefold() in alike
-    ]
+def read_collection(path: str | os.PathLike[str], reading: Reading = Reading()) -> dict[str, Landmarks]:
+    """Read a file with the landmarks of many images, such as a table, COCO, ``.tps``, or dlib's ``.xml``.
 
-
-def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
-    """Read a file with the landmarks of many images (dlib ``.xml``, COCO ``.json``, ``.tps``, ``.csv`` with ``image``).
-
-    The images of a ``.tps`` file must lie beside it.
+    The images of ``.tps`` and ``.nts`` must lie beside the file. Records with faults are left out, with a warning.
 
     Returns
     -------
@@ -151,62 +144,90 @@ def read_collection(path: str | os.PathLike[str]) -> dict[str, Landmarks]:
     LandmarkError
         As :func:`read_landmarks`, or if the file holds one unnamed image.
     """
-    suffix = _suffix(Path(path))
-    parsed = parse_landmark_file(path) if FORMATS[suffix].may_be_collection else None
-    if isinstance(parsed, dict):
-        beside = cache(partial(_images_in, Path(path).parent))
-        return {name: in_pixels(path, landmarks, None, beside) for name, landmarks in parsed.items()}
-    raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
+    path, notes = Path(path), Notes(reading.strict)
+    parsed = parse_landmark_file(path, reading, notes)
+    if isinstance(parsed, Landmarks) and parsed.image_name:
+        parsed = {parsed.image_name: parsed}
+    if isinstance(parsed, Landmarks):
+        raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
+    beside = cache(partial(_images_in, path.parent))
+    placed = {
+        name: in_pixels(path, landmarks, None, beside, reading, notes, name) for name, landmarks in parsed.items()
+    }
+    _warn(path, notes)
+    return placed
 
 
-def parse_landmark_file(path: str | os.PathLike[str]) -> Parsed:
+def _warn(path: Path, notes: Notes) -> None:
+    for line in notes.lines():
+        warnings.warn(f"{path}: {line}", stacklevel=3)
+
+
+def parse_landmark_file(
+    path: str | os.PathLike[str], reading: Reading = Reading(), notes: Notes | None = None
+) -> Parsed:
     """Read a landmark file as `Landmarks`, or as a dict of them if the file names its images.
 
-    The points are as in the file; :func:`in_pixels` converts them.
+    The points are as in the file; :func:`in_pixels` converts them. What has to be said is added to the notes.
     """
-    suffix = _suffix(Path(path))
+    formats_of(Path(path))
     path = existing_file(path, LandmarkError, "landmark file")
-    return FORMATS[suffix].parse(path, read_text(path))
+    return parse_source(Source(path, read_text(path), reading, notes or Notes(reading.strict)))
 
 
-def parse_landmark_data(name: str, data: bytes, image_size: Size | None = None) -> Parsed:
+def parse_landmark_data(
+    name: str, data: bytes, image_size: Size | None = None, reading: Reading = Reading(), notes: Notes | None = None
+) -> Parsed:
     """Parse the content of a landmark file in memory. All its images have the same size."""
     path = Path(name)
-    parsed = FORMATS[_suffix(path)].parse(path, decode_text(path, data))
+    formats_of(path)
+    parsed = parse_source(Source(path, decode_text(path, data), reading, notes or Notes(reading.strict)))
     if isinstance(parsed, Landmarks):
-        return in_pixels(path, parsed, image_size)
-    return {image: in_pixels(path, landmarks, image_size) for image, landmarks in parsed.items()}
+        return in_pixels(path, parsed, image_size, reading=reading, notes=notes)
+    return {image: in_pixels(path, own, image_size, None, reading, notes, image) for image, own in parsed.items()}
 
 
 def in_pixels(
     path: str | os.PathLike[str],
     landmarks: Landmarks,
     image_size: Size | None,
-    beside: Callable[[], dict[str, Path]] | None = None,
+    beside: Callable[[], ImageNames] | None = None,
+    reading: Reading = Reading(),
+    notes: Notes | None = None,
+    name: str | None = None,
+    orientation: int = 1,
 ) -> Landmarks:
     """Convert parsed landmarks to pixels; raise if that needs the image's size, and it is unknown.
 
-    ``beside`` gives the images beside the file (:func:`_images_in`), which then are listed once for many entries.
+    ``beside`` gives the images beside the file, which then are listed once for many entries. ``name`` is that of the
+    image in notes.
     """
-    place = FORMATS[_suffix(Path(path))].place
-    if place is None:
-        return landmarks
+    path, how = Path(path), landmarks.placing
+    if image_size is None and (how.upwards or how.fractions or how.size is not None):
+        try:
+            image_size, orientation = _size_beside(path.parent, name or landmarks.image_name, beside)
+        except LandmarkError as fault:
+            if how.size is None:
+                raise LandmarkError(f"{path}: {fault}") from fault
+            image_size = how.size
+    if image_size is None:
+        return landmarks if how == Placing() else replace(landmarks, placing=Placing())
+    say = partial((notes or Notes()).say, which=name or landmarks.image_name or path.name)
     try:
-        beside = beside or partial(_images_in, Path(path).parent)
-        return place(landmarks, image_size or _size_beside(Path(path).parent, landmarks.image_name, beside))
+        return placing.place(landmarks, image_size, orientation, reading, say)
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
 
 
-def _size_beside(folder: Path, image: str | None, beside: Callable[[], dict[str, Path]]) -> Size:
-    """Return the size of the image that a landmark file names, perhaps by its path on another computer."""
+def _size_beside(
+    folder: Path, image: str | None, beside: Callable[[], ImageNames] | None
+) -> tuple[tuple[int, int], int]:
+    """Return the size and orientation of the image that a landmark file names, perhaps on another computer."""
     fault = ""
     if image:
-        name = PureWindowsPath(image).name
-        places = [folder / image, folder / name]
-        found = next(filter(os.path.isfile, places), None) or beside().get(name.casefold())
         try:
-            return size_of(found or places[0])
+            found, _ = (beside or partial(_images_in, folder))().find(image, folder)
+            return size_and_orientation(found or folder / image)
         except ImageError as error:
             fault = f" ({error})"
     raise LandmarkError(
@@ -215,15 +236,13 @@ def _size_beside(folder: Path, image: str | None, beside: Callable[[], dict[str,
     )
 
 
-def _images_in(folder: Path) -> dict[str, Path]:
-    """Return the images in a folder by name, and by name without suffix, in lower case."""
+def _images_in(folder: Path) -> ImageNames:
+    """Return the images in a folder, lossless formats first."""
     try:
-        files = [file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES]
+        files = [file for file in folder.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
     except OSError:
-        return {}
-    # Where several have one name, the first suffix counts, as in load_folder.
-    files.sort(key=lambda file: (-IMAGE_SUFFIXES.index(file.suffix.lower()), file.name))
-    return {file.stem.casefold(): file for file in files} | {file.name.casefold(): file for file in files}
+        files = []
+    return ImageNames(sorted(files, key=lambda file: (PICTURE_SUFFIXES.index(file.suffix.lower()), file.name)))
 
 
 def write_landmarks(
@@ -248,14 +267,21 @@ def write_landmarks(
     LandmarkError
         If the format cannot be written, the points are invalid, or writing fails.
     """
-    dump = FORMATS[_suffix(Path(path))].dump
-    if dump is None:
-        writable = ", ".join(suffix for suffix, known in FORMATS.items() if known.dump is not None)
-        many = FORMATS[_suffix(Path(path))].dump_collection is not None
-        fault = "holds many images, so it is written by write_collection" if many else "is only read"
-        raise LandmarkError(f"{path} cannot be written: {Path(path).suffix} {fault}. Use {writable}.")
-    placed = in_pixels(path, _as_landmarks(landmarks), image_size)
-    write_text_atomically(path, dump(placed), LandmarkError)
+    path = Path(path)
+    form = writer_of(path)
+    write_text_atomically(path, form.dump(_to_write(path, _as_landmarks(landmarks), image_size)), LandmarkError)
+
+
+def _to_write(
+    path: Path, landmarks: Landmarks, size: Size | None, beside: Callable[[], ImageNames] | None = None
+) -> Landmarks:
+    """Return landmarks in pixels as the format of a file counts them."""
+    if path.suffix.lower() != ".tps":
+        return landmarks
+    try:
+        return tps.upwards(landmarks, size or _size_beside(path.parent, landmarks.image_name, beside)[0])
+    except LandmarkError as fault:
+        raise LandmarkError(f"{path}: {fault}") from fault
 
 
 def _as_landmarks(points: Landmarks | np.ndarray) -> Landmarks:
@@ -286,25 +312,13 @@ def collection_text(
     image_sizes: Mapping[str, Size] | None = None,
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
-    suffix = _suffix(Path(path))
-    dump = FORMATS[suffix].dump_collection
-    if dump is None:
-        raise LandmarkError(
-            f"{path} cannot be written: only .csv, .tps and .json hold many images. Use such an extension."
-        )
+    path = Path(path)
+    form = writer_of(path, many=True)
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    sizes, beside = image_sizes or {}, cache(partial(_images_in, Path(path).parent))
+    sizes, beside = image_sizes or {}, cache(partial(_images_in, path.parent))
     placed = {
-        name: in_pixels(path, replace(_as_landmarks(own), image_name=name), sizes.get(name), beside)
+        name: _to_write(path, replace(_as_landmarks(own), image_name=name), sizes.get(name), beside)
         for name, own in collection.items()
     }
-    return coco.dump_collection(placed, sizes) if suffix == ".json" else dump(placed)
-
-
-def _suffix(path: Path) -> str:
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        known = ", ".join(f"{ending} ({form.title})" for ending, form in FORMATS.items())
-        raise LandmarkError(f"{path} has the extension '{path.suffix}', not that of a landmark format: use {known}.")
-    return suffix
+    return coco.dump_collection(placed, sizes) if path.suffix.lower() == ".json" else form.dump_collection(placed)

@@ -9,14 +9,23 @@ from dataclasses import replace
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, chain_edges, check_count, make_landmarks, parse_count, parse_number
+from liaam.io.landmarks.base import (
+    Landmarks,
+    Placing,
+    Source,
+    chain_edges,
+    check_count,
+    make_landmarks,
+    parse_count,
+    parse_number,
+)
 
 _N_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
 
 
-def parse(path: Path, text: str) -> Landmarks:
+def parse(source: Source) -> Landmarks:
     """Parse the text of an ``.asf`` file into fractions of the image's size."""
-    lines = [line for line in map(str.strip, text.splitlines()) if line and not line.startswith("#")]
+    path, lines = source.path, [line for line in source.lines if not line.startswith("#")]
     if not lines:
         raise LandmarkError(f"{path} holds comments only; it may be cut short: export it again.")
     count = parse_count(path, lines[0], "points")
@@ -24,12 +33,7 @@ def parse(path: Path, text: str) -> Landmarks:
     rows = [row for row in columns if len(row) >= _N_COLUMNS]
     check_count(path, "header", count, rows)
     host = lines[-1] if len(columns) > count else None
-    return _landmarks(path, rows, host)
-
-
-def place(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
-    """Convert fractions of the image's (width, height) to pixels."""
-    return replace(landmarks, points=landmarks.points * image_size)
+    return replace(_landmarks(path, rows, host), placing=Placing(fractions=True))
 
 
 def _landmarks(path: Path, rows: list[list[str]], host: str | None) -> Landmarks:

@@ -5,18 +5,26 @@ A missing landmark is (NaN, NaN). Each format's module converts from and to its 
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.files import count_of, read_bytes
+from liaam.io.files import count_of, natural_key, read_bytes, some_names
+
+T, R = TypeVar("T"), TypeVar("R")
 
 MAX_BYTES = 500_000_000
 """Size limit of landmark files, in bytes."""
+
+_COMMAS = re.compile(r"\s*[^\s,]+\s*,\s*[^\s,]+\s*")
+"""A line of x and y with a comma between them."""
 
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
 
@@ -42,6 +50,25 @@ class Contour:
         return tuple(cls(tuple(indices), closed) for indices, closed in pairs)
 
 
+@dataclass(frozen=True)
+class Placing:
+    """What the positions in a file count from.
+
+    Attributes
+    ----------
+    size : (float, float), optional
+        Width and height of the image that the positions are for, if the file states it.
+    upwards : bool
+        Whether y counts upwards from the bottom row.
+    fractions : bool
+        Whether x and y are fractions of the width and height.
+    """
+
+    size: tuple[float, float] | None = None
+    upwards: bool = False
+    fractions: bool = False
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Landmarks:
     """The landmarks of one image.
@@ -61,7 +88,13 @@ class Landmarks:
     scale : float, optional
         Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it.
     others : tuple of Landmarks
-        Smaller objects of the same image, the larger ones first. Only ``.xml`` and ``.json`` store several.
+        Further objects of the same image: the larger ones first where their sizes are known, else in the file's order.
+    label : str
+        What the file calls this object, such as the ID of a specimen, or empty.
+    placing : Placing
+        What the positions count from, until :func:`liaam.io.landmarks.in_pixels` has converted them.
+    format : str
+        Name of the file's format, or empty.
 
     Raises
     ------
@@ -77,6 +110,9 @@ class Landmarks:
     invisible: tuple[int, ...] = ()
     scale: float | None = None
     others: "tuple[Landmarks, ...]" = ()
+    label: str = ""
+    placing: Placing = Placing()
+    format: str = ""
 
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
@@ -117,10 +153,37 @@ class Landmarks:
         return np.isnan(self.points[:, 0])
 
     def objects(self, name: str) -> "Iterator[tuple[str, Landmarks]]":
-        """Yield each object of the image and its name: ``name``, ``name#2``, ``name#3``, ..."""
-        yield name, self
-        for number, other in enumerate(self.others, 2):
-            yield f"{name}#{number}", other
+        """Yield each object and its name: ``name``, ``name#2``, ``name#3``, ..., or ``name#ID`` if IDs tell them apart."""
+        every = (self, *self.others)
+        labels = {re.sub(r"[\\/#]", "_", each.label) for each in every} - {""}
+        by_label = bool(self.others) and len(labels) == len(every)
+        for number, each in enumerate(every, 1):
+            number = re.sub(r"[\\/#]", "_", each.label) if by_label else number
+            yield name if number == 1 else f"{name}#{number}", each
+
+    def in_order_of(self, names: Sequence[str]) -> "Landmarks":
+        """Return the landmarks with these names, in this order; unchanged if either has no names, or none in common.
+
+        Raises
+        ------
+        LandmarkError
+            If some of the names are missing, or name several landmarks.
+        """
+        if not names or self.names == tuple(names) or not set(names) & set(self.names):
+            return self
+        lacking = [name for name in names if self.names.count(name) != 1]
+        if lacking:
+            raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
+        order = [self.names.index(name) for name in names]
+        at = {old: new for new, old in enumerate(order)}
+        contours = (Contour(tuple(at.get(i, -1) for i in each.indices), each.closed) for each in self.contours)
+        return replace(
+            self,
+            points=self.points[order],
+            names=tuple(names),
+            contours=tuple(contour for contour in contours if -1 not in contour.indices),
+            invisible=tuple(at[i] for i in self.invisible if i in at),
+        )
 
 
 def _checked_points(points: Any) -> np.ndarray:
@@ -146,6 +209,113 @@ def _checked_points(points: Any) -> np.ndarray:
 # Reading ------------------------------------------------------------------------------------------
 
 
+class UnrecognisedError(LandmarkError):
+    """A text file that seems to hold no landmarks, such as a README."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How to read landmark files.
+
+    Attributes
+    ----------
+    strict : bool
+        Whether to refuse a file for one bad record, instead of leaving the record out.
+    category : str, optional
+        Name or number of the COCO category, or the label of CVAT's skeletons, that is the object.
+    group : str, optional
+        Group of landmarks of a menpo ``.ljson``.
+    y_down : bool
+        Whether ``.tps`` and ``.nts`` count y from the top, as some programs write them.
+    stored : bool
+        Whether positions are for photos as stored, before their EXIF orientation turns them.
+    """
+
+    strict: bool = False
+    category: str | None = None
+    group: str | None = None
+    y_down: bool = False
+    stored: bool = False
+
+
+@dataclass
+class Notes:
+    """What has to be said about a file: records that are left out, and what was done with others."""
+
+    strict: bool = False
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Reasons by record."""
+    done: dict[str, list[str]] = field(default_factory=dict)
+    """Names of records or images, by what was done with them."""
+
+    def leave_out(self, which: str, why: LandmarkError | str) -> None:
+        """Note that a record is left out; raise instead if strict."""
+        if self.strict:
+            raise why if isinstance(why, LandmarkError) else LandmarkError(f"{which}: {why}.")
+        self.left_out.setdefault(which, str(why))
+
+    def repair(self, what: str, which: str) -> None:
+        """Note what was done with a faulty record; raise instead if strict."""
+        if self.strict:
+            raise LandmarkError(f"{what}: {which}.")
+        self.say(what, which)
+
+    def say(self, what: str, which: str) -> None:
+        """Note what was done with a record or an image."""
+        self.done.setdefault(what, []).append(which)
+
+    def lines(self) -> list[str]:
+        """Return one line for all that is left out, and one for each thing that was done."""
+        lines = [f"{what}: {some_names(list(dict.fromkeys(which)))}" for what, which in self.done.items()]
+        if not self.left_out:
+            return lines
+        (first, why), *more = self.left_out.items()
+        others = f"; so are {some_names([name for name, _ in more], 20)}" if more else ""
+        return [f"left out {first}{others} (because {why.rstrip('.')})", *lines]
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text of a landmark file, for the readers."""
+
+    path: Path
+    text: str
+    reading: Reading = Reading()
+    notes: Notes = field(default_factory=Notes)
+
+    @cached_property
+    def json(self) -> Any:
+        """Its content as JSON."""
+        return parse_json(self.path, self.text)
+
+    @cached_property
+    def xml(self) -> Any:
+        """Its root element as XML."""
+        return parse_xml(self.path, self.text)
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """Its lines that are not blank, without blanks at their ends."""
+        return [line for line in map(str.strip, self.text.splitlines()) if line]
+
+    def each(self, records: Iterable[tuple[str, T]], make: Callable[[T], R]) -> Iterator[R]:
+        """Yield what is made of each record; leave out those with faults. Raise the first fault if none is sound."""
+        first, some = None, False
+        for which, record in records:
+            try:
+                made = make(record)
+            except (TypeError, KeyError, ValueError, AttributeError, LandmarkError) as fault:
+                if not isinstance(fault, LandmarkError):
+                    fault = LandmarkError(f"{self.path}: {which} lacks parts or has others: export the file again.")
+                first = first or fault
+                self.notes.leave_out(which, fault if self.notes.strict else str(fault).removeprefix(f"{self.path}: "))
+            else:
+                some = True
+                yield made
+        if first is not None and not some:
+            raise first
+
+
 def make_landmarks(
     path: Path,
     points: Any,
@@ -160,6 +330,53 @@ def make_landmarks(
         return Landmarks(points, tuple(contours), tuple(names), image_name, tuple(invisible), scale)
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
+
+
+def size_of_file(width: Any, height: Any) -> Placing:
+    """Return how positions count in an image whose size a file states as numbers or text, if it does."""
+    try:
+        return Placing((float(width), float(height)))
+    except (TypeError, ValueError, OverflowError):
+        return Placing()
+
+
+def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
+    """Return landmarks by image; further ones of an image are its others."""
+    found: dict[str, list[Landmarks]] = {}
+    for own in landmarks:
+        found.setdefault(own.image_name or "", []).append(own)
+    return {image: replace(first, others=tuple(others)) for image, (first, *others) in found.items()}
+
+
+def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
+    """Make landmarks of many images alike by their names.
+
+    Where an image lacks some of the names that most have, these landmarks are missing. It is left out where it has
+    names that most lack, or has a name twice. If asked for, numbers are sorted, and those from 1 on are no names.
+    """
+    counts = Counter(name for own in found for name in set(own.names))
+    usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
+    fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))
+    usual.sort(key=lambda name: fullest.names.index(name) if name in fullest.names else len(fullest))
+    numbers = numbers and all(name.isascii() and name.isdigit() for name in usual)
+    usual = sorted(usual, key=natural_key) if numbers else usual
+    plain = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
+
+    def alike(own: Landmarks) -> Landmarks:
+        if not own.names:
+            return own
+        odd = [name for name in own.names if name not in usual or own.names.count(name) > 1]
+        if odd:
+            raise LandmarkError(f"{source.path}: its landmark '{short(odd[0])}' occurs twice, or in few others.")
+        if len(own) == len(usual) and not numbers:
+            return own
+        at = {name: i for i, name in enumerate(own.names)}
+        points = [tuple(own.points[at[name]]) if name in at else (math.nan, math.nan) for name in usual]
+        invisible = tuple(i for i, name in enumerate(usual) if at.get(name) in own.invisible)
+        names = () if plain else tuple(usual)
+        return replace(own, points=points, names=names, invisible=invisible, contours=())
+
+    return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
 
 
 def largest_of(objects: Iterable[tuple[float, Landmarks]]) -> Landmarks:
@@ -177,10 +394,12 @@ def decode_text(path: Path, data: bytes) -> str:
     """Decode a file's content as :func:`read_text` does; `path` is for messages."""
     binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
     encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    if len(data) > 3 and encoding == "utf-8-sig" and not any(data[1:200:2]) and all(data[:200:2]):
+        encoding = "utf-16-le"  # without a byte order mark
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as fault:
-        if encoding == "utf-16" or _has_control_characters(data):
+        if encoding.startswith("utf-16") or _has_control_characters(data):
             raise binary from fault
         text = data.decode("latin-1")
     if "\0" in text:
@@ -229,7 +448,7 @@ def parse_number(path: Path, token: str, where: str) -> float:
 
 def parse_pair(path: Path, line: str, where: str) -> tuple[float, float]:
     """Parse a line that holds x and y."""
-    tokens = line.split()
+    tokens = line.split() if not _COMMAS.fullmatch(line) else line.replace(",", " ", 1).split()
     if len(tokens) != 2:
         raise LandmarkError(f"{path}: {where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
     return parse_number(path, tokens[0], where), parse_number(path, tokens[1], where)
@@ -258,6 +477,21 @@ def parse_json(path: Path, text: str) -> Any:
         raise LandmarkError(
             f"{path} is not complete JSON ({short(str(fault), 100)}): it may be cut short; export it again."
         ) from fault
+
+
+def parse_xml(path: Path, text: str) -> Any:
+    """Parse XML. Reject documents that could define entities or read other files."""
+    from xml.etree import ElementTree
+
+    lower = text.lower()
+    if "<!doctype" in lower or "<!entity" in lower:
+        raise LandmarkError(
+            f"{path} declares a document type or entities, which is not safe to read: remove that part."
+        )
+    try:
+        return ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as fault:
+        raise LandmarkError(f"{path} is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
 
 def short(text: str, length: int = 40) -> str:

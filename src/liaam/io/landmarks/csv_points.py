@@ -1,31 +1,87 @@
-"""Plain ``.csv`` in liaam's own convention: pixel centres counted from 0, x to the right and y downwards.
+"""Tables of one row a landmark (``.csv``, ``.tsv``, ``.txt``): centres counted from 0, x to the right and y downwards.
 
-The first line names the columns: ``x``, ``y``, and optionally ``name`` (of the landmark) and ``image`` (file name; the
-file then holds many images). Other columns are ignored. Rows are in the order of the landmarks, and empty x and y mean
-a missing landmark. The separator may also be a tab or a semicolon; with semicolons, numbers may have decimal commas.
+The first line names the columns, by meaning (:mod:`liaam.io.landmarks.columns`). Rows without names are in the order
+of the landmarks; numbered ones are sorted. Empty x and y mean a missing landmark. The separator is a comma, a
+semicolon or a tab. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
 """
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, make_landmarks, parse_number
+from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, named_points, parse_number
+from liaam.io.landmarks.columns import Columns, columns_of, has_points
+from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
 
-_Rows = list[tuple[int, dict[str, str]]]
+
+def is_it(source: Source) -> bool:
+    """Whether the first line names columns x and y. A ``.csv`` is a table in any case."""
+    return has_points(header_of(source))
 
 
-def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
-    """Parse the text of a CSV file: landmarks of one image, or of many images if a column names the image."""
-    header, rows = _table(path, text)
-    if "image" not in header:
-        return _landmarks(path, rows, None, header)
-    groups: dict[str, _Rows] = {}
+def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
+    """Parse landmarks of one image, or of many images if a column names the image."""
+    path, header, lines = source.path, header_of(source), rows_of(source)
+    rows = [(number, row) for number, row in lines[1:] if any(row) or len(row) == len(header)]
+    if not rows:
+        raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
+    check_widths(path, header, rows)
+    columns = columns_of(path, header, [row for _, row in rows])
+    shift = 0.5 if _is_imagej(lines[0][1]) else 0.0
+    groups: dict[tuple[str, str], list[Row]] = {}
     for number, row in rows:
-        groups.setdefault(row["image"], []).append((number, row))
-    return {image: _landmarks(path, group, image, header) for image, group in groups.items()}
+        image = "" if columns.image is None else re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", row[columns.image])
+        specimen = "" if columns.specimen is None else row[columns.specimen].strip()
+        groups.setdefault((image, specimen), []).append((number, row))
+
+    if columns.image is not None:
+        groups = {key: part for key, own in groups.items() for key, part in _parted(key, own, columns)}
+
+    def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
+        (image, specimen), own = group
+        points = [_point(source, row, number, columns, shift) for number, row in own]
+        names = [row[columns.landmark] for _, row in own] if columns.landmark is not None else []
+        named = make_landmarks(path, points, names=names if any(names) else (), image_name=image or None)
+        return replace(named, label=specimen)
+
+    made = list(source.each(((image or f"line {own[0][0]}", ((image, s), own)) for (image, s), own in groups.items()), make))
+    numbers = columns.landmark is not None and header[columns.landmark] != "name"
+    if columns.image is None and not numbers:
+        return made[0]
+    placed = named_points(source, made, numbers)
+    return placed[0] if columns.image is None else in_objects(placed)
+
+
+def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
+    """Divide the rows of an image whose every landmark occurs as often: of several specimens, or placed several times."""
+    seen: Counter[str] = Counter()
+    parts: dict[int, list[Row]] = {}
+    for number, row in rows:
+        name = row[columns.landmark].strip() if columns.landmark is not None else ""
+        seen[name] += 1
+        parts.setdefault(seen[name], []).append((number, row))
+    if columns.landmark is None or "" in seen or len({len(part) for part in parts.values()}) > 1:
+        yield key, rows
+        return
+    for i, part in parts.items():
+        yield (key if i == 1 else (key[0], f"{key[1]}{i}")), part
+
+
+def _point(source: Source, row: list[str], number: int, columns: Columns, shift: float) -> tuple[float, float]:
+    x, y = (parse_number(source.path, row[i], f"line {number}") - shift for i in (columns.x, columns.y))
+    if math.isnan(x) != math.isnan(y):
+        raise LandmarkError(f"{source.path}: line {number} has only one of x and y: fill in both, or leave both empty.")
+    return x, y
+
+
+def _is_imagej(header: list[str]) -> bool:
+    cells = [cell.strip() for cell in header]
+    return {"X", "Y"} <= set(cells) and (header[0] == " " or "Label" in cells[:2])
 
 
 def dump(landmarks: Landmarks) -> str:
@@ -39,42 +95,6 @@ def dump_collection(collection: Mapping[str, Landmarks]) -> str:
     named = any(landmarks.names for landmarks in collection.values())
     rows = [[image, *cells] for image, landmarks in collection.items() for cells in _cells(landmarks, named)]
     return _join([["image", "x", "y", *(["name"] if named else [])], *rows])
-
-
-def _table(path: Path, text: str) -> tuple[list[str], _Rows]:
-    """Split the text into column names and rows with line numbers."""
-    first = text.lstrip().splitlines()[0]
-    delimiter = next((mark for mark in ",;\t" if mark in first), ",")
-    reader = csv.reader(io.StringIO(text.lstrip(), newline=""), delimiter=delimiter)
-    try:
-        header = [cell.strip().lower() for cell in next(reader)]
-        cells = [(reader.line_num, row) for row in reader if any(row) or len(row) == len(header)]
-    except csv.Error as fault:
-        raise LandmarkError(f"{path} is not a CSV table ({fault}): export it again.") from fault
-    if "x" not in header or "y" not in header:
-        raise LandmarkError(f"{path} has no columns x and y: name the columns in the first line, such as x,y.")
-    if not cells:
-        raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
-    for number, row in cells:
-        if len(row) != len(header):
-            raise LandmarkError(
-                f"{path}: line {number} has {len(row)} cells but the header {len(header)}: correct the line."
-            )
-    rows = [(number, dict(zip(header, row, strict=True))) for number, row in cells]
-    if delimiter == ";":
-        rows = [(n, {**row, "x": row["x"].replace(",", "."), "y": row["y"].replace(",", ".")}) for n, row in rows]
-    return header, rows
-
-
-def _landmarks(path: Path, rows: _Rows, image: str | None, header: list[str]) -> Landmarks:
-    points = []
-    for number, row in rows:
-        x, y = (parse_number(path, row[axis], f"line {number}") for axis in "xy")
-        if math.isnan(x) != math.isnan(y):
-            raise LandmarkError(f"{path}: line {number} has only one of x and y: fill in both, or leave both empty.")
-        points.append((x, y))
-    names = [row["name"] for _, row in rows] if "name" in header else []
-    return make_landmarks(path, points, names=names if any(names) else (), image_name=image)
 
 
 def _cells(landmarks: Landmarks, named: bool) -> list[list[str]]:

@@ -2,15 +2,27 @@
 
 One file holds many images. The landmarks are the ``part`` elements of a box. Each box with parts is an object. Parts
 are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is missing.
+Boxes that are marked ``ignore`` are left out.
 """
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
-from liaam.io.landmarks.base import Landmarks, largest_of, make_landmarks, parse_number
+from liaam.io.landmarks.base import (
+    Landmarks,
+    Placing,
+    Source,
+    largest_of,
+    make_landmarks,
+    parse_number,
+    size_of_file,
+)
 
 _Parts = dict[str, tuple[float, float]]
 
@@ -18,49 +30,40 @@ _MOST_MISSING = 20
 """Maximum ratio of missing to present parts; above it the part names must be wrong."""
 
 
-def parse(path: Path, text: str) -> dict[str, Landmarks]:
+def parse(source: Source) -> dict[str, Landmarks]:
     """Parse the text of an ``imglab`` file into landmarks by the image's file name."""
-    objects: dict[str, list[tuple[float, _Parts]]] = {}
-    for image in _root(path, text).iter("image"):
-        name = image.get("file", "")
-        for box in image.iterfind("box"):  # direct children only, so that nested images do not repeat the work
-            parts = _parts(path, name, box)
-            area = _area(path, name, box)
-            if parts:
-                objects.setdefault(name, []).append((area, parts))
-    if not objects:
+    path = source.path
+    found: list[tuple[str, Placing, float, _Parts]] = list(source.each(_boxes(source.xml), partial(_box, path)))
+    found = [each for each in found if each[3]]
+    if not found:
         raise LandmarkError(f"{path} has no image with landmarks (part elements in a box): export it again.")
-    found = [parts for each in objects.values() for _, parts in each]
-    names = sorted({name for parts in found for name in parts}, key=natural_key)
-    if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
+    names = sorted({name for *_, parts in found for name in parts}, key=natural_key)
+    if len(names) * len(found) > _MOST_MISSING * sum(len(parts) for *_, parts in found):
         raise LandmarkError(
             f"{path}: its {len(found)} boxes share hardly any of the {len(names)} part names: give a part the same "
             "name in all images."
         )
-    absent = (math.nan, math.nan)
-
-    def landmarks(image: str, parts: _Parts) -> Landmarks:
+    absent, objects = (math.nan, math.nan), {}
+    for image, placing, area, parts in found:
         points = [parts.get(name, absent) for name in names]
-        return make_landmarks(path, points, names=names, image_name=image)
-
-    return {
-        image: largest_of((area, landmarks(image, parts)) for area, parts in each) for image, each in objects.items()
-    }
+        landmarks = make_landmarks(path, points, names=names, image_name=image)
+        objects.setdefault(image, []).append((area, replace(landmarks, placing=placing)))
+    return {image: largest_of(each) for image, each in objects.items()}
 
 
-def _root(path: Path, text: str) -> Any:
-    """Parse XML. Reject documents that could define entities or read other files."""
-    from xml.etree import ElementTree
+def _boxes(root: Any) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Yield the boxes that are not marked to be ignored, with their images."""
+    for image in root.iter("image"):
+        for number, box in enumerate(image.iterfind("box"), 1):  # direct children, so that nested ones are not repeated
+            if box.get("ignore", "0") in ("0", "false", ""):
+                yield f"box {number} of {image.get('file', '')}", (image, box)
 
-    lower = text.lower()
-    if "<!doctype" in lower or "<!entity" in lower:
-        raise LandmarkError(
-            f"{path} declares a document type or entities, which is not safe to read: remove that part."
-        )
-    try:
-        return ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as fault:
-        raise LandmarkError(f"{path} is not complete XML ({fault}); it may be cut short: export it again.") from fault
+
+def _box(path: Path, pair: tuple[Any, Any]) -> tuple[str, Placing, float, _Parts]:
+    image, box = pair
+    name = image.get("file", "")
+    parts = _parts(path, name, box)
+    return name, size_of_file(image.get("width"), image.get("height")), _area(path, name, box), parts
 
 
 def _parts(path: Path, image: str, box: Any) -> _Parts:

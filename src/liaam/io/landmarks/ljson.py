@@ -1,6 +1,6 @@
 """menpo ``.ljson``: points are [y, x], pixel centres counted from 0; ``null`` for a missing one.
 
-Versions 2 and 3 are read (3 with one group of landmarks), and version 2 is written. The edges of the connectivity are
+Versions 1 to 3 are read (of several groups in 3, the one that is chosen), and version 2 is written. The edges of the connectivity are
 joined into contours. Labels in menpo name sets of landmarks. If each landmark has its own label, the labels become the
 landmarks' names. A further label ``invisible`` holds the occluded landmarks.
 """
@@ -11,14 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, chain_edges, check_number, edges_of, make_landmarks, parse_json
+from liaam.io.landmarks.base import Landmarks, Source, chain_edges, check_number, edges_of, make_landmarks
 
 _ALL, _INVISIBLE = "all", "invisible"
 
 
-def parse(path: Path, text: str) -> Landmarks:
+def parse(source: Source) -> Landmarks:
     """Parse the text of an ``.ljson`` file."""
-    group = _group(path, parse_json(path, text))
+    path = source.path
+    group = _group(source, source.json)
     try:
         rows = group["landmarks"]["points"]
         edges = [(start, end) for start, end in group["landmarks"].get("connectivity") or ()]
@@ -53,21 +54,38 @@ def _misshapen(path: Path) -> LandmarkError:
     )
 
 
-def _group(path: Path, content: Any) -> Any:
-    """Find the group of landmarks in the content of either version."""
-    version = content.get("version") if isinstance(content, dict) else None
+def _group(source: Source, content: Any) -> Any:
+    """Find the group of landmarks in the content of any version."""
+    path, version = source.path, content.get("version") if isinstance(content, dict) else None
     if version == 2:
         return content
-    if version != 3:
-        raise LandmarkError(f"{path} is not .ljson version 2 or 3 (it says {version}): export it again with menpo.")
+    if version not in (1, 3):
+        raise LandmarkError(f"{path} is not .ljson version 1, 2 or 3 (it says {version}): export it again with menpo.")
     groups = content.get("groups")
+    if version == 1:
+        return _joined(path, groups)
     if not isinstance(groups, dict) or not groups:
         raise _misshapen(path)
-    if len(groups) > 1:
+    wanted = source.reading.group
+    if (len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups):
         raise LandmarkError(
-            f"{path} holds {len(groups)} groups of landmarks ({', '.join(groups)}): keep only one of them."
+            f"{path} holds {len(groups)} groups of landmarks ({', '.join(groups)}): choose one of them with --group."
         )
-    return next(iter(groups.values()))
+    return next(iter(groups.values())) if wanted is None else groups[wanted]
+
+
+def _joined(path: Path, groups: Any) -> Any:
+    """Join the groups of version 1, which are labelled parts of one shape, as version 2 has them."""
+    points, edges, labels = [], [], []
+    try:
+        for group in groups:
+            first, own = len(points), [mark["point"] for mark in group["landmarks"]]
+            points += own
+            edges += [(start + first, end + first) for start, end in group.get("connectivity") or ()]
+            labels.append({"label": group["label"], "mask": list(range(first, len(points)))})
+    except (TypeError, KeyError, ValueError) as fault:
+        raise _misshapen(path) from fault
+    return {"landmarks": {"points": points, "connectivity": edges}, "labels": labels}
 
 
 def _labels(landmarks: Landmarks) -> list[dict[str, Any]]:

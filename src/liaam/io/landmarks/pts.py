@@ -5,18 +5,17 @@ contours or names.
 """
 
 import re
-from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, check_count, make_landmarks, parse_count, parse_pair
+from liaam.io.landmarks.base import Landmarks, Source, check_count, make_landmarks, parse_count, parse_pair
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
 _COMMENT = re.compile(r"(#|//|%).*")
 
 
-def parse(path: Path, text: str) -> Landmarks:
+def parse(source: Source) -> Landmarks:
     """Parse the text of a ``.pts`` file: a header, then one ``x y`` per line between braces."""
-    text = "\n".join(_COMMENT.sub("", line) for line in text.splitlines())
+    path, text = source.path, "\n".join(_COMMENT.sub("", line) for line in source.text.splitlines())
     header, brace, rest = text.partition("{")
     if not brace:
         raise LandmarkError(f"{path} has no '{{' before its points, so it is not a 300-W .pts file: export it again.")

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Contour, Landmarks, check_count, contour_of, make_landmarks, parse_count, parse_pair
+from liaam.io.landmarks.base import Contour, Landmarks, Source, check_count, contour_of, make_landmarks, parse_count, parse_pair
 
 
-def parse(path: Path, text: str) -> Landmarks:
+def parse(source: Source) -> Landmarks:
     """Parse the text of a ``.tem`` file; the line templates after the points are optional."""
-    lines = [line for line in text.splitlines() if line.strip()]
-    count = parse_count(path, lines[0].strip(), "points")
+    path, lines = source.path, source.lines
+    count = parse_count(path, lines[0], "points")
     pairs = lines[1 : count + 1]
     check_count(path, "first line", count, pairs)
     points = [parse_pair(path, line, f"point {number}") for number, line in enumerate(pairs, 1)]

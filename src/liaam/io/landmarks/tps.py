@@ -12,12 +12,25 @@ import re
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Contour, Landmarks, make_landmarks, parse_pair, short
+from liaam.io.landmarks.base import (
+    Contour,
+    Landmarks,
+    Placing,
+    Source,
+    in_objects,
+    make_landmarks,
+    parse_pair,
+    short,
+)
+
+Lines = deque[tuple[int, str]]
+"""Lines that are not blank, with their numbers."""
 
 _KEY = re.compile(r"([A-Za-z]\w*)\s*=(.*)")
 _MISSING = (-1.0, -1.0)
@@ -27,36 +40,82 @@ _MISSING = (-1.0, -1.0)
 class _Record:
     """One image, while it is read."""
 
-    line: int
     points: list[tuple[float, float]]
     curves: list[Contour] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)
     scale: float | None = None
 
 
-def parse(path: Path, text: str) -> Landmarks | dict[str, Landmarks]:
+def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
     """Parse the text of a ``.tps`` file into landmarks by image, or of one image without a name. y counts upwards."""
-    records = [record for record in _records(path, text) if record.points]
-    if not records:
+    path, chunks = source.path, _chunks(source)
+    only, found = len(chunks) == 1, []
+    for landmarks in source.each(((_name(path, lines), lines) for lines in chunks), partial(_landmarks, source, only)):
+        found += [] if landmarks is None else [landmarks]
+    if not found:
         raise LandmarkError(f"{path} has no points: place the landmarks of at least one image first.")
-    found: dict[str, tuple[int, Landmarks]] = {}
-    for record in records:
-        name = record.facts.get("IMAGE") or record.facts.get("ID")
-        landmarks = make_landmarks(path, record.points, record.curves, image_name=name, scale=record.scale)
-        if name is None and len(records) == 1:
-            return landmarks
-        if name is None:
-            raise LandmarkError(f"{path}: the record of line {record.line} names no image: add a line IMAGE=, or ID=.")
-        if name in found:
-            raise LandmarkError(
-                f"{path}: line {record.line} begins a second record of '{short(name)}' (the first is in line "
-                f"{found[name][0]}): remove one of them."
-            )
-        found[name] = record.line, landmarks
-    return {name: landmarks for name, (_, landmarks) in found.items()}
+    return found[0] if found[0].image_name is None else in_objects(found)
 
 
-def place(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
+def _chunks(source: Source) -> list[Lines]:
+    """Split the lines into records."""
+    lines = [(i, line.strip()) for i, line in enumerate(source.text.splitlines(), 1) if line.strip()]
+    starts = [i for i, (_, line) in enumerate(lines) if re.match(r"LM3?\s*=", line, re.IGNORECASE)]
+    if not starts or any(_KEY.fullmatch(line) for _, line in lines[: starts[0]]):
+        number, line = next((pair for pair in lines if _KEY.fullmatch(pair[1])), lines[0])
+        why = "comes before any LM=" if _KEY.fullmatch(line) else "is not expected here"
+        raise LandmarkError(f"{source.path}: line {number} ('{short(line)}') {why}: export the file again.")
+    return [deque(lines[start:end]) for start, end in zip(starts, [*starts[1:], len(lines)], strict=True)]
+
+
+def _name(path: Path, lines: Lines) -> str:
+    """Return the name of a record for messages."""
+    facts = dict(match.groups() for match in (_KEY.fullmatch(line) for _, line in lines) if match)
+    return facts.get("IMAGE") or facts.get("ID") or f"the record of line {lines[0][0]}"
+
+
+def _landmarks(source: Source, only: bool, lines: Lines) -> Landmarks | None:
+    """Make the landmarks of a record; None if it has no points."""
+    path, line = source.path, lines[0][0]
+    record = _record(source, lines)
+    if not record.points:
+        return None
+    name = record.facts.get("IMAGE") or record.facts.get("ID")
+    if name is None and not only:
+        raise LandmarkError(f"{path}: the record of line {line} names no image: add a line IMAGE=, or ID=.")
+    made = make_landmarks(path, record.points, record.curves, image_name=name, scale=record.scale)
+    return replace(made, label=record.facts.get("ID", ""), placing=Placing(upwards=True))
+
+
+def _record(source: Source, lines: Lines) -> _Record:
+    record, last, section = _Record([]), "LM", ""
+    while lines:
+        number, line = lines.popleft()
+        where = f"{source.path}: line {number} ('{short(line)}')"
+        pair = _KEY.fullmatch(line)
+        if pair is None and last in ("LM", "POINTS"):
+            raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
+        if pair is None:  # of a comment, or of something that liaam does not use
+            continue
+        last, value = pair[1].upper(), pair[2].strip()
+        if last == "LM3":
+            raise LandmarkError(f"{where} begins points with x, y and z: export x and y only, as LM=.")
+        if last == "LM":
+            record.points += _points(source.path, where, value, lines)
+        elif last == "POINTS":
+            points, first = _points(source.path, where, value, lines), len(record.points)
+            if section == "CURVES" and points:  # those of outlines are not used
+                record.points += points
+                record.curves.append(Contour(tuple(range(first, len(record.points)))))
+        elif last == "SCALE":
+            record.scale = _scale(source, where, value, record.facts)
+        elif value:
+            record.facts[last] = value
+        section = last if last in ("CURVES", "OUTLINES") else section
+    return record
+
+
+def upwards(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
     """Count y from the other side of an image of (width, height)."""
     x, y = landmarks.points.T
     return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
@@ -85,42 +144,7 @@ def dump_collection(collection: Mapping[str, Landmarks]) -> str:
     return "".join(map(dump, collection.values()))
 
 
-def _records(path: Path, text: str) -> Iterator[_Record]:
-    """Split the text into records."""
-    lines = deque((number, line) for number, line in enumerate(map(str.strip, text.splitlines()), 1) if line)
-    record, last, section = None, "LM", ""
-    while lines:
-        number, line = lines.popleft()
-        where = f"{path}: line {number} ('{short(line)}')"
-        pair = _KEY.fullmatch(line)
-        if pair is None and last in ("LM", "POINTS"):
-            raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
-        if pair is None:  # of a comment, or of something that liaam does not use
-            continue
-        last, value = pair[1].upper(), pair[2].strip()
-        if last == "LM3":
-            raise LandmarkError(f"{where} begins points with x, y and z: export x and y only, as LM=.")
-        if last == "LM":
-            if record is not None:
-                yield record
-            record = _Record(number, _points(path, where, value, lines))
-        elif record is None:
-            raise LandmarkError(f"{where} comes before any LM=: export the file again.")
-        elif last == "POINTS":
-            points, first = _points(path, where, value, lines), len(record.points)
-            if section == "CURVES" and points:  # those of outlines are not used
-                record.points += points
-                record.curves.append(Contour(tuple(range(first, len(record.points)))))
-        elif last == "SCALE":
-            record.scale = _scale(where, value)
-        elif value:
-            record.facts[last] = value
-        section = last if last in ("CURVES", "OUTLINES") else section
-    if record is not None:
-        yield record
-
-
-def _points(path: Path, where: str, count: str, lines: deque[tuple[int, str]]) -> list[tuple[float, float]]:
+def _points(path: Path, where: str, count: str, lines: Lines) -> list[tuple[float, float]]:
     """Take as many points from the lines as a count promises."""
     if not (count.isascii() and count.isdigit()):
         raise LandmarkError(f"{where} has no number of points after '=': correct it, such as LM=12.")
@@ -139,13 +163,16 @@ def _points(path: Path, where: str, count: str, lines: deque[tuple[int, str]]) -
     return points
 
 
-def _scale(where: str, text: str) -> float:
+def _scale(source: Source, where: str, text: str, facts: dict[str, str]) -> float | None:
     try:
         scale = float(text)
     except ValueError:
         scale = math.nan
     if not 0 < scale < math.inf:
-        raise LandmarkError(f"{where} is not the length of a pixel: give a positive number, or remove the line.")
+        if source.reading.strict:
+            raise LandmarkError(f"{where} is not the length of a pixel: give a positive number, or remove the line.")
+        source.notes.say("have no scale, because SCALE= is no positive number", facts.get("IMAGE") or facts.get("ID", ""))
+        return None
     return scale
 
 

@@ -1,0 +1,54 @@
+"""DeepLabCut's tables (``.csv``): pixel centres counted from 0, x to the right and y downwards.
+
+Rows ``scorer``, perhaps ``individuals``, ``bodyparts`` and ``coords`` come first. Of several scorers the first is read.
+Individuals are the objects of an image. Likelihoods are not used.
+"""
+
+import math
+from dataclasses import replace
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, parse_number
+from liaam.io.landmarks.tables import Row, check_widths, rows_of
+
+_HEADERS = ("scorer", "individuals", "bodyparts", "coords")
+
+
+def is_it(source: Source) -> bool:
+    """Whether the first cell says ``scorer``."""
+    rows = rows_of(source)
+    return bool(rows) and rows[0][1][:1] == ["scorer"]
+
+
+def parse(source: Source) -> dict[str, Landmarks]:
+    """Parse a row of landmarks for each image."""
+    path, rows = source.path, [row for row in rows_of(source) if any(row[1])]
+    headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
+    if not {"scorer", "bodyparts", "coords"} <= headers.keys():
+        raise LandmarkError(f"{path} lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
+    rows = rows[len(headers) :]
+    check_widths(path, headers["coords"], [*((0, header) for header in headers.values()), *rows])
+    coords = headers["coords"]
+    first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
+    scorers = list(dict.fromkeys(headers["scorer"][first:]))
+    if len(scorers) > 1:
+        source.notes.say(f"of several scorers '{scorers[0]}' is read", path.name)
+    columns: dict[str, dict[str, dict[str, int]]] = {}  # by individual, body part and axis
+    for i in range(first, len(coords)):
+        if headers["scorer"][i] == scorers[0] and coords[i] in ("x", "y"):
+            individual = headers["individuals"][i] if "individuals" in headers else ""
+            columns.setdefault(individual, {}).setdefault(headers["bodyparts"][i], {})[coords[i]] = i
+
+    def make(made_of: tuple[Row, str]) -> Landmarks:
+        (number, row), individual = made_of
+        parts = columns[individual]
+        points = [[parse_number(path, row[axes[axis]], f"line {number}") for axis in "xy"] for axes in parts.values()]
+        points = [(math.nan, math.nan) if math.isnan(x + y) else (x, y) for x, y in points]
+        image = "/".join(cell for cell in row[:first] if cell)
+        return replace(make_landmarks(path, points, names=tuple(parts), image_name=image), label=individual)
+
+    records = ((f"line {row[0]}", (row, individual)) for row in rows for individual in columns)
+    found = [own for own in source.each(records, make) if not own.missing.all()]
+    if not found:
+        raise LandmarkError(f"{path} has no landmarks: label at least one image.")
+    return in_objects(found)

@@ -1,0 +1,110 @@
+"""Find the images that landmark files name: on another computer, in another case, encoding or format."""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
+
+from liaam.io.files import name_key
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
+
+ENCODINGS = ("cp1251", "cp1252", "cp1250", "cp932", "gb18030", "big5", "euc_kr", "koi8_r", "cp866", "cp437", "mac_roman")
+"""Encodings of names that are tried, because text that is not UTF-8 is read as Latin-1."""
+
+CASE = "names images in another case"
+EXTENSION = "names images with another extension"
+SPELLING = "names images in another spelling"
+
+_SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
+
+
+class ImageNames:
+    """Images by name.
+
+    Parameters
+    ----------
+    images : iterable of Path
+        In order of preference where several have one stem.
+    """
+
+    def __init__(self, images: Iterable[Path]) -> None:
+        self._by_name: dict[str, list[Path]] = defaultdict(list)
+        self._by_stem: dict[str, list[Path]] = defaultdict(list)
+        for image in images:
+            self._by_name[name_key(image.name)].append(image)
+            self._by_stem[name_key(image.stem)].append(image)
+
+    def find(self, entry: str, folder: Path = Path()) -> tuple[Path | None, str]:
+        """Find the image that an entry of a file in a folder names.
+
+        Returns
+        -------
+        image : Path or None
+            None if no image has the name, or several have.
+        how : str
+            What has to be said about the name, or empty.
+        """
+        for text, spelling in _spellings(entry):
+            path = PurePosixPath(text.replace("\\", "/"))
+            found, how = self._find(path, folder)
+            if found is not None:
+                return found, how or spelling
+        return None, ""
+
+    def of_file(self, file: Path) -> Path | None:
+        """Return the image in the folder of a landmark file that has its name, if possible in the same case."""
+        beside = [image for image in self._by_stem.get(name_key(file.stem), ()) if image.parent == file.parent]
+        return next((image for image in beside if image.stem == file.stem), beside[0] if beside else None)
+
+    def _find(self, path: PurePosixPath, folder: Path) -> tuple[Path | None, str]:
+        named = self._by_name.get(name_key(path.name), [])
+        best = _best(named, path, folder)
+        if best is not None:
+            return best, "" if name_key(best.name) == name_key(path.name) and _same(best.name, path.name) else CASE
+        other = path.suffix.lower() in _SUFFIXES
+        if named:
+            return None, ""
+        stem = path.stem if other else path.name
+        alike = self._by_stem.get(name_key(stem), [])
+        firsts = {image.parent: image for image in reversed(alike)}
+        best = _best(list(firsts.values()), path.parent / stem, folder)
+        return best, EXTENSION if other else ""
+
+
+def _same(name: str, other: str) -> bool:
+    """Whether names differ in composed letters only."""
+    return name == other or name.casefold() != name_key(name) or name_key(other) != other.casefold()
+
+
+def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:
+    """Return the image at a path; or the only one; or the one that shares the longest end of the path."""
+    exact = [image for image in images if folder / path in (image, image.with_suffix(""))]
+    if exact or len(images) < 2:
+        return next(iter(exact or images), None)
+
+    def shared(image: Path) -> int:
+        pairs = zip(reversed(image.parts[:-1]), reversed(path.parts[:-1]), strict=False)
+        alike = [name_key(a) == name_key(b) for a, b in pairs]
+        return [*alike, False].index(False)
+
+    ranked = sorted(images, key=shared, reverse=True)
+    return ranked[0] if shared(ranked[0]) > shared(ranked[1]) else None
+
+
+def _spellings(entry: str) -> Iterator[tuple[str, str]]:
+    """Yield an entry as it is, and as it may have been meant."""
+    yield entry, ""
+    entry = entry.strip()
+    entry = unquote(entry.partition("?d=")[2] or entry)
+    yield entry, SPELLING
+    folder, _, name = entry.replace("\\", "/").rpartition("/")
+    if re.match(r"[0-9a-f]{8}-.", name):  # Label Studio puts it before the names of images that are uploaded
+        yield f"{folder}/{name[9:]}", SPELLING
+    if entry.isascii():
+        return
+    for encoding in ENCODINGS:
+        try:
+            yield entry.encode("latin-1").decode(encoding), SPELLING
+        except UnicodeError:
+            continue

@@ -1,0 +1,75 @@
+"""Tables as text: the separator, decimal commas, and the meaning of columns."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Source
+
+Row = tuple[int, list[str]]
+"""A line number, and the cells of the line."""
+
+_SEPARATORS = ";\t,"
+_DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
+
+
+def rows_of(source: Source) -> list[Row]:
+    """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
+    return _rows_of(source.path, source.text)
+
+
+@lru_cache(maxsize=1)
+def _rows_of(path: Path, text: str) -> list[Row]:
+    text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text), ""
+    declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
+    if declared is not None:  # as Excel writes it
+        separator, text = declared[1], text[declared.end() :]
+    first = text.splitlines()[0] if text else ""
+    most = max(_SEPARATORS, key=first.count)
+    separator = separator or (most if most in first else " ")
+    try:
+        if separator == " ":
+            rows = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
+        else:
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+            rows = [(reader.line_num, row) for row in reader]
+    except csv.Error as fault:
+        raise LandmarkError(f"{path} is not a CSV table ({fault}): export it again.") from fault
+    rows = rows or [(1, [""])]
+    if all(cell != cell.lstrip() for cell in rows[0][1][1:]):  # blanks behind all separators are no part of cells
+        rows = [(number, [row[0], *(cell.strip() for cell in row[1:])] if row else row) for number, row in rows]
+    if separator != ",":
+        rows = [(number, [_decimal(cell) for cell in row]) for number, row in rows]
+    if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
+        rows = rows[1:]
+    if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
+        rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
+    return rows
+
+
+def _decimal(cell: str) -> str:
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
+
+
+def header_of(source: Source) -> list[str]:
+    """Return the first row in lower case, without units in brackets and marks between words, or nothing."""
+    rows = rows_of(source)
+    return [plain(cell) for cell in rows[0][1]] if rows else []
+
+
+def plain(cell: str) -> str:
+    """Return a column's name in lower case, without a unit in brackets, with words joined by underscores."""
+    return re.sub(r"[\s_.-]+", "_", re.sub(r"[(\[].*[)\]]", "", cell).strip().casefold()).strip("_")
+
+
+def check_widths(path: Path, header: Sequence[str], rows: Sequence[Row]) -> None:
+    """Raise unless all rows have as many cells as the header."""
+    for number, row in rows:
+        if len(row) != len(header):
+            raise LandmarkError(
+                f"{path}: line {number} has {len(row)} cells but the header {len(header)}: correct the line."
+            )

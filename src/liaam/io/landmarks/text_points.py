@@ -1,0 +1,39 @@
+"""Lines of ``x y`` or ``name x y`` (``.txt``, one file an image), as of patternize; HELEN's begin with the image's name.
+
+Pixel centres counted from 0, x to the right and y downwards. A first line with the number of points is skipped.
+"""
+
+import re
+
+from liaam.io.landmarks.base import Landmarks, Source, make_landmarks, parse_number
+
+_NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
+_LINE = re.compile(rf"(?:\"?(?P<name>[^\"\t,;]*?[^\"\s,;])\"?[\s,;]+)?(?P<x>{_NUMBER})[\s,;]+(?P<y>{_NUMBER})", re.IGNORECASE)
+_FEWEST = 2
+
+
+def is_it(source: Source) -> bool:
+    """Whether all lines, perhaps but the first, are of this form, and all or none have names."""
+    return bool(_matches(source))
+
+
+def _matches(source: Source) -> list[re.Match[str]]:
+    lines = source.lines[1:] if _first(source) else source.lines
+    found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
+    alike = len({match["name"] is None for match in found}) == 1
+    return found if alike and len(found) == len(lines) >= _FEWEST else []
+
+
+def _first(source: Source) -> str:
+    """Return the first line if it is one word: an image's name, or a number of points."""
+    return source.lines[0] if len(source.lines[0].split()) == 1 and not _LINE.fullmatch(source.lines[0]) else ""
+
+
+def parse(source: Source) -> Landmarks:
+    """Parse the lines."""
+    matches = _matches(source)
+    points = [[parse_number(source.path, match[axis], match[0]) for axis in "xy"] for match in matches]
+    names = [match["name"] for match in matches if match["name"]]
+    names = [] if names == [str(i + 1) for i in range(len(names))] else names
+    first = _first(source)
+    return make_landmarks(source.path, points, names=names, image_name=None if first.isdigit() else first or None)

@@ -1,0 +1,74 @@
+"""Tables of one row an image, such as ml-morph's and MorphoJ's (``id,X1,Y1,X2,...``): centres counted from 0.
+
+Columns of x and y have a number or the landmark's name before or behind the axis. Rows are named by a column for the
+image or specimen, or else by the only other column with text.
+"""
+
+import re
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, parse_number
+from liaam.io.landmarks.columns import IMAGES, SPECIMENS, UNCLEAR
+from liaam.io.landmarks.tables import Row, check_widths, header_of, plain, rows_of
+
+_COLUMN = re.compile(
+    r"(?:raw|coord|lm)?[ ._-]?(?P<a>[xyz])[ ._-]?(?P<key>\d+)"
+    r"|(?P<a2>[xyz])[ ._-](?P<key2>\w.*)"
+    r"|(?P<key3>.*\w)[ ._-](?P<a3>[xyz])"
+    r"|(?P<key4>\w*\d)(?P<a4>[xyz])",
+    re.IGNORECASE,
+)
+_BOXES = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+
+
+def is_it(source: Source) -> bool:
+    """Whether the first line has x and y of at least two landmarks."""
+    rows = rows_of(source)
+    return bool(rows) and len(_pairs(rows[0][1])) > 1
+
+
+def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
+    """Return the indices of the columns of x and y by landmark."""
+    found: dict[str, dict[str, int]] = {}
+    for i, cell in enumerate(header):
+        match = _COLUMN.fullmatch(cell.strip())
+        if match is not None and plain(match["key"] or match["key2"] or match["key3"] or match["key4"]) not in _BOXES:
+            key = match["key"] or match["key2"] or match["key3"] or match["key4"]
+            axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
+            found.setdefault(key, {})[axis.lower()] = i
+    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
+    """Parse a row of landmarks for each image."""
+    path, (first, *rows) = source.path, rows_of(source)
+    rows = [(number, row) for number, row in rows if any(row)]
+    check_widths(path, first[1], rows)
+    pairs = _pairs(first[1])
+    if any("z" in axes for axes in pairs.values()):
+        raise LandmarkError(f"{path} has columns of z: export x and y only.")
+    name = _name_column(source, header_of(source), rows, {i for axes in pairs.values() for i in axes.values()})
+    names = () if all(key.isdigit() for key in pairs) else tuple(pairs)
+
+    def make(numbered: Row) -> Landmarks:
+        number, row = numbered
+        points = [[parse_number(path, row[axes[axis]], f"line {number}") for axis in "xy"] for axes in pairs.values()]
+        return make_landmarks(path, points, names=names, image_name=None if name is None else row[name].strip())
+
+    found = list(source.each(((f"line {number}", (number, row)) for number, row in rows), make))
+    if not found:
+        raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
+    return found[0] if name is None else in_objects(found)
+
+
+def _name_column(source: Source, header: list[str], rows: list[Row], used: set[int]) -> int | None:
+    others = [i for i in range(len(header)) if i not in used]
+    for known in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
+        found = [i for i in others if header[i] in known and all(row[i].strip() for _, row in rows)]
+        if found:
+            return found[0]
+    texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for _, row in rows)]
+    if len(texts) == 1 or len(rows) < 2:
+        return texts[0] if len(texts) == 1 else None
+    named = f" (the columns {', '.join(repr(header[i]) for i in texts)} may)" if texts else ""
+    raise LandmarkError(f"{source.path}: no column names the images{named}: name it 'image'.")
