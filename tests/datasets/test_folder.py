@@ -263,7 +263,7 @@ def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
 NTS = "1 4 2 0 dim=2\n1.0 1.0 5.0 1.0 5.0 4.0 1.0 4.0\n"
 
 
-@pytest.mark.parametrize("name", ["a.nts", "a.roi", "points.txt", "all.dat"])
+@pytest.mark.parametrize("name", ["a.dta", "a.roi", "points.txt", "all.dat"])
 def test_files_in_an_unknown_format_are_named_with_the_formats_that_can_be_read(tmp_path: Path, name: str) -> None:
     add_image(tmp_path / "a.png")
     (tmp_path / name).write_bytes(b"\0Iout\xff" if name == "a.roi" else NTS.encode())
@@ -278,7 +278,7 @@ def test_files_in_an_unknown_format_are_named_with_the_formats_that_can_be_read(
 
 def test_other_files_are_not_named_if_every_image_has_landmarks(tmp_path: Path) -> None:
     add_pair(tmp_path, "a")
-    (tmp_path / "a.nts").write_text(NTS)
+    (tmp_path / "a.dta").write_text(NTS)
     assert load_folder(tmp_path).left_out == ()
 
 

@@ -6,12 +6,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, read_folder
+from liaam.cli.inputs import (
+    CategoryOption,
+    GroupOption,
+    ImagesOption,
+    LandmarkedFolder,
+    RecursiveOption,
+    StoredOption,
+    StrictOption,
+    YDownOption,
+    read_folder,
+)
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.datasets import Dataset, Sample
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, is_raw, make_folder, write_image, write_landmarks
 from liaam.io.files import count_of, real_path
+from liaam.io.landmarks import Reading
 
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
@@ -30,13 +41,20 @@ def check(
             "--output", "-o", help="Folder for an image of each fault, and for landmarks in the corrected order."
         ),
     ] = None,
+    strict: StrictOption = False,
+    category: CategoryOption = None,
+    group: GroupOption = None,
+    y_down: YDownOption = False,
+    stored_orientation: StoredOption = False,
 ) -> None:
     """Find landmarks that are swapped, in reverse order, or far from their expected positions.
 
     Also names grey images among colour images, damaged images, landmarks outside of their image, and files that do not
     match. Changes nothing in the folder. The exit status is 1 if faults are found.
     """
-    data = read_folder(folder, images, recursive)
+    data = read_folder(
+        folder, images, recursive, Reading(strict, category, group, y_down, stored_orientation)
+    )
     unusable = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):

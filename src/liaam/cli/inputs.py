@@ -12,6 +12,7 @@ from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
+from liaam.io.landmarks import Reading
 
 if TYPE_CHECKING:
     from liaam.photometry import CameraModel
@@ -36,6 +37,20 @@ ImagesOption = Annotated[
     typer.Option("--images", help="Use only images whose name matches, such as '07-[12346]*'; may be repeated."),
 ]
 RecursiveOption = Annotated[bool, typer.Option("--recursive", help="Include subfolders.")]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Refuse landmarks with a fault, instead of leaving these out with a line.")
+]
+CategoryOption = Annotated[
+    str | None, typer.Option(help="Category of COCO, or label of CVAT's skeletons, that is the object.")
+]
+GroupOption = Annotated[str | None, typer.Option(help="Group of landmarks of a menpo .ljson.")]
+YDownOption = Annotated[bool, typer.Option("--y-down", help="y of .tps and .nts counts from the top.")]
+StoredOption = Annotated[
+    bool,
+    typer.Option(
+        "--stored-orientation", help="Positions are for photos as stored, before their EXIF orientation turns them."
+    ),
+]
 CameraOption = Annotated[
     Path | None, typer.Option("--camera", help="Camera file, if this is not the camera of the training images.")
 ]
@@ -49,9 +64,11 @@ RotationsOption = Annotated[
 ]
 
 
-def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool) -> Dataset:
+def read_folder(
+    folder: Path, images: Sequence[str] | None, recursive: bool, reading: Reading = Reading()
+) -> Dataset:
     """Read a folder of landmarked images and print a summary."""
-    data = load_folder(folder, recursive=recursive)
+    data = load_folder(folder, recursive=recursive, reading=reading)
     data = data.select(images) if images else data
     say(data.report())
     return data

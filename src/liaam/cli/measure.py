@@ -5,10 +5,12 @@ from typing import Annotated
 
 import typer
 
+from liaam.cli.inputs import CategoryOption, GroupOption, StrictOption
 from liaam.cli.terminal import complain, say
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path
+from liaam.io.landmarks import Reading
 
 
 def measure(
@@ -35,9 +37,9 @@ def measure(
             "as 11-12=5. By default the SCALE of .tps, or else results are in pixels."
         ),
     ] = None,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse, instead of leaving out, specimens with other landmarks than most.")
-    ] = False,
+    strict: StrictOption = False,
+    category: CategoryOption = None,
+    group: GroupOption = None,
 ) -> None:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam.morphometry import alike, measure as measured, read_specimens, write_measurements
@@ -45,7 +47,7 @@ def measure(
     check_output(output)
     if real_path(output).is_relative_to(real_path(results)):
         raise LiaamError(f"{output} is the input, or a file in it; give a name elsewhere with -o")
-    specimens = read_specimens(results, complain)
+    specimens = read_specimens(results, complain, Reading(strict, category, group))
     specimens, left_out = alike(specimens)
     if left_out and strict:
         raise LiaamError(f"{len(left_out)} specimens have other landmarks than most: {'; '.join(left_out)}")

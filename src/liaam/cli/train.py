@@ -8,13 +8,25 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from liaam.cli.check import warn_of_faults
-from liaam.cli.inputs import ImagesOption, LandmarkedFolder, RecursiveOption, camera_for, read_folder
+from liaam.cli.inputs import (
+    CategoryOption,
+    GroupOption,
+    ImagesOption,
+    LandmarkedFolder,
+    RecursiveOption,
+    StoredOption,
+    StrictOption,
+    YDownOption,
+    camera_for,
+    read_folder,
+)
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
 from liaam.cli.models import count_copies, count_modes
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
 from liaam.io.atomic import check_output
+from liaam.io.landmarks import Reading
 
 if TYPE_CHECKING:
     from liaam.lamps import Lamps
@@ -94,6 +106,11 @@ def train(
         ),
     ] = True,
     name: Annotated[str | None, typer.Option(help="Name of the model, for 'liaam info'.")] = None,
+    strict: StrictOption = False,
+    category: CategoryOption = None,
+    group: GroupOption = None,
+    y_down: YDownOption = False,
+    stored_orientation: StoredOption = False,
 ) -> None:
     """Train a model on a folder of landmarked images.
 
@@ -114,7 +131,8 @@ def train(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
             "folder with --lamps, or leave --training-lamp out"
         )
-    data = read_folder(folder, images, recursive)
+    reading = Reading(strict, category, group, y_down, stored_orientation)
+    data = read_folder(folder, images, recursive, reading)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)

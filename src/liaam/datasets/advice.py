@@ -29,11 +29,14 @@ _SAMPLE = 4096
 """Number of bytes of a file that decide whether it is a table of numbers."""
 
 
-def unread_landmarks(files: Sequence[Path], bare: Sequence[Path]) -> list[Path]:
-    """Return files named like an image without landmarks (``bare``), and tables of numbers, of unknown formats."""
+def unread_landmarks(files: Sequence[Path], bare: Sequence[Path], unrecognised: Sequence[Path] = ()) -> list[Path]:
+    """Return files named like an image without landmarks (``bare``), and tables of numbers, of unknown formats.
+
+    ``unrecognised`` are files that have the suffix of a format but are in none.
+    """
     stems = {image.with_suffix("") for image in bare}
     known = {*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES}
-    others = [file for file in files if file.suffix.lower() not in known]
+    others = [file for file in files if file.suffix.lower() not in known or file in unrecognised]
     return [file for file in others if stems and (file.with_suffix("") in stems or _has_numbers(file))]
 
 

@@ -265,7 +265,7 @@ def load_folder(
     pairing = _pair(root, images, _track(marks, progress), wanted, reading)
     samples, left_out = pairing.finish(), pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
-    unread = unread_landmarks(files, bare)
+    unread = unread_landmarks(files, bare, pairing.unrecognised)
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
         raise LandmarkError(no_pairs(root, wanted, reasons, unread, recursive))
@@ -356,6 +356,8 @@ class _Pairing:
         self.reading = reading
         self.notes = Notes(reading.strict)
         self.left_out: list[LeftOut] = []
+        self.unrecognised: list[Path] = []
+        """Files of text that seem to hold no landmarks."""
         self.reported: set[Path] = set()
         """Images whose landmark file was left out, with the reason."""
         self.options: dict[Path, list[_Option]] = {image: [] for image in wanted}
@@ -376,7 +378,9 @@ class _Pairing:
         try:
             parsed = parse_landmark_file(file, self.reading, notes)
         except UnrecognisedError as fault:
-            if file.suffix.lower() != ".txt" or image is not None:
+            if file.suffix.lower() == ".txt":
+                self.unrecognised.append(file)
+            else:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
         except LandmarkError as fault:
             self._leave_out(file, f"{_UNREAD}: {fault}", image)

@@ -4,7 +4,7 @@ from os import PathLike
 
 import numpy as np
 
-from liaam.errors import StartError
+from liaam.errors import LandmarkError, StartError
 from liaam.model import AAM
 from liaam.model.shape import align, corners_of
 
@@ -36,7 +36,7 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     StartError
         If the start has the wrong number of points, is not numeric, or lies outside the image.
     """
-    shape = _shape(model, _numbers(init, name), name)
+    shape = _shape(model, _numbers(_by_name(model, init, name), name), name)
     width, height = image_size
     low, high = corners_of(shape)
     if low.min() < 0 or (high > (width - 1, height - 1)).any():
@@ -75,6 +75,15 @@ def mapped_points(model: AAM, init, name: str = "image") -> np.ndarray | None:
     if not np.isfinite(given).all():
         raise StartError(f"{name}: some of the other landmarker's points are not finite; start from a box, or search")
     return model.points(given)
+
+
+def _by_name(model: AAM, init, name: str):
+    """Return landmarks in the order of the model's names, if both have names."""
+    order = getattr(init, "in_order_of", None)
+    try:
+        return init if order is None else order(model.landmark_names)
+    except LandmarkError as error:
+        raise StartError(f"{name}: the start cannot be used: {error}") from error
 
 
 def _numbers(init, name: str) -> np.ndarray:

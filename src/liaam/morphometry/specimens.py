@@ -112,9 +112,9 @@ def read_specimens(
         try:
             for specimen in _of_file(file, complain, reading):
                 found.setdefault(specimen.name, specimen)
-        except UnrecognisedError:
-            continue
         except LiaamError as fault:
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
+                continue
             if reading.strict:
                 raise
             complain(f"skipped {file.name}: {fault}")

@@ -2,8 +2,9 @@
 
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import TrainingError
+from liaam.errors import LandmarkError, TrainingError
 from liaam.io import image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
 from liaam.model.file import MAX_POINTS
@@ -21,6 +22,10 @@ from liaam.model.shape import align
 FLATTEST = 0.02
 """Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide. Measured on generated
 rods: the search finds those up to 20 times as long as wide, and fits from a start converge up to 40 times."""
+
+
+_FEWEST = 3
+"""Fewest images to learn from."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +49,7 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
     for i, item in enumerate(data):
-        entry, own, names = _entry(item, i)
+        entry, own, names = _entry(item, i, next(iter(named.values()))[0] if named else ())
         if entries and len(entry.points) != len(entries[0].points):
             raise TrainingError(
                 f"{entry.name} has {len(entry.points)} landmarks but {entries[0].name} has {len(entries[0].points)}; "
@@ -53,8 +58,9 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
         entries.append(entry)
         contours = contours or own
         if names:
-            _check_order(names, entry.name, *named.setdefault(tuple(sorted(names)), (names, entry.name)))
-    if len(entries) < 3:
+            named.setdefault(tuple(sorted(names)), (names, entry.name))
+    entries = _complete(entries)
+    if len(entries) < _FEWEST:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
     edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
@@ -72,17 +78,61 @@ def _size_for(landmarks: str | os.PathLike, image: Any) -> tuple[int, int] | Non
     return (width, height) if width else None
 
 
-def _check_order(names: tuple[str, ...], image: str, first: tuple[str, ...], other: str) -> None:
-    """Raise if an image has the names of another's landmarks in another order."""
-    for i, (own, usual) in enumerate(zip(names, first, strict=True)):
-        if own != usual:
-            raise TrainingError(
-                f"landmark {i + 1} is {usual!r} in {other} but {own!r} in {image}; every image needs the same points "
-                "in the same order"
-            )
+def _complete(entries: list[Entry]) -> list[Entry]:
+    """Leave out the samples with missing landmarks; if too few are complete, place these as the others suggest.
+
+    Warns, in one line, about what was done.
+    """
+    lacking = [entry for entry in entries if np.isnan(entry.points).any()]
+    if not lacking:
+        return entries
+    complete = [entry for entry in entries if not np.isnan(entry.points).any()]
+    names = some_names([entry.name for entry in lacking])
+    have = "image has" if len(lacking) == 1 else "images have"
+    if len(complete) >= _FEWEST:
+        warnings.warn(f"{len(lacking)} {have} missing landmarks and are left out: {names}", stacklevel=4)
+        return complete
+    points = placed_by_others(np.array([entry.points for entry in entries]))
+    if np.isnan(points).any():
+        raise TrainingError(
+            f"{len(lacking)} of {len(entries)} images have missing landmarks ({names}), too many to place them by the "
+            "other images; place them, or remove these images"
+        )
+    warnings.warn(
+        f"{len(lacking)} {have} missing landmarks, which are placed where the other images suggest, because only "
+        f"{len(complete)} are complete: {names}",
+        stacklevel=4,
+    )
+    return [replace(entry, points=own) for entry, own in zip(entries, points, strict=True)]
 
 
-def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
+def placed_by_others(shapes: np.ndarray, rounds: int = 10) -> np.ndarray:
+    """Place the missing landmarks (NaN) of shapes (m, n, 2) where the mean of all, aligned by similarity, has them.
+
+    NaN remains where fewer than three landmarks of a shape are known, or where none has the landmark.
+    """
+    known = ~np.isnan(shapes).any(axis=2)
+    z = np.where(known, shapes[..., 0] + 1j * shapes[..., 1], 0)
+    if (known.sum(axis=1) < 3).any() or not known.any(axis=0).all():
+        return shapes
+    mean = z[known.sum(axis=1).argmax()]
+    certain = known[known.sum(axis=1).argmax()]
+    for _ in range(rounds):
+        total, count = np.zeros_like(mean), np.zeros(len(mean))
+        fits = []
+        for own, present in zip(z, known, strict=True):
+            shared = present & certain
+            a, b = own[shared], mean[shared]
+            factor = np.vdot(b - b.mean(), a - a.mean()) / max(np.vdot(b - b.mean(), b - b.mean()).real, 1e-12)
+            fits.append((factor, a.mean() - factor * b.mean()))
+            total[present] += (own[present] - fits[-1][1]) / (factor or 1)
+            count += present
+        mean, certain = total / count, np.ones(len(mean), bool)
+    filled = np.array([np.where(present, own, f * mean + s) for own, present, (f, s) in zip(z, known, fits, strict=True)])
+    return np.stack([filled.real, filled.imag], axis=2)
+
+
+def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[str, ...]]:
     if hasattr(item, "landmarks"):
         name, landmarks, read = item.name, item.landmarks, item.read_image
     else:
@@ -98,6 +148,11 @@ def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
             file_name, name = path.name, str(path.parent / path.stem)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
             landmarks = read_landmarks(landmarks, _size_for(landmarks, image), file_name)
+    if order and getattr(landmarks, "names", ()):
+        try:
+            landmarks = landmarks.in_order_of(order)
+        except LandmarkError as fault:
+            raise TrainingError(f"{name}: {fault}") from fault
     try:
         points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     except (TypeError, ValueError):
@@ -108,14 +163,11 @@ def _entry(item, i: int) -> tuple[Entry, tuple, tuple[str, ...]]:
         raise TrainingError(
             f"{name}: {len(points)} landmarks are more than {MAX_POINTS}: remove the same landmarks in all images"
         )
-    missing = ~np.isfinite(points).all(axis=1)
-    if missing.any():
-        which = some_names([str(j + 1) for j in np.flatnonzero(missing)])
-        raise TrainingError(
-            f"{name}: {missing.sum()} of {len(points)} landmarks are missing (NaN; point {which} counting from 1); "
-            "place them or remove this image"
-        )
-    if np.ptp(points, axis=0).max() < 2:
+    if np.isinf(points).any() or (np.isnan(points).any(axis=1) != np.isnan(points).all(axis=1)).any():
+        raise TrainingError(f"{name}: a landmark is infinite, or has only one of x and y; give NaN for missing ones")
+    if np.isnan(points).all():
+        raise TrainingError(f"{name}: all of its {len(points)} landmarks are missing (NaN); place them, or remove it")
+    if np.ptp(points[~np.isnan(points[:, 0])], axis=0).max() < 2:
         raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
     contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
     return Entry(name, read, points), contours, tuple(getattr(landmarks, "names", ()))

@@ -1,0 +1,196 @@
+"""Files from public reports (``../shared/cases``, one row of its README each) are read with the right values."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.datasets import Dataset, load_folder
+from liaam.errors import LandmarkError, LiaamError
+from liaam.io import read_landmarks
+from liaam.io.landmarks import Reading
+from liaam.morphometry import read_specimens
+from liaam.training.entries import read_entries
+
+FIRST = [[158.51, 78.95], [145.49, 115.31], [98.35, 123.51], [56.11, 111.48]]
+FIRST += [[41.39, 87.98], [65.54, 57.71], [98.61, 40.88], [137.25, 53.31]]
+"""The landmarks of img00."""
+
+ROUND = 1.0
+"""Programs that round to whole pixels."""
+
+
+@pytest.fixture
+def cases(shared_data: Path) -> Path:
+    folder = Path(shared_data).parent / "cases"
+    if not folder.is_dir():
+        pytest.skip("the cases are absent")
+    return folder
+
+
+RIGHT = [
+    ("03-tps-empty-scale", 10, "have no scale.*: img04.png"),
+    ("07-tps-curves", 10, ""),
+    ("10-tps-other-extension", 10, "names images with another extension: img00.jpg"),
+    ("12-tps-cp1251-names", 10, "names images in another spelling"),
+    ("17-tps-cr-only", 10, ""),
+    ("18-nts", 10, r"\(\.nts\): 10"),
+    ("21-dlib-ignored-box", 10, ""),
+    ("24-coco-skeleton-from-0", 10, ""),
+    ("25-coco-labelstudio-paths", 10, ""),
+    ("26-coco-large-unlabelled-person", 10, ""),
+    ("28-coco-scale-bar-category", 10, "left out the category 'scale'.*--category.*: img00.png"),
+    ("29-coco-two-categories-larger", 10, "left out the category 'scale'.*--category.*: img00.png"),
+    ("30-coco-names-count", 10, "without names.*9 names for 8"),
+    ("33-labelme-json", 10, "LabelMe"),
+    ("34-labelstudio-json", 10, "Label Studio"),
+    ("35-csv-specimen-landmark", 10, ""),
+    ("36-csv-imagej-results", 10, ""),
+    ("37-csv-wide-mlmorph", 10, "one row an image"),
+    ("38-csv-deeplabcut", 10, "DeepLabCut"),
+    ("39-csv-excel-german", 10, ""),
+    ("40-csv-excel-sep", 10, ""),
+    ("42-csv-utf16", 10, ""),
+    ("44-pts-crlf-odd-header", 10, ""),
+    ("45-pts-zero-zero-missing", 10, ""),
+    ("47-pts-comma-sep", 10, ""),
+    ("51-txt-wflw", 10, ""),
+    ("56-pts-one-zero", 10, ""),
+    ("58-coco-train-unlabelled", 10, ""),
+    ("59-train-missing", 10, "1 missing in total"),
+    ("66-webp-folder", 10, ""),
+    ("80-tps-nfd-names", 10, ""),
+    ("82-case-mismatch", 10, ""),
+    ("87-coco-train-val", 10, ""),
+    ("89-cvat-xml", 10, "CVAT"),
+    ("92-csv-rows-shuffled", 10, "in another order, and are taken by name"),
+    ("93-csv-names-order-differs", 10, "in another order, and are taken by name: img04"),
+    ("94-ljson-v1", 10, ""),
+    ("99-tps-append-partial", 9, ""),
+    ("A1-coco-names-order-two-files", 10, "in another order, and are taken by name: img05"),
+    ("C1-two-formats-disagree", 10, "disagree in .pts and all.tps.*: img00.png"),
+    ("C4-coco-orphan-annotation", 10, "left out annotation 99.*no image 777"),
+    ("G1-coco-case", 10, "names images in another case: img00.JPG"),
+    ("G2-csv-case", 10, "names images in another case: img00.JPG"),
+]
+
+
+@pytest.mark.parametrize(("name", "count", "said"), RIGHT, ids=[name for name, *_ in RIGHT])
+def test_a_folder_is_read_rightly(cases: Path, name: str, count: int, said: str) -> None:
+    data = load_folder(cases / name)
+    assert len(data) == count
+    assert_matches(said, data)
+    np.testing.assert_allclose(in_usual_order(data), FIRST, atol=ROUND)
+
+
+def in_usual_order(data: Dataset) -> np.ndarray:
+    first = data[0].landmarks
+    return first.in_order_of([f"p{i}" for i in range(8)]).points if "p0" in first.names else first.points
+
+
+def assert_matches(said: str, data: Dataset) -> None:
+    import re
+
+    assert re.search(said, data.report()), data.report()
+
+
+SHIFTED = [
+    ("04-tps-two-specimens-per-image", Reading(), 20, (76.3295, 55.5275), "each a sample"),
+    ("06-tps-y-down", Reading(y_down=True), 10, (158.51, 78.95), ""),
+    ("31-coco-exif-unrotated", Reading(), 10, (80.05, 158.51), "turned along: img00.jpg"),
+    ("32-tps-exif-unrotated", Reading(), 10, (158.51, 118.95), "nothing says whether.*--stored-orientation"),
+    ("32-tps-exif-unrotated", Reading(stored=True), 10, (80.05, 158.51), "turned along: img00.jpg"),
+    ("53-ljson-two-groups", Reading(group="PTS"), 10, (158.51, 78.95), ""),
+    ("19-dlib-natural-order", Reading(), 10, (20, 30), ""),
+    ("E1-coco-images-enlarged", Reading(), 10, (317.52, 158.40), "another size of the image, and are scaled along"),
+]
+
+
+@pytest.mark.parametrize(("name", "reading", "count", "point", "said"), SHIFTED)
+def test_positions_are_converted(
+    cases: Path, name: str, reading: Reading, count: int, point: tuple, said: str
+) -> None:
+    data = load_folder(cases / name, reading=reading)
+    assert len(data) == count
+    assert_matches(said, data)
+    np.testing.assert_allclose(data[0].landmarks.points[0], point, atol=0.01)
+
+
+def test_specimens_of_an_image_are_named_by_their_ids(cases: Path) -> None:
+    names = [sample.name for sample in load_folder(cases / "04-tps-two-specimens-per-image")]
+    assert names[:3] == ["img00#0", "img00#1", "img01#2"]
+
+
+def test_categories_and_groups_are_chosen(cases: Path) -> None:
+    bars = load_folder(cases / "28-coco-scale-bar-category", reading=Reading(category="scale"))
+    assert {len(sample.landmarks) for sample in bars} == {2}
+    pupils = load_folder(cases / "53-ljson-two-groups", reading=Reading(group="pupils"))
+    assert {len(sample.landmarks) for sample in pupils} == {2}
+    with pytest.raises(LandmarkError, match=r"\(PTS, pupils\): choose one of them with --group"):
+        load_folder(cases / "53-ljson-two-groups")
+
+
+def test_files_whose_names_match_no_image_are_named(cases: Path) -> None:
+    with pytest.raises(LandmarkError, match=r"without an image: img00_landmarks\.pts.*Name each after its image"):
+        load_folder(cases / "D5-pts-suffix-names")
+
+
+STRICT = ["03-tps-empty-scale", "30-coco-names-count", "C1-two-formats-disagree", "C4-coco-orphan-annotation"]
+
+
+@pytest.mark.parametrize("name", STRICT)
+def test_strict_refuses(cases: Path, name: str) -> None:
+    with pytest.raises(LandmarkError):
+        load_folder(cases / name, reading=Reading(strict=True))
+
+
+def test_names_in_a_start_decide(cases: Path) -> None:
+    start = read_landmarks(cases / "93-csv-names-order-differs/p.csv", image_name="img04.png")
+    assert start.names != tuple(sorted(start.names))
+    usual = start.in_order_of(sorted(start.names))
+    assert usual.names == tuple(f"p{i}" for i in range(8))
+
+
+MEASURED = [
+    ("54-measure-long-csv/points.csv", 10),
+    ("60-measure-missing-landmark/all.tps", 10),
+    ("61-measure-tps-without-images/all.tps", 10),
+    ("63-measure-nts/all.nts", 10),
+    ("64-measure-id-names/all.tps", 10),
+    ("96-scalebar-missing/all.tps", 10),
+    ("F1-measure-one-bad-record/all.tps", 10),
+]
+
+
+@pytest.mark.parametrize(("name", "count"), MEASURED)
+def test_specimens_are_read_without_images(cases: Path, name: str, count: int) -> None:
+    specimens = read_specimens(cases / name, lambda line: None)
+    assert len(specimens) == count
+    steps = np.linalg.norm(np.diff(specimens[0].points[:4], axis=0), axis=1)
+    np.testing.assert_allclose(steps, np.linalg.norm(np.diff(FIRST[:4], axis=0), axis=1), atol=0.01)
+
+
+def test_an_image_with_a_missing_landmark_is_left_out_of_training(cases: Path) -> None:
+    with pytest.warns(UserWarning, match=r"1 image has missing landmarks and are left out|left out: img"):
+        entries = read_entries(load_folder(cases / "59-train-missing"))[0]
+    assert len(entries) == 9
+
+
+def test_landmarks_missing_in_each_image_are_placed_by_the_others(cases: Path) -> None:
+    with pytest.warns(UserWarning, match="10 images have missing landmarks, which are placed where the other images"):
+        entries = read_entries(load_folder(cases / "G5-missing-in-each"))[0]
+    assert len(entries) == 10
+    truth = load_folder(cases / "07-tps-curves")[0].landmarks.points
+    assert np.abs(entries[0].points[0] - truth[0]).max() < 8
+
+
+def test_heic_names_the_extra(cases: Path) -> None:
+    try:
+        import pillow_heif  # type: ignore # noqa: F401
+    except ImportError:
+        with pytest.raises(LiaamError, match=r"heic"):
+            load_folder(cases / "67-heic-folder")[0].read_image()
+        return
+    with warnings.catch_warnings():
+        assert load_folder(cases / "67-heic-folder")[0].read_image().shape[2] == 3
