@@ -294,9 +294,9 @@ def test_images_in_subfolders_only_offer_recursive(tmp_path: Path) -> None:
 
 def test_files_without_a_readable_image_are_named_by_their_types(tmp_path: Path) -> None:
     for stem in ("a", "b"):
-        (tmp_path / f"{stem}.heic").write_bytes(b"x")
+        (tmp_path / f"{stem}.psd").write_bytes(b"x")
         write_landmarks(tmp_path / f"{stem}.pts", SQUARE)
-    with pytest.raises(ImageError, match=r"only files of type \.heic \(2\), \.pts \(2\): convert the images"):
+    with pytest.raises(ImageError, match=r"only files of type \.psd \(2\), \.pts \(2\): convert the images"):
         load_folder(tmp_path)
 
 
@@ -327,11 +327,11 @@ def test_landmark_files_in_a_subfolder_are_found(tmp_path: Path) -> None:
 def test_images_in_an_unsupported_format_are_named(tmp_path: Path) -> None:
     for stem in ("a", "b"):
         add_pair(tmp_path, stem)
-    (tmp_path / "b.png").rename(tmp_path / "b.heic")
+    (tmp_path / "b.png").rename(tmp_path / "b.psd")
     told = reasons(load_folder(tmp_path))
     assert told == {
         "b.pts": "no image has its name",
-        "b.heic": "unsupported image format; convert it to .png, .tif or .jpg",
+        "b.psd": "unsupported image format; convert it to .png, .tif or .jpg",
     }
 
 

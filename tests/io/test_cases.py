@@ -9,7 +9,7 @@ import pytest
 from liaam.datasets import Dataset, load_folder
 from liaam.errors import LandmarkError, LiaamError
 from liaam.io import read_landmarks
-from liaam.io.landmarks import Reading
+from liaam.io.landmarks import FORMATS, Reading
 from liaam.morphometry import read_specimens
 from liaam.training.entries import read_entries
 
@@ -108,9 +108,7 @@ SHIFTED = [
 
 
 @pytest.mark.parametrize(("name", "reading", "count", "point", "said"), SHIFTED)
-def test_positions_are_converted(
-    cases: Path, name: str, reading: Reading, count: int, point: tuple, said: str
-) -> None:
+def test_positions_are_converted(cases: Path, name: str, reading: Reading, count: int, point: tuple, said: str) -> None:
     data = load_folder(cases / name, reading=reading)
     assert len(data) == count
     assert_matches(said, data)
@@ -172,7 +170,7 @@ def test_specimens_are_read_without_images(cases: Path, name: str, count: int) -
 
 
 def test_an_image_with_a_missing_landmark_is_left_out_of_training(cases: Path) -> None:
-    with pytest.warns(UserWarning, match=r"1 image has missing landmarks and are left out|left out: img"):
+    with pytest.warns(UserWarning, match="1 image has missing landmarks and is left out: img"):
         entries = read_entries(load_folder(cases / "59-train-missing"))[0]
     assert len(entries) == 9
 
@@ -194,3 +192,11 @@ def test_heic_names_the_extra(cases: Path) -> None:
         return
     with warnings.catch_warnings():
         assert load_folder(cases / "67-heic-folder")[0].read_image().shape[2] == 3
+
+
+def test_the_documentation_lists_the_formats() -> None:
+    text = (Path(__file__).parents[2] / "docs/reference/formats.md").read_text()
+    table = text.partition("<!-- formats")[2].partition("<!-- end of formats")[0].splitlines()
+    rows = [line.split(" | ")[:2] for line in table if line.startswith("| ")][1:]
+    expected = [[f"| {form.title}", ", ".join(f"`{suffix}`" for suffix in form.suffixes)] for form in FORMATS]
+    assert rows == expected

@@ -345,7 +345,7 @@ def test_folder_empty_file_and_text(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     assert "is empty (0 bytes)" in refusal(tmp_path / "empty.png")
     (tmp_path / "text.png").write_text("hello")
-    assert "is not a PNG, JPEG, TIFF, BMP, PPM or PGM image" in refusal(tmp_path / "text.png")
+    assert "is not a PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC or GIF image" in refusal(tmp_path / "text.png")
     (tmp_path / "faces.liaam").write_text("hello")
     assert "faces.liaam is a model, not an image: give one model first" in refusal(tmp_path / "faces.liaam")
 
@@ -593,11 +593,15 @@ def test_bytes_are_read_as_files_are(tmp_path, rng, suffix, deep):
 
 def test_bytes_that_are_no_image_are_named(tmp_path):
     assert not is_image(b"")
-    assert not is_image(b"RIFF....WEBP")
+    assert not is_image(b"RIFF....WAVE")
     assert not is_image(b"P0 1 1 255 0") and not is_image(b"P7 1 1 255 0")
     for read in (decode_image, encoded_size):
         with pytest.raises(ImageError, match=r"photo\.webp is not a PNG"):
+            read(b"RIFF....WAVE", "photo.webp")
+        with pytest.raises(ImageError, match=r"photo\.webp is damaged or cut short"):
             read(b"RIFF....WEBP", "photo.webp")
+        with pytest.raises(ImageError, match=r"clip\.mp4 is a video, not an image: use 'liaam track'"):
+            read(b"\0\0\0\x18ftypmp42", "clip.mp4")
     write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
     data = (tmp_path / "a.png").read_bytes()
     with pytest.raises(ImageError, match="photo has 30 x 20 pixels, more than the 599 allowed"):
@@ -644,3 +648,24 @@ def test_deep_pictures_are_decoded_without_a_copy_too_many(tmp_path, rng):
     tracemalloc.stop()
     assert np.array_equal(decoded, image)
     assert peak < 1.5 * image.nbytes
+
+
+@pytest.mark.parametrize("suffix", [".webp", ".avif", ".gif", ".jfif"])
+def test_what_pillow_opens_is_read_if_it_is_one_still(tmp_path, suffix):
+    grey = np.repeat(np.repeat(np.array([[0, 255], [85, 170]], np.uint8), 8, axis=0), 8, axis=1)
+    path, still = tmp_path / f"a{suffix}", Image.fromarray(grey).convert("RGB")
+    kind = {".jfif": "JPEG"}.get(suffix, suffix[1:].upper())
+    still.save(path, format=kind, quality=100)
+    assert image_size(path) == (16, 16)
+    np.testing.assert_allclose(read_image(path)[4::8, 4::8, 1], grey[4::8, 4::8], atol=4)
+    if suffix in (".webp", ".gif"):
+        still.save(path, format=kind, save_all=True, append_images=[Image.fromarray(255 - grey).convert("RGB")])
+        with pytest.raises(ImageError, match="holds 2 pictures, not one still"):
+            read_image(path)
+
+
+def test_a_photo_of_a_phone_names_the_extra(tmp_path):
+    pytest.importorskip("PIL")
+    (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(40))
+    with pytest.raises(ImageError, match=r"a\.heic is (an image of a kind that needs .*\[heic\]|damaged)"):
+        read_image(tmp_path / "a.heic")

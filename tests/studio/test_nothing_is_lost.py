@@ -307,14 +307,14 @@ def test_a_picture_that_is_too_small_is_broken(small):
 
 
 def test_what_is_passed_over_is_told(small, tmp_path):
-    for name in ("a.gif", "b.HEIC", "c.webp", "d.webp"):
+    for name in ("a.svg", "b.PSD", "c.jxl", "d.jxl"):
         (small.root / name).touch()
     (small.root / "link.png").symlink_to(tmp_path / "outside.png")
     (small.root / "p1.png").rename(small.root / "renamed.png")
     small.overview()
     pictures, links, orphans = small.problems
-    assert pictures.startswith("4 pictures (a.gif, b.HEIC, c.webp and 1 more) skipped")
-    assert "(1 .gif, 1 .heic, 2 .webp)" in pictures
+    assert pictures.startswith("4 pictures (a.svg, b.PSD, c.jxl and 1 more) skipped")
+    assert "(2 .jxl, 1 .psd, 1 .svg)" in pictures
     assert links.startswith("1 file (link.png) skipped")
     assert orphans.startswith("1 landmark file (p1.ljson) without a picture of the same name")
 

@@ -151,7 +151,7 @@ class TestRefused:
             (b"", "a.png", 422, "a.png is empty"),
             (b"\0" * 5000, "a.png", 415, "a.png is not a PNG"),
             (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "a.svg", 415, "a.svg is not a PNG"),
-            (b"GIF89a" + b"\0" * 100, "a.gif", 415, "a.gif is not a PNG"),
+            (b"GIF89a" + b"\0" * 100, "a.gif", 422, "a.gif is damaged"),
             (PNG, "a.NEF", 415, "RAW file"),
             (PNG[: len(PNG) // 2], "a.png", 422, "a.png is cut short"),
             (PNG[:12], "a.png", 422, "a.png is damaged"),

@@ -17,6 +17,7 @@ from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
 from liaam.training import TrainingOptions, train
+from liaam.training.entries import read_entries
 from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
@@ -197,9 +198,26 @@ def test_counts_that_differ_are_refused(pairs):
     refused(pairs, "image 2 has 57 landmarks but image 1 has 58")
 
 
-def test_missing_landmarks_are_refused(pairs):
+def test_images_with_missing_landmarks_are_left_out(pairs):
     pairs[2][1][[4, 9]] = np.nan
-    refused(pairs, r"image 3: 2 of 58 landmarks are missing \(NaN; point 5, 10")
+    with pytest.warns(UserWarning, match="1 image has missing landmarks and is left out: image 3"):
+        entries = read_entries(pairs)[0]
+    assert [entry.name for entry in entries] == [f"image {i}" for i in range(1, len(pairs) + 1) if i != 3]
+
+
+def test_too_few_complete_images_have_their_landmarks_placed_by_the_others(pairs):
+    true = pairs[0][1].copy()
+    for i, (_, points) in enumerate(pairs):
+        points[i] = np.nan
+    with pytest.warns(UserWarning, match="are placed where the other images suggest"):
+        entries = read_entries(pairs)[0]
+    assert len(entries) == len(pairs)
+    assert np.linalg.norm(entries[0].points[0] - true[0]) < 0.1 * np.ptp(true, axis=0).max()
+    np.testing.assert_array_equal(entries[0].points[1:], true[1:])
+    pairs[0][1][:57] = np.nan
+    refused(pairs, "too many to place them by the other images")
+    pairs[0][1][:] = np.nan
+    refused(pairs, "image 1: all of its 58 landmarks are missing")
 
 
 @pytest.mark.parametrize("bad", [np.zeros((58, 3)), np.zeros(58), np.zeros((2, 2))])
@@ -282,18 +300,21 @@ def test_names_of_landmarks_are_kept_until_they_are_measured(pairs, tmp_path):
     assert distance[0] == pytest.approx(np.linalg.norm(result.landmarks[3] - result.landmarks[9]))
 
 
-def test_names_in_another_order_are_refused(pairs):
+def test_landmarks_go_by_their_names(pairs):
     n = len(pairs[0][1])
     names = [f"point {i}" for i in range(n)]
-    other = [*names[:4], names[5], names[4], *names[6:]]
-    for i, own in enumerate((names, names, other)):
-        pairs[i] = (pairs[i][0], Landmarks(pairs[i][1], names=tuple(own)))
-    refused(pairs, "landmark 5 is 'point 4' in image 1 but 'point 5' in image 3; every image needs the same points")
-    further = (pairs[0][0], Landmarks(pairs[0][1], names=tuple(f"other {i}" for i in range(n))))
-    refused([pairs[0], further, *pairs[1:]], "landmark 5 is 'point 4' in image 1 but 'point 5' in image 4")
-    pairs[2] = further
-    model = train(pairs, diagonal=40.0, camera=LINEAR, variance=1.0, leave_out=False)
-    assert model.landmark_names == ()  # images do not agree
+    order = [*range(4), 5, 4, *range(6, n)]
+    true = pairs[2][1].copy()
+    for i in range(2):
+        pairs[i] = (pairs[i][0], Landmarks(pairs[i][1], names=tuple(names)))
+    pairs[2] = (pairs[2][0], Landmarks(true[order], names=tuple(names[i] for i in order)))
+    entries, _, _, found = read_entries(pairs)
+    assert found == tuple(names)
+    np.testing.assert_array_equal(entries[2].points, true)
+    pairs[2] = (pairs[2][0], Landmarks(true, names=("other", *names[1:])))
+    refused(pairs, "image 3: its names lack point 0")
+    pairs[2] = (pairs[2][0], Landmarks(true, names=tuple(f"other {i}" for i in range(n))))
+    assert read_entries(pairs)[3] == ()  # images do not agree
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):

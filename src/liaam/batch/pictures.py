@@ -10,10 +10,10 @@ from itertools import takewhile
 from pathlib import Path
 
 from liaam.errors import ImageError
-from liaam.io import IMAGE_SUFFIXES, RAW_SUFFIXES
 from liaam.io.files import existing_file
+from liaam.io.images import PICTURE_SUFFIXES
 
-SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
+SUFFIXES = PICTURE_SUFFIXES
 
 
 def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], object] | None = None) -> Iterator[str]:

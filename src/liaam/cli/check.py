@@ -52,9 +52,7 @@ def check(
     Also names grey images among colour images, damaged images, landmarks outside of their image, and files that do not
     match. Changes nothing in the folder. The exit status is 1 if faults are found.
     """
-    data = read_folder(
-        folder, images, recursive, Reading(strict, category, group, y_down, stored_orientation)
-    )
+    data = read_folder(folder, images, recursive, Reading(strict, category, group, y_down, stored_orientation))
     unusable = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):

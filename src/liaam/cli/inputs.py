@@ -12,7 +12,7 @@ from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
-from liaam.io.landmarks import Reading
+from liaam.io.landmarks import USUAL, Reading
 
 if TYPE_CHECKING:
     from liaam.photometry import CameraModel
@@ -64,9 +64,7 @@ RotationsOption = Annotated[
 ]
 
 
-def read_folder(
-    folder: Path, images: Sequence[str] | None, recursive: bool, reading: Reading = Reading()
-) -> Dataset:
+def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool, reading: Reading = USUAL) -> Dataset:
     """Read a folder of landmarked images and print a summary."""
     data = load_folder(folder, recursive=recursive, reading=reading)
     data = data.select(images) if images else data

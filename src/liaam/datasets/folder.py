@@ -33,6 +33,7 @@ from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import read_image, size_and_orientation
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES,
+    USUAL,
     ImageNames,
     Landmarks,
     Notes,
@@ -179,7 +180,12 @@ class Dataset:
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
         source = f" from {self.source}" if self.source else ""
-        lines = [f"{count_of(len(self), 'sample')}{source}", *self._landmark_lines(), *self._shared_lines(), *self.notes]
+        lines = [
+            f"{count_of(len(self), 'sample')}{source}",
+            *self._landmark_lines(),
+            *self._shared_lines(),
+            *self.notes,
+        ]
         groups: dict[str, list[LeftOut]] = defaultdict(list)
         for left in self.left_out:
             if left.partly:
@@ -221,7 +227,7 @@ def load_folder(
     pattern: str | None = None,
     recursive: bool = False,
     progress: bool = False,
-    reading: Reading = Reading(),
+    reading: Reading = USUAL,
 ) -> Dataset:
     """Find the landmarked images of a folder.
 
@@ -417,7 +423,9 @@ class _Pairing:
                 self.left_out.append(left)
             if _disagree(used.landmarks, other.landmarks):
                 kinds = f"{used.file.suffix} and {other.file.name}"
-                self.notes.repair(f"have landmarks that disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name)
+                self.notes.repair(
+                    f"have landmarks that disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name
+                )
 
     def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
         """Yield a sample of each object: of the largest in any case, of others if no landmark is missing."""
@@ -522,7 +530,9 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
         try:
             landmarks = sample.landmarks.in_order_of(usual)
         except LandmarkError as fault:
-            odd.append(LeftOut(sample.landmark_file or Path(sample.name), f"other landmarks than most: {sample.name}: {fault}"))
+            odd.append(
+                LeftOut(sample.landmark_file or Path(sample.name), f"other landmarks than most: {sample.name}: {fault}")
+            )
             continue
         if landmarks is not sample.landmarks:
             notes.say("name their landmarks in another order, and are taken by name", sample.name)

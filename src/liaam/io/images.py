@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import ImageError
+from liaam.errors import ImageError, installing
 from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import MAX_PIXELS, as_three_channels, check_size, existing_file, read_bytes
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
@@ -23,11 +23,16 @@ from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
 """Suffixes (lower case) of the image files that can be read and written, lossless ones first."""
 
-PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
+_PILLOW_SUFFIXES = (".jfif", ".jpe", ".webp", ".avif", ".heic", ".heif", ".gif")
+"""Suffixes of the image files that can only be read."""
+
+PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *_PILLOW_SUFFIXES, *RAW_SUFFIXES)
 """Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
 
-UNREAD_SUFFIXES = (".gif", ".webp", ".heic", ".heif", ".avif", ".jxl", ".svg", ".psd", ".jp2", ".exr")
+UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".jp2", ".exr")
 """Suffixes of images that are not supported, to name them in messages."""
+
+_VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
 
 _MAX_BYTES = 4_000_000_000
 _SIGNATURES = (
@@ -38,7 +43,12 @@ _SIGNATURES = (
     (b"II+\0", "TIFF"),  # BigTIFF; Pillow cannot read that of the other byte order
     (b"BM", "BMP"),
     *((b"P%d" % digit, "PNM") for digit in range(1, 7)),
+    (b"GIF8", "GIF"),
 )
+_BRANDS = {b"avif": "AVIF", b"avis": "AVIF", **dict.fromkeys((b"heic", b"heix", b"heim", b"hevc", b"mif1"), "HEIF")}
+"""Formats of ISO media files, by the brand in bytes 8 to 11."""
+
+_KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC or GIF"
 _DEEP_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm")
 _FLOAT_SUFFIXES = (".tif", ".tiff")
 _EXIF_ORIENTATION = 0x0112
@@ -81,8 +91,8 @@ def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF (first page), BMP, PPM or PGM file, or a RAW file, recognised by its suffix. RAW values are
-        linear (see :func:`liaam.io.read_raw`).
+        A PNG, JPEG, TIFF (first page), BMP, PPM, PGM, WebP, AVIF, GIF or HEIC file of one still, or a RAW file,
+        recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear (see :func:`liaam.io.read_raw`).
     max_pixels : int, optional
         Larger images are rejected before decoding.
 
@@ -241,14 +251,17 @@ def _header_of(file: Any, path: Path | str) -> _Header:
         if kind is None:
             if str(path).endswith(".liaam"):
                 raise ImageError(f"{path} is a model, not an image: give one model first, and then images.")
-            raise ImageError(
-                f"{path} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: open it in an image program and save it as "
-                "PNG."
-            )
+            if str(path).lower().endswith(_VIDEOS):
+                raise ImageError(f"{path} is a video, not an image: use 'liaam track', or save its frames as images.")
+            raise ImageError(f"{path} is not a {_KINDS} image: open it in an image program and save it as PNG.")
         file.seek(0)
         header = _HEADER_READERS[kind](file) if kind in _HEADER_READERS else _pillow_header(file, kind)
     except ImageError:
         raise
+    except ImportError as fault:
+        raise ImageError(
+            f"{path} is an image of a kind that needs {installing('heic')}: install it, or save the image as PNG."
+        ) from fault
     except OSError as fault:
         if fault.errno is not None:  # raised by the system, not by Pillow
             raise
@@ -268,6 +281,10 @@ def image_kind(path: Path) -> str | None:
 
 def _kind_of(start: bytes) -> str | None:
     """Return the format by the first 16 bytes, or None if unknown."""
+    if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
+        return "WEBP"
+    if start[4:8] == b"ftyp":
+        return _BRANDS.get(start[8:12])
     return next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
 
 
@@ -281,6 +298,8 @@ def _open_pillow(file: Any, kind: str) -> Any:
     """Open with Pillow's reader of this kind. Image.open would try others and apply its own size limit."""
     from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, PpmImagePlugin, TiffImagePlugin
 
+    if kind in _LATER:
+        return _LATER[kind](file)
     readers = {
         "PNG": PngImagePlugin.PngImageFile,
         "JPEG": JpegImagePlugin.jpeg_factory,
@@ -291,9 +310,39 @@ def _open_pillow(file: Any, kind: str) -> Any:
     return readers[kind](file)
 
 
+def _open_webp(file: Any) -> Any:
+    from PIL import WebPImagePlugin
+
+    return WebPImagePlugin.WebPImageFile(file)
+
+
+def _open_gif(file: Any) -> Any:
+    from PIL import GifImagePlugin
+
+    return GifImagePlugin.GifImageFile(file)
+
+
+def _open_avif(file: Any) -> Any:
+    from PIL import AvifImagePlugin  # since Pillow 11.3
+
+    return AvifImagePlugin.AvifImageFile(file)
+
+
+def _open_heif(file: Any) -> Any:
+    from pillow_heif import HeifImageFile  # type: ignore
+
+    return HeifImageFile(file)
+
+
+_LATER = {"WEBP": _open_webp, "GIF": _open_gif, "AVIF": _open_avif, "HEIF": _open_heif}
+"""How the formats are opened that older versions of Pillow, or Pillow alone, may lack."""
+
+
 def _pillow_header(file: Any, kind: str) -> _Header:
     image = _open_pillow(file, kind)
-    return _Header(kind, *image.size, orientation=_orientation(image.getexif()))
+    frames = getattr(image, "n_frames", 1) if kind in _LATER else 1
+    fault = f"holds {frames} pictures, not one still: save one of them as PNG." if frames > 1 else ""
+    return _Header(kind, *image.size, orientation=_orientation(image.getexif()), fault=fault)
 
 
 def _orientation(tags: Any) -> int:

@@ -16,7 +16,16 @@ from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import existing_file, natural_key
-from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, Notes, Reading, UnrecognisedError, in_pixels, parse_landmark_file
+from liaam.io.landmarks import (
+    LANDMARK_SUFFIXES,
+    USUAL,
+    Landmarks,
+    Notes,
+    Reading,
+    UnrecognisedError,
+    in_pixels,
+    parse_landmark_file,
+)
 from liaam.io.results import corrected_file, points_of_fit, read_fit
 
 _MOST = 1e9
@@ -78,7 +87,7 @@ class Specimen:
 def read_specimens(
     path: str | os.PathLike[str],
     on_fault: Callable[[str], object] | None = None,
-    reading: Reading = Reading(),
+    reading: Reading = USUAL,
 ) -> tuple[Specimen, ...]:
     """Read the specimens of a folder or a file.
 

@@ -88,9 +88,9 @@ def _complete(entries: list[Entry]) -> list[Entry]:
         return entries
     complete = [entry for entry in entries if not np.isnan(entry.points).any()]
     names = some_names([entry.name for entry in lacking])
-    have = "image has" if len(lacking) == 1 else "images have"
+    have, are = ("image has", "is") if len(lacking) == 1 else ("images have", "are")
     if len(complete) >= _FEWEST:
-        warnings.warn(f"{len(lacking)} {have} missing landmarks and are left out: {names}", stacklevel=4)
+        warnings.warn(f"{len(lacking)} {have} missing landmarks and {are} left out: {names}", stacklevel=4)
         return complete
     points = placed_by_others(np.array([entry.points for entry in entries]))
     if np.isnan(points).any():
@@ -128,7 +128,9 @@ def placed_by_others(shapes: np.ndarray, rounds: int = 10) -> np.ndarray:
             total[present] += (own[present] - fits[-1][1]) / (factor or 1)
             count += present
         mean, certain = total / count, np.ones(len(mean), bool)
-    filled = np.array([np.where(present, own, f * mean + s) for own, present, (f, s) in zip(z, known, fits, strict=True)])
+    filled = np.array(
+        [np.where(present, own, f * mean + s) for own, present, (f, s) in zip(z, known, fits, strict=True)]
+    )
     return np.stack([filled.real, filled.imag], axis=2)
 
 

@@ -126,9 +126,9 @@ def test_pictures_come_and_go_by_themselves(serve, page, marked):
 
 
 def test_files_that_are_skipped_are_named_before_a_template_and_a_folder_that_is_gone_is_told(serve, page, folder):
-    (folder / "phone.heic").write_bytes(b"")
+    (folder / "phone.psd").write_bytes(b"")
     page.goto(serve(folder).address)
-    page.locator("[data-testid=notices]:visible", has_text="phone.heic").wait_for()
+    page.locator("[data-testid=notices]:visible", has_text="phone.psd").wait_for()
     folder.rename(folder.with_name("elsewhere"))
     told = page.locator(".toast.bad", has_text="is the folder still there?")
     told.wait_for()

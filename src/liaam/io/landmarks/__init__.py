@@ -19,6 +19,7 @@ from liaam.io.files import existing_file
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import coco, placing, tps
 from liaam.io.landmarks.base import (
+    USUAL,
     Contour,
     Landmarks,
     Notes,
@@ -46,6 +47,7 @@ from liaam.io.landmarks.matching import ImageNames
 __all__ = [
     "FORMATS",
     "LANDMARK_SUFFIXES",
+    "USUAL",
     "Contour",
     "Format",
     "ImageNames",
@@ -75,7 +77,7 @@ def read_landmarks(
     path: str | os.PathLike[str],
     image_size: Size | None = None,
     image_name: str | None = None,
-    reading: Reading = Reading(),
+    reading: Reading = USUAL,
 ) -> Landmarks:
     """Read the landmarks of one image.
 
@@ -129,7 +131,7 @@ def _one_of(path: Path, parsed: dict[str, Landmarks], image_name: str | None) ->
     return parsed[entry]
 
 
-def read_collection(path: str | os.PathLike[str], reading: Reading = Reading()) -> dict[str, Landmarks]:
+def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> dict[str, Landmarks]:
     """Read a file with the landmarks of many images, such as a table, COCO, ``.tps``, or dlib's ``.xml``.
 
     The images of ``.tps`` and ``.nts`` must lie beside the file. Records with faults are left out, with a warning.
@@ -163,9 +165,7 @@ def _warn(path: Path, notes: Notes) -> None:
         warnings.warn(f"{path}: {line}", stacklevel=3)
 
 
-def parse_landmark_file(
-    path: str | os.PathLike[str], reading: Reading = Reading(), notes: Notes | None = None
-) -> Parsed:
+def parse_landmark_file(path: str | os.PathLike[str], reading: Reading = USUAL, notes: Notes | None = None) -> Parsed:
     """Read a landmark file as `Landmarks`, or as a dict of them if the file names its images.
 
     The points are as in the file; :func:`in_pixels` converts them. What has to be said is added to the notes.
@@ -176,7 +176,7 @@ def parse_landmark_file(
 
 
 def parse_landmark_data(
-    name: str, data: bytes, image_size: Size | None = None, reading: Reading = Reading(), notes: Notes | None = None
+    name: str, data: bytes, image_size: Size | None = None, reading: Reading = USUAL, notes: Notes | None = None
 ) -> Parsed:
     """Parse the content of a landmark file in memory. All its images have the same size."""
     path = Path(name)
@@ -192,7 +192,7 @@ def in_pixels(
     landmarks: Landmarks,
     image_size: Size | None,
     beside: Callable[[], ImageNames] | None = None,
-    reading: Reading = Reading(),
+    reading: Reading = USUAL,
     notes: Notes | None = None,
     name: str | None = None,
     orientation: int = 1,

@@ -153,7 +153,7 @@ class Landmarks:
         return np.isnan(self.points[:, 0])
 
     def objects(self, name: str) -> "Iterator[tuple[str, Landmarks]]":
-        """Yield each object and its name: ``name``, ``name#2``, ``name#3``, ..., or ``name#ID`` if IDs tell them apart."""
+        """Yield each object and its name: ``name``, ``name#2``, ..., or ``name#ID`` if IDs tell them apart."""
         every = (self, *self.others)
         labels = {re.sub(r"[\\/#]", "_", each.label) for each in every} - {""}
         by_label = bool(self.others) and len(labels) == len(every)
@@ -238,6 +238,10 @@ class Reading:
     stored: bool = False
 
 
+USUAL = Reading()
+"""How files are read unless the user says otherwise."""
+
+
 @dataclass
 class Notes:
     """What has to be said about a file: records that are left out, and what was done with others."""
@@ -280,7 +284,7 @@ class Source:
 
     path: Path
     text: str
-    reading: Reading = Reading()
+    reading: Reading = USUAL
     notes: Notes = field(default_factory=Notes)
 
     @cached_property

@@ -5,7 +5,8 @@ pixel centres, without a shift of half a pixel. A keypoint of visibility 0 is mi
 but hidden) is invisible. One file holds many images. Each annotation with keypoints is an object. The category's
 keypoint names become the names, and its skeleton (pairs counted from 1, or from 0) the contours.
 
-Of several categories, that with more landmarks, and then in more images, is the object, with those of the same keypoints.
+Of several categories, that with more landmarks, and then in more images, is the object, with those of the same
+keypoints.
 """
 
 import json

@@ -10,7 +10,18 @@ from pathlib import Path, PureWindowsPath
 from liaam.errors import LandmarkError
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
-IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name", "photo"}
+IMAGES = {
+    "image",
+    "image_name",
+    "image_file",
+    "image_id",
+    "image_path",
+    "img",
+    "file",
+    "filename",
+    "file_name",
+    "photo",
+}
 IMAGES |= {"picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
@@ -79,7 +90,9 @@ def _check_one_image(
     """Raise if a table without a column for images seems to hold several."""
     counts = Counter(values[landmark]) if landmark is not None else {}
     if len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
-        raise _ambiguous(path, header, "repeats its names, but no column names the images: add a column 'image'", landmark)
+        raise _ambiguous(
+            path, header, "repeats its names, but no column names the images: add a column 'image'", landmark
+        )
     for i in texts if landmark is None else ():
         if header[i] and _in_blocks(values[i]) and not all(map(_is_number, values[i])):
             raise _ambiguous(path, header, "may name the images: name it 'image' if so, or else remove it", i)
@@ -100,7 +113,8 @@ def _ambiguous(path: Path, header: list[str], why: str, column: int) -> Landmark
 
 def _are_files(values: Sequence[str]) -> bool:
     return bool(values) and all(
-        PureWindowsPath(re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", value)).suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)
+        PureWindowsPath(re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", value)).suffix.lower()
+        in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)
         for value in set(values)
     )
 

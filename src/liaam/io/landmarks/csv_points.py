@@ -49,7 +49,9 @@ def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
         named = make_landmarks(path, points, names=names if any(names) else (), image_name=image or None)
         return replace(named, label=specimen)
 
-    made = list(source.each(((image or f"line {own[0][0]}", ((image, s), own)) for (image, s), own in groups.items()), make))
+    made = list(
+        source.each(((image or f"line {own[0][0]}", ((image, s), own)) for (image, s), own in groups.items()), make)
+    )
     numbers = columns.landmark is not None and header[columns.landmark] != "name"
     if columns.image is None and not numbers:
         return made[0]
@@ -58,7 +60,7 @@ def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
 
 
 def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
-    """Divide the rows of an image whose every landmark occurs as often: of several specimens, or placed several times."""
+    """Divide the rows of an image whose every landmark occurs as often, of several specimens or replicates."""
     seen: Counter[str] = Counter()
     parts: dict[int, list[Row]] = {}
     for number, row in rows:

@@ -70,7 +70,15 @@ FORMATS: tuple[Format, ...] = (
     Format("LabelMe", (".json",), labelme.parse, f"taken as {_CENTRES}", labelme.is_it, names=True),
     Format("CVAT for images", (".xml",), cvat.parse, f"taken as {_CENTRES}", cvat.is_it, many=True, names=True),
     Format("dlib imglab", (".xml",), dlib_xml.parse, _CENTRES, many=True, names=True),
-    Format("Label Studio", (".json",), label_studio.parse, "percent of width and height", label_studio.is_it, True, names=True),
+    Format(
+        "Label Studio",
+        (".json",),
+        label_studio.parse,
+        "percent of width and height",
+        label_studio.is_it,
+        True,
+        names=True,
+    ),
     Format(
         "COCO keypoints",
         (".json",),
@@ -155,7 +163,7 @@ def parse_source(source: Source) -> Parsed:
     form = next((form for form in formats_of(source.path) if form.is_it(source)), None)
     if form is None:
         raise UnrecognisedError(
-            f"{source.path} has no columns x and y, or rows of x and y: name the columns in the first line, such as x,y."
+            f"{source.path} has no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
         )
     parsed = form.parse(source)
     if isinstance(parsed, Landmarks):

@@ -25,7 +25,9 @@ _Keypoints = list[dict[str, Any]]
 
 def is_it(source: Source) -> bool:
     """Whether it is a list of tasks, or a task."""
-    return isinstance(source.json, list) or (isinstance(source.json, dict) and {"data", "annotations"} <= source.json.keys())
+    return isinstance(source.json, list) or (
+        isinstance(source.json, dict) and {"data", "annotations"} <= source.json.keys()
+    )
 
 
 def parse(source: Source) -> dict[str, Landmarks]:
@@ -41,10 +43,10 @@ def parse(source: Source) -> dict[str, Landmarks]:
 def _objects(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     """Return the objects of a task, each from its keypoints."""
     done = [each for each in task.get("annotations") or () if not each.get("was_cancelled")]
-    facts = task["data"] if "data" in task else task
+    facts = task.get("data", task)
     if len(done) > 1:
         source.notes.say("of several annotations the first is read", str(task.get("id", "")))
-    marks = _results(done[0]["result"]) if done else [value for value in _lists(task)]
+    marks = _results(done[0]["result"]) if done else list(_lists(task))
     image = next((str(value) for value in facts.values() if isinstance(value, str) and "." in value), "")
     groups: dict[Any, _Keypoints] = {}
     for mark in marks:

@@ -43,7 +43,11 @@ def place(
     turned = reading.stored
     if declared is not None:
         turned = _is_turned(declared, size, stored, reading.stored)
-    if orientation != 1 and not reading.stored and (declared is None or _fits(declared, size) == _fits(declared, stored)):
+    if (
+        orientation != 1
+        and not reading.stored
+        and (declared is None or _fits(declared, size) == _fits(declared, stored))
+    ):
         say(UNDECIDED)
     frame, target = declared or (stored if turned else size), stored if turned else size
     points = landmarks.points * frame if placing.fractions else landmarks.points

@@ -22,7 +22,9 @@ def parse(source: Source) -> Landmarks:
     path, matrix = source.path, _MATRIX.search(source.text)
     if matrix is None:
         raise LandmarkError(f"{path} is cut short within its landmarks: export it again.")
-    rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line.strip()) for line in matrix[1].splitlines() if line.strip()]
+    rows = [
+        re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line.strip()) for line in matrix[1].splitlines() if line.strip()
+    ]
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
     points = [[parse_number(path, cell, f"'{row[0]}'") for cell in row[-2:]] for row in rows]
     names = [row[0] for row in rows if len(row) == 3]

@@ -10,7 +10,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Contour, Landmarks, Source, check_count, contour_of, make_landmarks, parse_count, parse_pair
+from liaam.io.landmarks.base import (
+    Contour,
+    Landmarks,
+    Source,
+    check_count,
+    contour_of,
+    make_landmarks,
+    parse_count,
+    parse_pair,
+)
 
 
 def parse(source: Source) -> Landmarks:

@@ -1,6 +1,7 @@
-"""Lines of ``x y`` or ``name x y`` (``.txt``, one file an image), as of patternize; HELEN's begin with the image's name.
+"""Lines of ``x y`` or ``name x y`` (``.txt``, one file an image), as of patternize.
 
-Pixel centres counted from 0, x to the right and y downwards. A first line with the number of points is skipped.
+Pixel centres counted from 0, x to the right and y downwards. HELEN's begin with the image's name.
+A first line with the number of points is skipped.
 """
 
 import re
@@ -8,8 +9,10 @@ import re
 from liaam.io.landmarks.base import Landmarks, Source, make_landmarks, parse_number
 
 _NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
-_LINE = re.compile(rf"(?:\"?(?P<name>[^\"\t,;]*?[^\"\s,;])\"?[\s,;]+)?(?P<x>{_NUMBER})[\s,;]+(?P<y>{_NUMBER})", re.IGNORECASE)
-_FEWEST = 2
+_LINE = re.compile(
+    rf"(?:\"?(?P<name>[^\"\t,;]*?[^\"\s,;])\"?[\s,;]+)?(?P<x>{_NUMBER})[\s,;]+(?P<y>{_NUMBER})", re.IGNORECASE
+)
+_FEWEST, _LONGEST = 2, 300
 
 
 def is_it(source: Source) -> bool:
@@ -18,6 +21,8 @@ def is_it(source: Source) -> bool:
 
 
 def _matches(source: Source) -> list[re.Match[str]]:
+    if len(max(source.lines, key=len)) > _LONGEST:
+        return []
     lines = source.lines[1:] if _first(source) else source.lines
     found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
     alike = len({match["name"] is None for match in found}) == 1

@@ -171,7 +171,9 @@ def _scale(source: Source, where: str, text: str, facts: dict[str, str]) -> floa
     if not 0 < scale < math.inf:
         if source.reading.strict:
             raise LandmarkError(f"{where} is not the length of a pixel: give a positive number, or remove the line.")
-        source.notes.say("have no scale, because SCALE= is no positive number", facts.get("IMAGE") or facts.get("ID", ""))
+        source.notes.say(
+            "have no scale, because SCALE= is no positive number", facts.get("IMAGE") or facts.get("ID", "")
+        )
         return None
     return scale
 
