@@ -65,11 +65,11 @@ def test_all_damaged_images_are_named(run, folder, tmp_path, command):
 @pytest.mark.parametrize("command", ["train", "check"])
 def test_files_that_do_not_match_are_listed(run, folder, tmp_path, command):
     (folder / "face2.pts").rename(folder / "face2_old.pts")
-    (folder / "face5.pts").rename(folder / "face5.nts")
+    (folder / "face5.pts").rename(folder / "face5.dta")
     _, out, _ = run(command, folder, *(("-o", tmp_path / "m.liaam", *FAST) if command == "train" else ()))
     assert "left out 2: the image has no landmarks (face2.png, face5.png)" in out
     assert "left out 1: no image has its name (face2_old.pts)" in out
-    assert re.search(r"left out 1: unknown format; landmarks are read from \.pts, .* \(face5\.nts\)", out)
+    assert re.search(r"left out 1: unknown format; landmarks are read from \.pts, .* \(face5\.dta\)", out)
 
 
 @pytest.mark.parametrize("command", ["train", "check"])
@@ -82,10 +82,10 @@ def test_subfolders_offer_recursive(run, folder, command):
 
 def test_an_unknown_format_names_those_that_can_be_read(run, folder, tmp_path):
     for path in folder.glob("*.pts"):
-        path.rename(path.with_suffix(".nts"))
+        path.rename(path.with_suffix(".dta"))
     code, _, err = run("train", folder, "-o", tmp_path / "m.liaam")
     assert code == 1
-    assert "unknown format: face0.nts, face1.nts" in err and "Convert them to one of .pts, " in err
+    assert "unknown format: face0.dta, face1.dta" in err and "Convert them to one of .pts, " in err
     assert "the simplest is a .csv of a line 'x,y'" in err
 
 

@@ -1,5 +1,6 @@
 """Where a fit starts: a shape, a box, or a point and a size."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from liaam.errors import StartError
 from liaam.fitting.start import start_shape
+from liaam.io import Landmarks
 from liaam.model.shape import diagonal_of
 
 SIZE = (180, 240)
@@ -80,3 +82,12 @@ def few(n_numbers: int) -> np.ndarray:
 def test_a_start_that_makes_no_sense_is_refused(model, init, match):
     with pytest.raises(StartError, match=f"portrait.*({match})"):
         start_shape(model, init, SIZE, "portrait")
+
+
+def test_names_decide_the_order_of_a_start(model, shape):
+    names = tuple(f"p{i}" for i in range(len(shape)))
+    named, order = replace(model, landmark_names=names), [1, 0, *range(2, len(shape))]
+    other = Landmarks(shape[order], names=tuple(names[i] for i in order))
+    np.testing.assert_array_equal(start_shape(named, other, (10_000, 10_000)), shape)
+    with pytest.raises(StartError, match="the start cannot be used: its names lack p0"):
+        start_shape(named, Landmarks(shape, names=("other", *names[1:])), (10_000, 10_000))

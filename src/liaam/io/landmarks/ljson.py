@@ -1,8 +1,8 @@
 """menpo ``.ljson``: points are [y, x], pixel centres counted from 0; ``null`` for a missing one.
 
 Versions 1 to 3 are read (of several groups in 3, the one that is chosen), and version 2 is written. The edges of the
-connectivity are joined into contours. Labels in menpo name sets of landmarks. If each landmark has its own label, the labels become the
-landmarks' names. A further label ``invisible`` holds the occluded landmarks.
+connectivity are joined into contours. Labels in menpo name sets of landmarks. If each landmark has its own label, the
+labels become the names of the landmarks. A further label ``invisible`` holds the occluded landmarks.
 """
 
 import json
