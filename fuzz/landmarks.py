@@ -194,10 +194,12 @@ def check(suffix: str, data: bytes) -> None:
         assert not np.isinf(landmarks.points).any()
     if suffix not in (".pts", ".ljson", ".tps", ".csv"):
         return
+    dump = writer_of(path).dump
+    assert dump is not None
     for landmarks in every[:20]:
         if len(landmarks) < 1000 and len(set(landmarks.names)) in (0, len(landmarks)):
             placed = tps.upwards(landmarks, size) if suffix == ".tps" else landmarks
-            text = writer_of(path).dump(placed).encode("utf-8", "surrogatepass")
+            text = dump(placed).encode("utf-8", "surrogatepass")
             again = parse_landmark_data(path.name, text, size)
             again = again if isinstance(again, Landmarks) else next(iter(again.values()))
             np.testing.assert_allclose(again.points, landmarks.points, rtol=1e-12, atol=1e-12 * size[1])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LandmarkError, TrainingError
-from liaam.io import image_size, read_image, read_landmarks
+from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
@@ -111,7 +111,7 @@ def placed_by_others(shapes: np.ndarray, rounds: int = 10) -> np.ndarray:
 
     NaN remains where fewer than three landmarks of a shape are known, or where none has the landmark.
     """
-    known = ~np.isnan(shapes).any(axis=2)
+    known = np.asarray(~np.isnan(shapes).any(axis=2))
     z = np.where(known, shapes[..., 0] + 1j * shapes[..., 1], 0)
     if (known.sum(axis=1) < 3).any() or not known.any(axis=0).all():
         return shapes
@@ -131,7 +131,7 @@ def placed_by_others(shapes: np.ndarray, rounds: int = 10) -> np.ndarray:
     filled = np.array(
         [np.where(present, own, f * mean + s) for own, present, (f, s) in zip(z, known, fits, strict=True)]
     )
-    return np.stack([filled.real, filled.imag], axis=2)
+    return np.stack([np.real(filled), np.imag(filled)], axis=2)
 
 
 def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[str, ...]]:
@@ -150,7 +150,7 @@ def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[st
             file_name, name = path.name, str(path.parent / path.stem)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
             landmarks = read_landmarks(landmarks, _size_for(landmarks, image), file_name)
-    if order and getattr(landmarks, "names", ()):
+    if order and isinstance(landmarks, Landmarks):
         try:
             landmarks = landmarks.in_order_of(order)
         except LandmarkError as fault:

@@ -268,8 +268,9 @@ def write_landmarks(
         If the format cannot be written, the points are invalid, or writing fails.
     """
     path = Path(path)
-    form = writer_of(path)
-    write_text_atomically(path, form.dump(_to_write(path, _as_landmarks(landmarks), image_size)), LandmarkError)
+    dump = writer_of(path).dump
+    assert dump is not None
+    write_text_atomically(path, dump(_to_write(path, _as_landmarks(landmarks), image_size)), LandmarkError)
 
 
 def _to_write(
@@ -313,7 +314,8 @@ def collection_text(
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
     path = Path(path)
-    form = writer_of(path, many=True)
+    dump = writer_of(path, many=True).dump_collection
+    assert dump is not None
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
     sizes, beside = image_sizes or {}, cache(partial(_images_in, path.parent))
@@ -321,4 +323,4 @@ def collection_text(
         name: _to_write(path, replace(_as_landmarks(own), image_name=name), sizes.get(name), beside)
         for name, own in collection.items()
     }
-    return coco.dump_collection(placed, sizes) if path.suffix.lower() == ".json" else form.dump_collection(placed)
+    return coco.dump_collection(placed, sizes) if path.suffix.lower() == ".json" else dump(placed)

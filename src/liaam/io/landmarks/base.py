@@ -18,7 +18,8 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.files import count_of, natural_key, read_bytes, some_names
 
-T, R = TypeVar("T"), TypeVar("R")
+T = TypeVar("T")
+R = TypeVar("R")
 
 MAX_BYTES = 500_000_000
 """Size limit of landmark files, in bytes."""

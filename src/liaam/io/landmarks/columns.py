@@ -88,8 +88,8 @@ def _check_one_image(
     path: Path, header: list[str], values: list[list[str]], texts: list[int], landmark: int | None
 ) -> None:
     """Raise if a table without a column for images seems to hold several."""
-    counts = Counter(values[landmark]) if landmark is not None else {}
-    if len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
+    counts = Counter(values[landmark]) if landmark is not None else Counter[str]()
+    if landmark is not None and len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
         raise _ambiguous(
             path, header, "repeats its names, but no column names the images: add a column 'image'", landmark
         )

@@ -38,7 +38,8 @@ def place(
     say : callable
         Called with what was done, for the user.
     """
-    placing, stored = landmarks.placing, size[::-1] if orientation >= 5 else size
+    placing = landmarks.placing
+    stored = (size[1], size[0]) if orientation >= 5 else size
     declared = placing.size
     turned = reading.stored
     if declared is not None:

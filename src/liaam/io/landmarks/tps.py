@@ -70,7 +70,7 @@ def _chunks(source: Source) -> list[Lines]:
 
 def _name(path: Path, lines: Lines) -> str:
     """Return the name of a record for messages."""
-    facts = dict(match.groups() for match in (_KEY.fullmatch(line) for _, line in lines) if match)
+    facts = {match[1]: match[2] for match in (_KEY.fullmatch(line) for _, line in lines) if match}
     return facts.get("IMAGE") or facts.get("ID") or f"the record of line {lines[0][0]}"
 
 
