@@ -291,7 +291,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "900,900,950,980"), "outside the image"),
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "use only one of them"),
-        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "there are soft-li, grey, rgb, li"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "choose from soft-li, grey, rgb, li"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
     ],
 )
