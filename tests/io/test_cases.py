@@ -32,8 +32,8 @@ def cases(shared_data: Path) -> Path:
 RIGHT = [
     ("03-tps-empty-scale", 10, "have no scale.*: img04.png"),
     ("07-tps-curves", 10, ""),
-    ("10-tps-other-extension", 10, "names images with another extension: img00.jpg"),
-    ("12-tps-cp1251-names", 10, "names images in another spelling"),
+    ("10-tps-other-extension", 10, "named with another extension in the landmark file: img00.jpg"),
+    ("12-tps-cp1251-names", 10, "named in another spelling"),
     ("17-tps-cr-only", 10, ""),
     ("18-nts", 10, r"\(\.nts\): 10"),
     ("21-dlib-ignored-box", 10, ""),
@@ -71,8 +71,8 @@ RIGHT = [
     ("A1-coco-names-order-two-files", 10, "in another order, and are taken by name: img05"),
     ("C1-two-formats-disagree", 10, "disagree in .pts and all.tps.*: img00.png"),
     ("C4-coco-orphan-annotation", 10, "left out annotation 99.*no image 777"),
-    ("G1-coco-case", 10, "names images in another case: img00.JPG"),
-    ("G2-csv-case", 10, "names images in another case: img00.JPG"),
+    ("G1-coco-case", 10, "named in another case in the landmark file: img00.JPG"),
+    ("G2-csv-case", 10, "named in another case in the landmark file: img00.JPG"),
 ]
 
 

@@ -203,7 +203,7 @@ ONE_RECORD = [
 @pytest.mark.parametrize(("text", "words"), ONE_RECORD, ids=[words[:40] for _, words in ONE_RECORD])
 def test_one_bad_record_stops_only_strict_reading(tmp_path: Path, text: str, words: str) -> None:
     path = save(tmp_path, text)
-    with pytest.warns(UserWarning, match=r"a\.tps: (have no scale|left out the record of line 4)"):
+    with pytest.warns(UserWarning, match=r"a\.tps: (specimens have no scale|left out the record of line 4)"):
         assert read_landmarks(path, (100, 100)).scale is None
     with pytest.raises(LandmarkError, match=words):
         read_landmarks(path, (100, 100), reading=Reading(strict=True))

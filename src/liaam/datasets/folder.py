@@ -424,7 +424,7 @@ class _Pairing:
             if _disagree(used.landmarks, other.landmarks):
                 kinds = f"{used.file.suffix} and {other.file.name}"
                 self.notes.repair(
-                    f"have landmarks that disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name
+                    f"landmarks disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name
                 )
 
     def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
@@ -535,7 +535,7 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
             )
             continue
         if landmarks is not sample.landmarks:
-            notes.say("name their landmarks in another order, and are taken by name", sample.name)
+            notes.say("images name their landmarks in another order, and are taken by name", sample.name)
         kept.append(replace(sample, landmarks=landmarks))
     return kept, odd
 

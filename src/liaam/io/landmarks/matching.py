@@ -24,9 +24,9 @@ ENCODINGS = (
 )
 """Encodings of names that are tried, because text that is not UTF-8 is read as Latin-1."""
 
-CASE = "names images in another case"
-EXTENSION = "names images with another extension"
-SPELLING = "names images in another spelling"
+CASE = "images are named in another case in the landmark file"
+EXTENSION = "images are named with another extension in the landmark file"
+SPELLING = "images are named in another spelling in the landmark file"
 
 _SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
 

@@ -172,7 +172,7 @@ def _scale(source: Source, where: str, text: str, facts: dict[str, str]) -> floa
         if source.reading.strict:
             raise LandmarkError(f"{where} is not the length of a pixel: give a positive number, or remove the line.")
         source.notes.say(
-            "have no scale, because SCALE= is no positive number", facts.get("IMAGE") or facts.get("ID", "")
+            "specimens have no scale, because SCALE= is no positive number", facts.get("IMAGE") or facts.get("ID", "")
         )
         return None
     return scale
