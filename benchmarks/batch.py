@@ -46,9 +46,9 @@ class World:
     def __init__(self, folder: Path, distinct: int) -> None:
         self.folder = folder
         scenes = make_set(distinct, Head(5), size=SIZE, seed=2)
-        train(
-            [(scene.image, scene.landmarks) for scene in scenes[:6]], diagonal=60.0, leave_out=False, lamps=None
-        ).save(folder / "model.liaam")
+        pairs = [(scene.image, scene.landmarks) for scene in scenes[:6]]
+        model = train(pairs, diagonal=60.0, leave_out=False, lamps=None, methods=["grey"])
+        model.save(folder / "model.liaam")
         shape = np.mean([scene.landmarks for scene in scenes], axis=0)
         x, y = 0.5 * (shape.min(axis=0) + shape.max(axis=0))
         self.init = f"{x:.0f},{y:.0f},{diagonal_of(shape):.0f}"

@@ -50,7 +50,13 @@ def make_pictures() -> tuple[list[Picture], list[Picture]]:
 def make_model(diagonal: float = 150.0) -> AAM:
     """Train a model with twenty shape modes and twenty appearance modes."""
     return train(
-        make_pictures()[0], variance=20, appearance_variance=20, diagonal=diagonal, leave_out=False, lamps=None
+        make_pictures()[0],
+        variance=20,
+        appearance_variance=20,
+        diagonal=diagonal,
+        leave_out=False,
+        lamps=None,
+        methods=["li"],
     )
 
 

@@ -101,7 +101,7 @@ def make_appearance(
 def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_APPEARANCE_MODES) -> AAM:
     """Make a random model with one level of exactly the sizes above."""
     shape_model, frame = make_shapes(rng, method)
-    # Only one is fitted here; "invariant" marks a colour model. Little blur, so that every pixel counts.
+    # Only one is fitted here. Little blur, so that every pixel counts.
     own = make_appearance(frame, rng, 0.0 if method == "soft-li" else -1.5, n_modes)
     triangles, view = delaunay(shape_model.mean), METHODS[method].view
     mesh = make_view(MESH, shape_model, triangles)

@@ -29,7 +29,8 @@ BAR = 1.8
 def make_model() -> AAM:
     """Model of one head under diffuse light."""
     scenes = make_set(N_TRAINING, Head(7), DIFFUSE, seed=1, size=SIZE)
-    return train([(scene.image, scene.landmarks) for scene in scenes], diagonal=DIAGONAL, leave_out=False, lamps=None)
+    pairs = [(scene.image, scene.landmarks) for scene in scenes]
+    return train(pairs, diagonal=DIAGONAL, leave_out=False, lamps=None, methods=METHODS)
 
 
 def make_pictures() -> tuple[list[np.ndarray], list[np.ndarray]]:

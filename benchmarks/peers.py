@@ -142,7 +142,9 @@ def photographs() -> Photographs | None:
         name: [(light(image, shape, np.random.default_rng(i)), shape) for i, (image, shape) in enumerate(plain)]
         for name, light in (("hard", hard_light), ("dappled", dapples))
     }
-    return Photographs({"diffuse": plain, "spot": spot, **laid}, train(of(0, "12346"), leave_out=False, lamps=None))
+    return Photographs(
+        {"diffuse": plain, "spot": spot, **laid}, train(of(0, "12346"), leave_out=False, lamps=None, methods=METHODS)
+    )
 
 
 def known_photographs() -> Photographs:

@@ -47,7 +47,9 @@ DROP = """([name, base64]) => {
 def material(folder: Path) -> list[Path]:
     """Write a model, and images of the same head under hard light from either side. Return the images."""
     training = make_set(N_DROPS, Head(5), DIFFUSE, seed=3, size=(320, 240))
-    train([(scene.image, scene.landmarks) for scene in training], lamps=None).save(folder / "model.liaam")
+    train([(scene.image, scene.landmarks) for scene in training], lamps=None, methods="all").save(
+        folder / "model.liaam"
+    )
     paths = []
     for i in range(N_DROPS):
         rng = np.random.default_rng(100 + i)
@@ -61,7 +63,7 @@ def material(folder: Path) -> list[Path]:
 def photographs(folder: Path, data: Path, letters: int) -> list[Path]:
     """Write a model of half of a data set's persons. Return images of the other half; see :func:`half_sets`."""
     training, others = half_sets(data, letters)[0]
-    train(pictures_of(training), leave_out=False, lamps=None).save(folder / "model.liaam")
+    train(pictures_of(training), leave_out=False, lamps=None, methods="all").save(folder / "model.liaam")
     files = [sample.image for sample in others if isinstance(sample.image, Path)]
     return files[:: max(1, len(files) // N_DROPS)][:N_DROPS]
 

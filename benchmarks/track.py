@@ -53,7 +53,7 @@ def data_folder() -> Path:
 def generic_model(folder: Path) -> AAM:
     """Train a model on frontal images of many persons, except the second, whose images are grey."""
     data = load_folder(folder / "imm").select(lambda sample: sample.name[:2] != "02" and sample.name[3] in "126")
-    return train(data, diagonal=120, lamps=None)
+    return train(data, diagonal=120, lamps=None, methods=METHODS)
 
 
 def person_model(generic: AAM, video: Path) -> AAM:
@@ -67,7 +67,9 @@ def person_model(generic: AAM, video: Path) -> AAM:
     stretches = np.array_split(np.arange(len(fits)), TRAINED_ON)
     best = [max(stretch, key=lambda i: fits[i].quality) for stretch in stretches if len(stretch)]
     contours = tuple(Contour(indices, closed) for indices, closed in generic.contours)
-    return train([(images[i], Landmarks(fits[i].landmarks, contours)) for i in best], diagonal=120, lamps=None)
+    return train(
+        [(images[i], Landmarks(fits[i].landmarks, contours)) for i in best], diagonal=120, lamps=None, methods=METHODS
+    )
 
 
 def run(tracker: Tracker, frames: Sequence[VideoFrame], light: Callable | None = None) -> list[TrackedFrame]:

@@ -22,6 +22,7 @@ model = liaam.train(
     [(scene.image, scene.landmarks) for scene in training],
     diagonal=100,
     leave_out=False,
+    methods=["grey", "rgb", "li"],  # besides the default, soft-li
 )
 test = render(
     head,

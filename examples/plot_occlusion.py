@@ -18,6 +18,7 @@ model = liaam.train(
     [(scene.image, scene.landmarks) for scene in training],
     diagonal=100,
     leave_out=False,
+    methods=["grey"],
 )
 
 # %%

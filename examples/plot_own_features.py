@@ -42,6 +42,7 @@ model = liaam.train(
     diagonal=100,
     leave_out=False,
     features=dense_daisy,
+    methods=["grey"],
 )
 
 # %%

@@ -213,7 +213,7 @@ def get_fitters(
 def sharp_model(data: Path | None) -> AAM:
     """Train on the subject without blur and with all modes, as the true model of a bound."""
     subject = get_subject(data)
-    options = TrainingOptions(variance=1.0, prior="sample", blurs=(0.0,), leave_out=False)
+    options = TrainingOptions(variance=1.0, prior="sample", blurs=(0.0,), methods="all", leave_out=False)
     return train(subject.pairs, options, camera=CameraModel(theta=PAPER_THETA), name=subject.name)
 
 

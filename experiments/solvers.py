@@ -41,9 +41,12 @@ class Solver:
     prior: str | None = None
 
     def train(self, data: Iterable, **options: Any) -> AAM:
-        """Train a model for this solver, with `options` of :func:`liaam.train`; without lamps unless they are given."""
+        """Train a model for this solver, with `options` of :func:`liaam.train`.
+
+        By default it is trained without lamps and for all methods.
+        """
         own = {"variance": self.variance, "blurs": self.blurs, "diagonal": self.diagonal}
-        own |= {"leave_out": False, "lamps": None}
+        own |= {"leave_out": False, "lamps": None, "methods": "all"}
         options = {**own, **options}
         whole = options["variance"] == 1.0
         return train(data, **{"prior": "sample" if whole else self.prior, **options})

@@ -96,6 +96,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "fit": ("--init", "--camera", "--response", "--method", "--rotations", "--iterations", "--all", "-o"),
     "info": (),
     "show": ("--image", "-o"),
+    "compact": ("--methods", "-o"),
     "check": ("--images", "--recursive"),
     "batch": ("--init", "--camera", "--response", "--list", "--method", "--jobs", "-o"),
     "train": (
@@ -107,6 +108,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
         "--lamps",
         "--training-lamp",
         "--copies",
+        "--methods",
         "-o",
     ),
     "track": ("--init", "--camera", "--response", "-o"),

@@ -52,7 +52,7 @@ def tiny() -> Any:
     images = [np.kron(each, np.ones((7, 7, 1), np.uint8)) for each in coarse]
     points = np.concatenate([shapes, 0.5 * (shapes[:, :2] + shapes[:, 1:3])], axis=1) + rng.normal(0, 1, (6, 7, 2))
     pairs = zip(images, shapes, strict=True)
-    return train(pairs, diagonal=16, variance=0.95, points=points, features=twice)
+    return train(pairs, diagonal=16, variance=0.95, points=points, features=twice, methods="all")
 
 
 def twice(image: np.ndarray) -> np.ndarray:

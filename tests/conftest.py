@@ -170,7 +170,7 @@ def _head_model() -> AAM:
     scenes = [*make_set(8, Head(5), size=(160, 120)), *(moving_scene(time) for time in (0.03, 0.27, 0.53, 0.78))]
     # As blurred as a large frame's: what is asked of tracks was measured with such fits' noise.
     blurs = {SURROUNDINGS: (4.0, 2.0, 1.0)}
-    return train([(scene.image, scene.landmarks) for scene in scenes], diagonal=60.0, blurs=blurs)
+    return train([(scene.image, scene.landmarks) for scene in scenes], diagonal=60.0, blurs=blurs, methods="all")
 
 
 @pytest.fixture(scope="session")

@@ -45,7 +45,7 @@ def train_on(scenes: list[Scene], response: str = "linear", **options) -> AAM:
     """Train on scenes with what is true of their camera, and on the shapes as they are: the scenes' span is known."""
     pairs = [(scene.image, scene.landmarks) for scene in scenes]
     camera = CameraModel(theta=scenes[0].theta, response=response)
-    return train(pairs, camera=camera, **{"prior": "sample", "leave_out": False, **options})
+    return train(pairs, camera=camera, **{"prior": "sample", "leave_out": False, "methods": "all", **options})
 
 
 def between(a, b):

@@ -48,7 +48,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
-    from liaam.training import TrainingOptions, train
+    from liaam.training import TrainingOptions, compact, train
 
 __version__ = "0.1.0"
 
@@ -73,6 +73,7 @@ __all__ = [
     "Tracker",
     "TrackingOptions",
     "TrainingOptions",
+    "compact",
     "find",
     "find_label_faults",
     "fit",
@@ -117,7 +118,7 @@ _HOMES = {
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
-    "training": ("TrainingOptions", "train"),
+    "training": ("TrainingOptions", "compact", "train"),
 }
 _SUBMODULES = (
     *("batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model", "morphometry"),

@@ -42,7 +42,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> tuple[list[DemoR
     test = render(head, Pose(yaw=0.06, x=3.0), Expression(smile=0.3, mouth_open=0.15), lights=lateral("left"), seed=99)
     tell(N_TRAINING, total, "training")
     pairs = [(scene.image, Landmarks(scene.landmarks, Contour.all_of(scene.contours))) for scene in training]
-    model = train(pairs, name="demo head", lamps=None, leave_out=False, progress=False)
+    model = train(pairs, name="demo head", lamps=None, methods=METHODS, leave_out=False, progress=False)
     start = disturbed(test.landmarks, model.shape_model.mean)
     rows = []
     for i, method in enumerate(METHODS):

@@ -33,8 +33,22 @@ def model_file(portraits, tmp_path_factory):
     from liaam.training import train
 
     path = tmp_path_factory.mktemp("model") / "face.safetensors"
-    train(load_folder(portraits[0]), diagonal=100).save(path)
+    train(load_folder(portraits[0]), diagonal=100, methods="all").save(path)
     return path
+
+
+def test_compact_writes_a_small_model_and_says_what_it_fits_with(run, model_file, portraits, tmp_path):
+    small = tmp_path / "small.liaam"
+    code, out, _ = run("compact", model_file, "-o", small)
+    assert code == 0 and "MB instead of" in out and out.strip().endswith("fits with soft-li")
+    assert small.stat().st_size < 0.6 * model_file.stat().st_size
+    init = portraits[2]
+    assert run("fit", small, portraits[1], "--init", init, "-o", tmp_path)[0] == 0
+    code, _, err = run("fit", small, portraits[1], "--init", init, "-o", tmp_path, "-m", "grey")
+    assert code == 1 and "method grey: the model was trained for soft-li; train it again with '--methods grey'" in err
+    out = run("compact", model_file, "-o", small, "--methods", "grey, igo")[1]
+    assert "fits with soft-li, grey, rgb, grey-plain, grey-norm, igo" in out
+    assert "grey-norm" in run("info", small)[1]
 
 
 def box_around(points):

@@ -8,7 +8,6 @@ import pytest
 
 from liaam.datasets.scenes import lateral
 from liaam.io import read_image, write_image, write_landmarks
-from liaam.model import MESH
 from setups import moving_scene
 
 SIDE = lateral("left", ambient_strength=0.4)
@@ -110,12 +109,7 @@ def test_grey_pictures_are_refused(run, files, tmp_path):
 
 
 def test_grey_models_are_refused(run, files, head_model, tmp_path):
-    levels = tuple(
-        replace(level, appearances={k: v for k, v in level.appearances.items() if k != "invariant"})
-        for level in head_model.levels
-    )
-    grey = replace(head_model.views[MESH], levels=tuple(levels))
-    replace(head_model, views={MESH: grey}).save(tmp_path / "grey.liaam")
+    replace(head_model, is_colour=False).save(tmp_path / "grey.liaam")
     code, _, err = run("relight", tmp_path / "grey.liaam", files / "lit.png", "-o", tmp_path / "out.png")
     assert code == 1
     assert "grey.liaam: the model was trained on grey images" in err

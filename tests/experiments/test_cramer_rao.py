@@ -38,7 +38,7 @@ def subject() -> Subject:
 def sharp(subject) -> AAM:
     """A model that rebuilds its training pictures, without blur: a pixel's noise is its own."""
     options = TrainingOptions(variance=1.0, prior="sample", blurs=(0.0,), leave_out=False)
-    return train(subject.pairs, options, camera=CameraModel(theta=PAPER_THETA))
+    return train(subject.pairs, options, camera=CameraModel(theta=PAPER_THETA), methods="all")
 
 
 @pytest.fixture

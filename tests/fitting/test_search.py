@@ -349,7 +349,7 @@ def test_bad_input_is_refused(model, finder):
 
 def without_orientations(model: AAM) -> AAM:
     levels = tuple(
-        Level(level.blur, {name: kept for name, kept in level.appearances.items() if name != "orientation"})
+        Level(level.blur, {name: kept for name, kept in level.appearances.items() if name != "search"})
         for level in model.levels
     )
     return model.with_view(MESH, levels=levels)

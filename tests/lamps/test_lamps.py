@@ -264,7 +264,8 @@ def test_an_offset_of_landmarks_stays_on_the_same_side_of_a_mirrored_object():
 def trained(lamps):
     """Models of one head in daylight, without and with the lamps of two others."""
     shown = [photographed(5, seed, {"day": DIFFUSE})[0] for seed in range(8)]
-    return [train(shown, diagonal=60.0, leave_out=False, lamps=own, copies=n) for own, n in ((None, 0), (lamps, 3))]
+    options = {"diagonal": 60.0, "leave_out": False, "methods": ["li"]}
+    return [train(shown, lamps=own, copies=n, **options) for own, n in ((None, 0), (lamps, 3))]
 
 
 @pytest.mark.slow

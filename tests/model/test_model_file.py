@@ -41,7 +41,9 @@ def tiny_file(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("tiny") / "tiny.liaam"
     points = np.concatenate([shapes, shapes[:, :2] + 3.0], axis=1) + rng.normal(0, 1, (4, 6, 2))
     pairs = zip(images, shapes, strict=True)
-    train(pairs, diagonal=16, blurs={MESH: (0.0,)}, variance=1, points=points, features=np.square).save(path)
+    train(pairs, diagonal=16, blurs={MESH: (0.0,)}, variance=1, points=points, features=np.square, methods="all").save(
+        path
+    )
     return path
 
 
@@ -123,7 +125,7 @@ def test_how_far_the_model_errs_is_kept(model, model_file):
     for ours, theirs in zip(model.levels, load_model(model_file).levels, strict=True):
         for name, appearance in ours.appearances.items():
             loaded = theirs.appearances[name].unexplained
-            if name == "illumination":
+            if name in ("illumination", "search"):
                 assert appearance.unexplained is None
                 assert loaded is None
             else:
@@ -234,11 +236,11 @@ def test_a_lamp_file_is_refused_as_such(tmp_path):
     assert_refused(path, "is a lamp file, not a model; draw it with 'liaam show'")
 
 
-@pytest.mark.parametrize("schema", [0, 1, 2, 3, 99, None, "4"])
+@pytest.mark.parametrize("schema", [0, 1, 2, 3, 6, 99, None, "4"])
 def test_another_schema_version_is_refused(tiny_file, tmp_path, schema):
     header, tensors = parts(tiny_file)
     path = forge(tmp_path / "old.liaam", header | {"schema": schema}, tensors)
-    assert_refused(path, f"schema version {schema}, this liaam reads version 4; train the model again")
+    assert_refused(path, f"schema version {schema}, this liaam reads versions 4 and 5; train the model again")
 
 
 @pytest.mark.parametrize("size", [10**12, 2**62, 2**64 - 1])
@@ -490,6 +492,83 @@ def other_features(header, tensors):
     tensors["features.projection"] = tensors["features.projection"][:, :2].copy()
 
 
+def few_pixels(header, tensors):
+    """A file of a few bytes that asks for a whole frame."""
+    tensors["mesh/0/search.known"][:] = 0
+    tensors["mesh/0/search.known"][0] = 128
+
+
+def other_mask(header, tensors):
+    tensors["mesh/0/search.known"] = tensors["mesh/0/search.known"][:-1].copy()
+
+
+def negative_step(header, tensors):
+    tensors["mesh/0/search.steps"][0] = -1e-3
+
+
+def huge_step(header, tensors):
+    tensors["mesh/0/search.steps"][0] = 3e38
+
+
+def long_modes_at_some_pixels(header, tensors):
+    tensors["mesh/0/search.steps"] *= np.float32(1.2)
+
+
+def lost_steps(header, tensors):
+    del tensors["mesh/0/search.steps"]
+
+
+def other_steps(header, tensors):
+    tensors["mesh/0/search.steps"] = tensors["mesh/0/search.steps"][1:].copy()
+
+
+def few_places_of_light(header, tensors):
+    tensors["light.mean"] = tensors["mean"] / diagonal_of(tensors["mean"])
+    tensors["light.modes"], tensors["light.steps"] = np.zeros((1, 1, 3), np.int8), np.zeros(1, np.float32)
+    tensors["light.known"] = np.packbits(np.arange(128 * 128) < 1)
+
+
+ON_SOME_PIXELS = [
+    (few_pixels, "0/search has 1 of"),
+    (other_mask, "0/search.known has type uint8 and shape"),
+    (negative_step, "0/search.steps has values out of range"),
+    (huge_step, "0/search.steps has values out of range"),
+    (long_modes_at_some_pixels, "0/search.modes are not of unit length"),
+    (lost_steps, "0/search.steps"),
+    (other_steps, "0/search.steps has type float32 and shape"),
+    (few_places_of_light, "light has 1 of 16384 pixels; at least 10% are expected"),
+]
+
+
+def on_some_pixels(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    """The tiny model with what the search compares at all pixels but the first."""
+    model = load_model(path)
+    level = model.levels[0]
+    known = np.arange(model.n_pixels) > 0
+    search = level.appearances["search"].only_at(known)
+    level = replace(level, appearances={**level.appearances, "search": search})
+    model.with_view(MESH, levels=(level,)).save(path.with_name("some.liaam"))
+    return parts(path.with_name("some.liaam"))
+
+
+def test_pixels_that_are_not_stored_are_zero(tiny_file, tmp_path):
+    header, tensors = on_some_pixels(tiny_file)
+    loaded = load_model(forge(tmp_path / "some.liaam", header, tensors))
+    found, whole = (each.levels[0].appearances["search"] for each in (loaded, load_model(tiny_file)))
+    for axis, field in enumerate(("mean", "modes")):
+        ours, theirs = (np.moveaxis(getattr(each, field), axis, 0) for each in (found, whole))
+        assert not ours[0].any()
+        np.testing.assert_array_equal(ours[1:], theirs[1:])
+
+
+@pytest.mark.parametrize(("change", "match"), ON_SOME_PIXELS, ids=[change.__name__ for change, _ in ON_SOME_PIXELS])
+def test_a_forged_part_of_the_pixels_is_refused(tiny_file, tmp_path, change, match):
+    header, tensors = on_some_pixels(tiny_file)
+    tensors = {key: value.copy() for key, value in tensors.items()}
+    change(header, tensors)
+    assert_refused(forge(tmp_path / "forged.liaam", header, tensors), match)
+
+
 FORGERIES = [
     (map_of_other_landmarks, "points.weights has type"),
     (map_of_as_many_points, "points.weights do not map"),
@@ -541,7 +620,7 @@ FORGERIES = [
     (odd_response, "'film' is unknown"),
     (absurd_response, "1e30"),
     (many_images, "infinity"),
-    (other_pixels, "0/soft.modes has type float32 and shape"),
+    (other_pixels, "0/soft.modes has type int8 and shape"),
     (no_name, "name"),
     (overweight, "0/log.usable"),
     (bad_eigenvalue, "shape.eigenvalues"),
@@ -677,7 +756,7 @@ def set_usable(value):
 
 def set_variance(key, value):
     def change(header, tensors):
-        tensors[key][0, 1, 1] = value
+        tensors[key][(0, 1, 1) if tensors[key].ndim == 3 else (0, 3)] = value
 
     return change
 
@@ -713,7 +792,7 @@ def pixels(value):
         (entry("response", {"stored": [0.5]}), "response curve"),
         (pixels(1.5), "1.5 is not a positive integer"),
         (pixels(0), "0 is not a positive integer"),
-        (lambda header, tensors: tensors.pop("mesh/0/value.mean"), "view mesh lacks an appearance"),
+        (lambda header, tensors: tensors.pop("mesh/0/log.mean"), "view mesh lacks an appearance"),
         (lambda header, tensors: tensors.pop("mesh/0/value.modes"), "value.modes"),
     ],
 )

@@ -27,7 +27,7 @@ def subject() -> Subject:
 
 @pytest.fixture(scope="module")
 def own_model(subject) -> AAM:
-    return train(subject.pairs, WHOLE, camera=PAPER_CAMERA, prior="sample")
+    return train(subject.pairs, WHOLE, camera=PAPER_CAMERA, prior="sample", methods=["li", "grey"])
 
 
 @pytest.fixture(scope="module")

@@ -53,7 +53,7 @@ def test_other_objects_have_none(found, rng):
 
 
 def test_training_relights_faces_unless_told_otherwise(lamps_for_faces):
-    data, options = heads(4), {"diagonal": 40.0, "leave_out": False}
+    data, options = heads(4), {"diagonal": 40.0, "leave_out": False, "methods": "all"}
     lit, plain = train(data, **options), train(data, lamps=None, **options)
     assert (lit.n_lamps, lit.n_textures, plain.n_lamps) == (60, 16, 0)
     assert lit.light is not None and plain.light is None

@@ -16,11 +16,14 @@ from liaam.cli.photometry import calibrate, invariant, register_command
 from liaam.cli.relight import relight
 from liaam.cli.studio import studio
 from liaam.cli.terminal import make_app, run_app, say
-from liaam.cli.train import train
+from liaam.cli.train import compact, train
 from liaam.cli.video import track
 
 app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
-for command in (train, fit, batch, measure, track, relight, studio, check, lamps, show, info, methods, demo, invariant):
+for command in (
+    *(train, fit, batch, measure, track, relight, studio, check, lamps),
+    *(show, info, compact, methods, demo, invariant),
+):
     app.command()(command)
 app.command("register")(register_command)
 app.add_typer(calibrate, name="calibrate")

@@ -87,7 +87,9 @@ def count_modes(model: "AAM") -> str:
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
     """Describe a model as labels and texts."""
-    appearances = model.levels[-1].appearances
+    from liaam.fitting.held import methods_of
+
+    appearances = {k: v for view in model.views.values() for k, v in view.levels[-1].appearances.items()}
     spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
     width, height = model.frame.size
     more = {}
@@ -101,6 +103,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
+        "methods": ", ".join(methods_of(model)),
         **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",

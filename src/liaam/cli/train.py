@@ -13,6 +13,7 @@ from liaam.cli.inputs import (
     GroupOption,
     ImagesOption,
     LandmarkedFolder,
+    ModelFile,
     RecursiveOption,
     StoredOption,
     StrictOption,
@@ -39,6 +40,15 @@ MODEL_SUFFIX = ".liaam"
 AUTO = "auto"
 LAMP_WORDS: dict[str, Literal["auto"] | None] = {AUTO: AUTO, "none": None}
 """Values of --lamps that are neither a file nor a folder."""
+
+
+MethodsOption = Annotated[
+    str,
+    typer.Option(
+        help="Methods to fit with, besides soft-li, such as li,grey, or 'all'. Each makes the file larger; see "
+        "'liaam methods'."
+    ),
+]
 
 
 def train(
@@ -99,6 +109,7 @@ def train(
             "for its face mesh. Fits can then start from its points with --init, and weigh them in."
         ),
     ] = None,
+    methods: MethodsOption = "",
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -149,6 +160,7 @@ def train(
             lamps=light,
             copies=copies,
             points=points,
+            methods=parse_methods(methods),
             name=name or folder.name,
             leave_out=leave_out,
             progress=progress,
@@ -156,6 +168,32 @@ def train(
         )
     model.save(output)
     report(model, output, light, leave_out)
+
+
+def compact(
+    model_file: ModelFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
+    methods: MethodsOption = "",
+) -> None:
+    """Write a model again as a small file, which holds soft-li and the methods asked for.
+
+    It fits as before. Files of older versions of liaam hold all methods and are ten times as large.
+    """
+    from liaam.fitting.held import methods_of
+    from liaam.model import load_model
+    from liaam.training import compact as compact_model
+
+    check_model_name(output, model_file.with_suffix(""))
+    before, model = model_file.stat().st_size, compact_model(load_model(model_file), parse_methods(methods))
+    model.save(output)
+    sizes = f"{output.stat().st_size / 1e6:.1f} MB instead of {before / 1e6:.1f} MB"
+    say(f"{output}: {sizes}; fits with {', '.join(methods_of(model))}")
+
+
+def parse_methods(text: str) -> list[str] | Literal["all"]:
+    """Parse methods, separated by commas, or ``all``."""
+    names = [name for part in text.split(",") if (name := part.strip())]
+    return "all" if names == ["all"] else names
 
 
 def check_model_name(output: Path, folder: Path) -> None:

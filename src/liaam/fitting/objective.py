@@ -8,6 +8,7 @@ import numpy as np
 
 from liaam import _core
 from liaam.errors import MethodError
+from liaam.fitting.held import check_holds
 from liaam.fitting.level_image import LevelImage, correlated_pixels
 from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, gaussian_median
 from liaam.fitting.reference import CORRELATED, GRADIENT_ROWS, Problem
@@ -276,6 +277,16 @@ redundant: with every second row and column of its sharpest level instead of twi
 and the same person. Coarse levels need their pixels: with a quarter less, distant starts are lost."""
 
 
+def pixels_for(warp: PiecewiseAffineWarp, blur: float) -> np.ndarray:
+    """Return a mask of the pixels that fits at a level need: those sampled, and the rows and columns through them.
+
+    The gradients of the model's textures are those of splines along rows and columns.
+    """
+    pixels = warp.frame.pixels
+    sampled = pixels[warp.every(THINNING * blur)]
+    return np.isin(pixels[:, 0], sampled[:, 0]) | np.isin(pixels[:, 1], sampled[:, 1])
+
+
 def make_objectives(model: AAM, method: Method, thinning: float | None = None) -> tuple[Objective, ...]:
     """Make the objectives of a model and a method, one per level, coarse to fine.
 
@@ -299,7 +310,7 @@ def make_objectives(model: AAM, method: Method, thinning: float | None = None) -
             "use method 'soft-li' or 'grey'"
         )
     method = _encoded(model, method)
-    _check_holds(model, method)
+    check_holds(model, method)
     if thinning is None:
         thinning = 0.0 if method.encoding == "orientation" else THINNING
     return tuple(_objective(model, method, level, thinning) for level in model.views[method.view].levels)
@@ -346,23 +357,3 @@ def _encoded(model: AAM, method: Method) -> Method:
             "(train(..., features=function))"
         )
     return replace(method, encoding=Encoder(function, known))
-
-
-def _check_holds(model: AAM, method: Method) -> None:
-    """Raise an error if the model lacks what the method needs."""
-    if method.view not in model.views:
-        raise MethodError(
-            f"method {method.name}: the model has no view {method.view}; train it again, or use method "
-            f"'{'li' if model.is_colour else 'grey'}'"
-        )
-    for level in model.views[method.view].levels:
-        missing = {method.appearance, *(["illumination"] if method.illumination else [])} - set(level.appearances)
-        if missing & {"varied", "illumination"}:
-            raise MethodError(
-                f"method {method.name} needs a model trained on relit images; train it with lamps "
-                "and at least one copy of each image ('liaam train --lamps', or train(..., lamps=...))"
-            )
-        if missing:
-            raise MethodError(f"method {method.name}: the model has no appearance of this kind; train it again")
-        if method.loss == "learnt" and level.appearances[method.appearance].unexplained is None:
-            raise MethodError(f"method {method.name}: the model has no variances of its errors; train it again")

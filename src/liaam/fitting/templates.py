@@ -22,9 +22,6 @@ TEMPLATE = 40.0
 """Diagonal of the reduced model, pixels. Measured on ``imm``: 48 finds no more faces and takes 1.5 times as long, 32
 misses turned faces."""
 
-MODES = 15
-"""Number of appearance modes of the reduced model; with more, it also explains other objects."""
-
 TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-20.0, -10.0, 0.0, 10.0, 20.0),
     "all": tuple(np.arange(-180.0, 180.0, 15.0).tolist()),
@@ -189,10 +186,10 @@ def spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarra
 
 def is_searchable(model: AAM) -> bool:
     """Return whether a model has the gradient orientations that the search needs."""
-    return "orientation" in model.levels[0].appearances
+    return "search" in model.levels[0].appearances
 
 
-def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
+def shrink(model: AAM, diagonal: float = TEMPLATE) -> AAM:
     """Reduce a model to the orientations of its coarsest level, on a smaller reference frame.
 
     Parameters
@@ -200,8 +197,6 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
     model : AAM
     diagonal : float
         Diagonal of the mean shape's bounding box, pixels; a smaller model keeps its size.
-    n_modes : int
-        Largest number of appearance modes.
 
     Returns
     -------
@@ -218,7 +213,7 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
         raise MethodError(
             "the model has no gradient orientations, which the search needs; train it again, or give a start (--init)"
         )
-    own, shapes = level.appearances["orientation"], model.shape_model
+    own, shapes = level.appearances["search"], model.shape_model
     factor = min(1.0, diagonal / model.diagonal)
     frame = ReferenceFrame(shapes.mean * factor, model.triangles)
     at = (frame.pixels[:, ::-1] + frame.origin) / factor
@@ -228,8 +223,8 @@ def shrink(model: AAM, diagonal: float = TEMPLATE, n_modes: int = MODES) -> AAM:
 
     appearance = AppearanceModel(
         mean=reduced(own.mean),
-        modes=np.array([reduced(mode) for mode in own.modes[:n_modes]], np.float32).reshape(-1, len(at), 2),
-        eigenvalues=own.eigenvalues[:n_modes],
+        modes=np.array([reduced(mode) for mode in own.modes], np.float32).reshape(-1, len(at), 2),
+        eigenvalues=own.eigenvalues,
         usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
     )
     small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2)

@@ -19,6 +19,7 @@ from liaam.io.files import count_of, json_object
 from liaam.io.tensors import Shapes, read_tensors
 from liaam.model.file import LAMPS_FORMAT
 from liaam.model.light import BRIGHTEST, SIDE, LightBasis
+from liaam.model.rounding import rounded
 from liaam.model.shape import align
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
@@ -141,8 +142,8 @@ class Lamps:
         modes = np.concatenate([_modes(fields), tints])
         brightness = np.sort(fields[: len(self)].mean(axis=3)[:, inside], axis=1)
         levels = [0.0, *brightness[:, -max(1, int(BRIGHTEST * inside.sum())) :].mean(axis=1)]
-        halves = (each.astype(np.float16) for each in (modes, remainder, np.array(levels)))
-        return LightBasis(self.mean, *halves)
+        halves = (each.astype(np.float16) for each in (remainder, np.array(levels)))
+        return LightBasis(self.mean, rounded(modes), *halves)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the lamps as one safetensors file, atomically.

@@ -49,6 +49,8 @@ class AAM:
     features : Features, optional
         What is known of the function whose channels the appearance ``features`` holds. The function itself is given
         with the method (:func:`liaam.fitting.features_method`).
+    is_colour : bool
+        Whether the model was trained on colour images.
     """
 
     views: dict[str, View]
@@ -63,6 +65,7 @@ class AAM:
     light: LightBasis | None = None
     points: PointMap | None = None
     features: Features | None = None
+    is_colour: bool = True
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
@@ -120,11 +123,6 @@ class AAM:
     def diagonal(self) -> float:
         """Diagonal of the mean shape's bounding box, pixels of the reference frame."""
         return self.shape_model.diagonal
-
-    @property
-    def is_colour(self) -> bool:
-        """Whether the model was trained on colour images."""
-        return "invariant" in self.levels[-1].appearances
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the model as one safetensors file, atomically.

@@ -1,7 +1,7 @@
 """Appearance models: PCA of textures sampled on the reference frame (paper eq 4)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ CHANNELS = {
     "value": 3,
     "log": 3,
     "orientation": 2,
+    "search": 2,
     "soft": 3,
     "invariant": 1,
     "varied": 3,
@@ -22,6 +23,7 @@ CHANNELS = {
 """Appearances that a model can contain, and their numbers of channels.
 
 - ``value``, ``log``, ``orientation``: in the encoding of that name.
+- ``search``: the strongest modes of ``orientation`` at the coarsest level, for the search.
 - ``soft``: the two components of the softly normalised gradient, and L(theta) . log RGB, which are correlated.
 - ``invariant``: L(theta) . log RGB, projected before the PCA (the paper's LIT).
 - ``varied``: values of the images and of their relit copies in one PCA (the paper's [11]).
@@ -31,10 +33,10 @@ CHANNELS = {
   (:mod:`liaam.photometry.features`).
 """
 
-APPEARANCES = tuple(name for name in CHANNELS if name != "illumination")
+APPEARANCES = tuple(name for name in CHANNELS if name not in ("illumination", "search"))
 """Appearances that a method can compare an image with."""
 
-COPIED_APPEARANCES = ("orientation", "soft", "varied", "illumination")
+COPIED_APPEARANCES = ("orientation", "search", "soft", "varied", "illumination")
 """Appearances learnt from the training images and their copies. The others are learnt from the images only."""
 
 
@@ -73,9 +75,42 @@ class AppearanceModel:
         unexplained = None if unexplained is None else unexplained[kept]
         return AppearanceModel(self.mean[kept], modes, self.eigenvalues, self.usable[kept], unexplained)
 
+    @property
+    def known(self) -> np.ndarray:
+        """Mask of the pixels at which not everything is 0, (n_pixels,) bool."""
+        known = self.mean.any(axis=1) | self.modes.any(axis=(0, 2)) | (self.usable > 0)
+        return known if self.unexplained is None else known | self.unexplained.any(axis=(1, 2))
+
+    def only_at(self, known: np.ndarray) -> "AppearanceModel":
+        """Return the appearances with 0, which no fit uses, at all pixels but those of a mask."""
+        return self.at(np.flatnonzero(known)).spread(known)
+
+    def spread(self, known: np.ndarray) -> "AppearanceModel":
+        """Return the appearances on all pixels of a frame, from those of a mask (n_pixels,); elsewhere they are 0."""
+        errors = None if self.unexplained is None else spread(self.unexplained, known)
+        modes = spread(self.modes, known, axis=1)
+        return AppearanceModel(spread(self.mean, known), modes, self.eigenvalues, spread(self.usable, known), errors)
+
     def texture(self, lam: np.ndarray) -> np.ndarray:
         """Return the texture A(x) at coordinates lambda, (n_pixels, c) float32."""
         return self.mean + np.tensordot(np.asarray(lam, dtype=np.float32), self.modes, axes=1)
+
+
+SEARCHED_MODES = 15
+"""Number of modes of ``search``; with more, the reduced model of the search also explains other objects."""
+
+
+def strongest_modes(orientations: AppearanceModel) -> AppearanceModel:
+    """Return the appearance ``search`` of the appearance ``orientation``."""
+    modes, eigenvalues = orientations.modes[:SEARCHED_MODES], orientations.eigenvalues[:SEARCHED_MODES]
+    return replace(orientations, modes=modes, eigenvalues=eigenvalues, unexplained=None)
+
+
+def spread(values: np.ndarray, known: np.ndarray, axis: int = 0) -> np.ndarray:
+    """Return values along an axis of known places as values of all places; elsewhere they are 0."""
+    whole = np.zeros((*values.shape[:axis], len(known), *values.shape[axis + 1 :]), values.dtype)
+    whole[(slice(None),) * axis + (known,)] = values
+    return whole
 
 
 FILLING_PASSES = 5

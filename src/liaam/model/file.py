@@ -10,10 +10,11 @@ import numpy as np
 
 from liaam.errors import LiaamError, ModelFileError
 from liaam.io.files import json_object, writable
-from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel
+from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel, spread, strongest_modes
 from liaam.model.light import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
 from liaam.model.point_map import LEAST_NOISE, PointMap
+from liaam.model.rounding import decoded, encoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
 from liaam.photometry import CameraModel, camera_from, describe_response, parse_response
@@ -23,8 +24,11 @@ if TYPE_CHECKING:
     from liaam.model.aam import AAM
 
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Version of the format; increased when its meaning changes."""
+
+READABLE = (4, 5)
+"""Versions that are read. Version 4 has the appearances of all methods, modes in single precision."""
 
 MAX_DIAGONAL = 2000.0
 """Largest diagonal of a reference frame, pixels."""
@@ -47,16 +51,18 @@ MAX_BLUR, MAX_LEVELS = 10.0, 10
 MAX_LIGHTS = 100
 """Largest number of modes of a light basis."""
 
+LEAST_SHARE = 0.1
+"""Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest."""
+
 STORED = {
-    "light": ("mean", "modes", "remainder", "levels"),
+    "light": ("mean", "remainder", "levels"),
     "points": ("weights", "errors", "noise"),
     "features": ("mean", "projection"),
     "shape": ("modes", "eigenvalues", "unexplained"),
     "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical"),
-    "appearance": ("mean", "modes", "eigenvalues", "usable", "unexplained"),
 }
 """Tensors of each part of a model: a light basis, a map from another landmarker's points, a function's channels, and
-those of a view."""
+those of a view. Those of appearances and of the modes of light are in functions below."""
 
 MOST_WEIGHT = 1e6
 """Largest weight of such a point."""
@@ -108,6 +114,7 @@ def _header(model: "AAM") -> dict:
         "n_images": model.n_images,
         "n_textures": model.n_textures,
         "n_lamps": model.n_lamps,
+        "colour": model.is_colour,
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "landmark_names": list(model.landmark_names),
         "name": model.name,
@@ -124,11 +131,62 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
             (f"{name}/reliability", view.reliability, "reliability"),
         ]
         for i, level in enumerate(view.levels):
-            parts += [(f"{name}/{i}/{kind}", each, "appearance") for kind, each in level.appearances.items()]
+            for kind, appearance in level.appearances.items():
+                tensors |= {f"{name}/{i}/{kind}.{k}": v for k, v in _appearance_tensors(appearance).items()}
     for prefix, owner, kind in parts:
         if owner is not None:
             tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in STORED[kind]}
+    if model.light is not None:
+        tensors |= {f"light.{key}": value for key, value in _light_tensors(model.light.modes).items()}
     return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
+
+
+def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | None]:
+    """Return the tensors that hold an appearance exactly, as few and as narrow as that is possible."""
+    known = appearance.known
+    if known.sum() < LEAST_SHARE * len(known):
+        known = np.ones(len(known), bool)
+    errors = appearance.unexplained
+    return {
+        "known": None if known.all() else np.packbits(known),
+        "mean": _half_if_exact(appearance.mean[known]),
+        **_mode_tensors(appearance.modes[:, known]),
+        "eigenvalues": appearance.eigenvalues,
+        "usable": _half_if_exact(appearance.usable[known]),
+        "unexplained": None if errors is None else _half_if_exact(_upper(errors[known])),
+    }
+
+
+def _light_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the tensors of the modes of light (k, side, side, 3), which are 0 far from the object."""
+    known = modes.any(axis=(0, 3))
+    return {"known": np.packbits(known), **_mode_tensors(modes[:, known])}
+
+
+def _mode_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
+    """Return modes rounded to 8 bits as codes and steps, and others in 16 bits if that is exact, or as they are."""
+    found = encoded(modes)
+    return {"modes": _half_if_exact(modes)} if found is None else dict(zip(("modes", "steps"), found, strict=True))
+
+
+def _half_if_exact(values: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        half = values.astype(np.float16)
+    return half if np.array_equal(half, values) else values
+
+
+def _upper(matrices: np.ndarray) -> np.ndarray:
+    """Return the upper triangles (n, c (c + 1) / 2), row by row, of symmetric matrices (n, c, c)."""
+    rows, columns = np.triu_indices(matrices.shape[1])
+    return matrices[:, rows, columns]
+
+
+def _symmetric(upper: np.ndarray, c: int) -> np.ndarray:
+    """Return the symmetric matrices (n, c, c) of upper triangles."""
+    rows, columns = np.triu_indices(c)
+    matrices = np.empty((len(upper), c, c), upper.dtype)
+    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
+    return matrices
 
 
 def _checked_header(path: Path, text: str) -> dict:
@@ -140,9 +198,10 @@ def _checked_header(path: Path, text: str) -> dict:
         )
     if header.get("format") != FORMAT:
         raise ModelFileError(f"{path}: this safetensors file is not a liaam model; make one with 'liaam train'")
-    if header.get("schema") != SCHEMA_VERSION:
+    if header.get("schema") not in READABLE:
+        readable = " and ".join(map(str, READABLE))
         raise ModelFileError(
-            f"{path}: the model has schema version {header.get('schema')}, this liaam reads version {SCHEMA_VERSION}; "
+            f"{path}: the model has schema version {header.get('schema')}, this liaam reads versions {readable}; "
             "train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
         )
     return header
@@ -172,8 +231,9 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     features = _features(header, tensors)
     channels = CHANNELS if features is None else {**CHANNELS, "features": features.width}
     sizes = {name: (channels[name], count) for name, count in counts.items()}
+    made = {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()}
     return {
-        "views": {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()},
+        "views": made,
         "triangles": triangles,
         "camera": _camera(header),
         "n_images": n_images,
@@ -185,14 +245,19 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "light": _light(tensors, n) if "light.modes" in tensors else None,
         "points": _point_map(tensors, n),
         "features": features,
+        "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
     }
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     mean = _tensor(tensors, "light.mean", np.float64, (n, 2))
-    modes = _tensor(tensors, "light.modes", np.float16, (None, SIDE, SIDE, 3))
+    known = _known(tensors, "light", SIDE * SIDE)
+    square = (SIDE, SIDE) if known is None else (int(known.sum()),)
+    modes = _modes(tensors, "light", (None, *square, 3))
     if not 1 <= len(modes) <= MAX_LIGHTS:
         raise ValueError(f"light.modes has shape {modes.shape}")
+    if known is not None:
+        modes = spread(modes, known, axis=1).reshape(-1, SIDE, SIDE, 3)
     remainder = _tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
     levels = _optional(tensors, "light.levels", np.float16, (None,))
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
@@ -253,9 +318,11 @@ def _view(
     for i, blur in enumerate(blurs):
         names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
         found = {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
+        if name == MESH and i == 0 and "search" not in found and "orientation" in found:
+            found["search"] = strongest_modes(found["orientation"])
         levels.append(Level(blur, found))
-    needed = {"value", "log"} if name == MESH else set()
-    if not all(level.appearances and needed <= set(level.appearances) for level in levels):
+    # The drawings of a model and the light on its object need the logarithms of the sharpest level.
+    if "log" not in levels[-1].appearances if name == MESH else not all(level.appearances for level in levels):
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
@@ -309,20 +376,64 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
 def _appearance(
     tensors: dict[str, np.ndarray], prefix: str, n_pixels: int, channels: int, n_textures: int
 ) -> AppearanceModel:
-    modes = _tensor(tensors, f"{prefix}.modes", np.float32, (None, n_pixels, channels))
+    known = _known(tensors, prefix, n_pixels)
+    n = n_pixels if known is None else int(known.sum())
+    modes = _modes(tensors, prefix, (None, n, channels))
     # More modes than images would need more memory in a fit than the file's size suggests.
     most = min(n_pixels * channels, n_textures)
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
-    if not _are_unit(modes.reshape(len(modes), n_pixels * channels)):
+    if not _are_unit(modes.reshape(len(modes), n * channels), at_most=known is not None):
         raise ValueError(f"{prefix}.modes are not of unit length")
-    return AppearanceModel(
-        mean=_tensor(tensors, f"{prefix}.mean", np.float32, (n_pixels, channels)),
+    appearance = AppearanceModel(
+        mean=_half_or_single(tensors, f"{prefix}.mean", (n, channels)),
         modes=modes,
         eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
-        usable=_tensor(tensors, f"{prefix}.usable", np.float32, (n_pixels,)),
-        unexplained=_optional(tensors, f"{prefix}.unexplained", np.float32, (n_pixels, channels, channels)),
+        usable=_half_or_single(tensors, f"{prefix}.usable", (n,)),
+        unexplained=_unexplained(tensors, f"{prefix}.unexplained", n, channels),
     )
+    return appearance if known is None else appearance.spread(known)
+
+
+def _known(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.ndarray | None:
+    """Mask of the pixels that are stored, (n_pixels,) bool; None if all are."""
+    if f"{prefix}.known" not in tensors:
+        return None
+    bits = _tensor(tensors, f"{prefix}.known", np.uint8, (-(-n_pixels // 8),))
+    known = np.unpackbits(bits, count=n_pixels).astype(bool)
+    if known.sum() < LEAST_SHARE * n_pixels:
+        raise ValueError(f"{prefix} has {known.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
+    return known
+
+
+def _unexplained(tensors: dict[str, np.ndarray], key: str, n: int, c: int) -> np.ndarray | None:
+    """Covariances (n, c, c), stored as upper triangles or, by version 4, as matrices."""
+    if key not in tensors:
+        return None
+    if tensors[key].ndim == 3:
+        found = _half_or_single(tensors, key, (n, c, c))
+    else:
+        found = _symmetric(_half_or_single(tensors, key, (n, c * (c + 1) // 2)), c)
+    _check_variances(key, found)
+    return found
+
+
+def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple) -> np.ndarray:
+    """Modes in single precision; they are stored as codes and steps, or in 16 or 32 bits."""
+    key = f"{prefix}.modes"
+    if tensors[key].dtype != np.int8:
+        return _half_or_single(tensors, key, shape)
+    codes = _tensor(tensors, key, np.int8, shape)
+    steps = _tensor(tensors, f"{prefix}.steps", np.float32, (len(codes),))
+    if (steps < 0).any() or steps.max(initial=0.0) > 1.0:
+        raise ValueError(f"{prefix}.steps has values out of range")
+    return decoded(codes, steps)
+
+
+def _half_or_single(tensors: dict[str, np.ndarray], key: str, shape: tuple) -> np.ndarray:
+    """A tensor in 16 or 32 bits, in single precision."""
+    dtype = np.float16 if tensors[key].dtype == np.float16 else np.float32
+    return _tensor(tensors, key, dtype, shape).astype(np.float32, copy=False)
 
 
 def _optional(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray | None:
@@ -342,16 +453,22 @@ def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple)
         key.endswith("usable") and (tensor > 1).any()
     ):
         raise ValueError(f"{key} has values out of range")
-    if key.endswith(("unexplained", "landmarks", "bias")) and (np.diagonal(tensor, axis1=1, axis2=2) < 0).any():
-        raise ValueError(f"{key} has negative variances")
+    if key.endswith(("shape.unexplained", "landmarks", "bias")):
+        _check_variances(key, tensor)
     return tensor
 
 
-def _are_unit(modes: np.ndarray) -> bool:
-    """Whether modes (m, d) have unit length."""
+def _check_variances(key: str, matrices: np.ndarray) -> None:
+    if (np.diagonal(matrices, axis1=1, axis2=2) < 0).any():
+        raise ValueError(f"{key} has negative variances")
+
+
+def _are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
+    """Whether modes (m, d) have unit length, or at most that if a part of them is not stored."""
     if np.abs(modes).max(initial=0.0) > 2.0:  # the squares might overflow
         return False
-    return bool((np.abs(np.einsum("md,md->m", modes, modes) - 1.0) < UNIT).all())
+    beyond = np.einsum("md,md->m", modes, modes) - 1.0
+    return bool(((beyond if at_most else np.abs(beyond)) < UNIT).all())
 
 
 def _finite(value: float) -> float:

@@ -22,7 +22,7 @@ class LightBasis:
     ----------
     mean : (n, 2) float64
         Mean shape. The centre of its bounding box is the origin, and the diagonal 1.
-    modes : (k, side, side, 3) float16
+    modes : (k, side, side, 3) float32
         Each is one standard deviation of log light.
     remainder : (side, side) float16
         Standard deviation of the remainder's brightness, on objects (or lamps, of a single object) that were left out

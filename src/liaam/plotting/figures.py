@@ -10,7 +10,7 @@ from liaam.drawing import as_picture
 from liaam.io import atomic_path
 from liaam.lamps import Lamps
 from liaam.model import AAM
-from liaam.photometry import linear_to_srgb
+from liaam.photometry import invariant, linear_to_srgb
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -126,23 +126,20 @@ def figure_of_fits(
 
 def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     """Draw the mean appearance, the mesh, and the first shape and appearance modes (two standard deviations)."""
-    shape_model, appearances = model.shape_model, model.levels[-1].appearances
-    appearance = appearances["value"]
+    shape_model, appearance = model.shape_model, model.levels[-1].appearances["log"]
     shown = max(1, min(n_modes, max(len(shape_model.modes), appearance.n_modes)))
     figure, axes = subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
-    mean = model.frame.picture(appearance.mean, 1.0)
+    mean = _stored(model, appearance.mean)
     show_picture(axes[0, 0], mean, "mean appearance")
     show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
     axes[1, 0].triplot(*(shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
-    show_picture(
-        axes[0, 1], model.frame.picture(linear_to_srgb(np.exp(appearances["log"].mean)), 1.0), "mean log image"
-    )
+    axes[0, 1].axis("off")
     axes[1, 1].axis("off")
     if model.is_colour:
-        values = model.frame.picture(appearances["invariant"].mean[:, 0], np.nan)
+        values = model.frame.picture(invariant(appearance.mean, model.theta), np.nan)
         # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
-        axes[1, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
-        axes[1, 1].set_title("mean invariant", fontsize=10)
+        axes[0, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
+        axes[0, 1].set_title("mean invariant", fontsize=10)
     for i in range(shown):
         _show_shape_mode(axes[0, 2 + i], model, i)
         _show_appearance_mode(axes[1, 2 + i], model, i)
@@ -171,14 +168,19 @@ def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
 
 def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
     axis.axis("off")
-    appearance = model.levels[-1].appearances["value"]
+    appearance = model.levels[-1].appearances["log"]
     if i >= appearance.n_modes:
         return
     step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
-    pair = [model.frame.picture(appearance.mean + sign * step, 1.0) for sign in (-1, 1)]
+    pair = [_stored(model, appearance.mean + sign * step) for sign in (-1, 1)]
     half = pair[0].shape[1] // 2
     halves = np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1)
     show_picture(axis, halves, f"appearance mode {i + 1}, −2 | +2 sd")
+
+
+def _stored(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
+    """Return the picture (h, w, 3) of logarithms of light (n_pixels, 3) on the reference frame."""
+    return model.frame.picture(linear_to_srgb(np.minimum(np.exp(log_rgb), 1.0)), 1.0)
 
 
 LAMPS_DRAWN, LAMPS_ACROSS = 47, 8

@@ -10,6 +10,7 @@ from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.level_image import correlated_pixels
 from liaam.fitting.picture import load_picture
+from liaam.model import MESH
 from liaam.photometry.encoding import refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
@@ -74,7 +75,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
     if method.appearance == "soft":  # use the invariant alone, as 'li' does
         image, name = load_picture(image, "image")
         refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
-        fitter, result = _by_invariant(fitter), replace(result, theta=np.nan)
+        fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
     seen, known = fitter.solution_at(image, result), fitter.view.levels[-1].appearances["log"]
     n, eigenvalues = known.n_modes, known.eigenvalues
     if not seen["weight"] > 0:  # no pixel is usable: return the prior
@@ -95,9 +96,12 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
 
 
 @lru_cache(maxsize=4)
-def _by_invariant(fitter: Fitter) -> Fitter:
-    """Return a fitter by the invariant alone; its preparation takes as long as the appearance of an image."""
-    return replace(fitter, method="li")
+def by_invariant(fitter: Fitter) -> Fitter:
+    """Return a fitter by the invariant alone, of the sharpest level: models need not have ``log`` at the others.
+
+    Its preparation takes as long as the appearance of an image.
+    """
+    return replace(fitter, model=fitter.model.with_view(MESH, levels=fitter.model.levels[-1:]), method="li")
 
 
 def check_method(fitter: Fitter, result: FitResult) -> None:

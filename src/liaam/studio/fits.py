@@ -20,11 +20,13 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, point_error
 from liaam.fitting.fitter import LEAST_QUALITY, Fitter
+from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
 from liaam.fitting.search import Candidate
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
+from liaam.photometry import linear_to_srgb
 from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
 from liaam.studio.model_store import ModelInUse, ModelStore
@@ -191,7 +193,7 @@ class Fits:
         if current is None or self._fitters.peek((id(current.model), DEFAULT_METHOD, False)) is not None:
             return
         image = example(current.model, WARM_UP)
-        searcher, fitter = self._fitter(current, "igo", False), self._fitter(current, DEFAULT_METHOD, False)
+        searcher, fitter = self._searcher(current, False), self._fitter(current, DEFAULT_METHOD, False)
         result = fitter.fit(image, searcher.find(image)[0])
         layers.residual_of(fitter, image, result)
         if layers.why_not_flat(fitter, image, result) is None:
@@ -350,9 +352,13 @@ class Fits:
 
     def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Candidate:
         """Search for the object; all methods share one search."""
-        searcher = self._fitter(current, "igo", source.raw)
+        searcher = self._searcher(current, source.raw)
         key = (source.name, source.tag, current.number)
         return self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
+
+    def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
+        """Return a fitter by any method of the model."""
+        return self._fitter(current, (*methods_of(current.model), DEFAULT_METHOD)[0], raw)
 
     def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:
         # A fitter holds its model, so that the id is not used again. A model may be prepared before it has a number.
@@ -375,8 +381,7 @@ def _soon(name: str, work: Callable[[], Any]) -> threading.Thread:
 
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:
     """Return an image of a model's mean appearance on grey, (h, w, 3) uint8."""
-    mean = np.clip(model.levels[-1].appearances["value"].mean, 0.0, 1.0)
-    mean = np.broadcast_to(mean, (len(mean), 3))
+    mean = linear_to_srgb(np.clip(np.exp(model.levels[-1].appearances["log"].mean), 0.0, 1.0))
     height, width = size
     shape = model.shape_model.mean * (0.6 * height / diagonal_of(model.shape_model.mean)) + (width / 2, height / 2)
     painted, inside = paint(np.broadcast_to(0, (height, width, 3)), shape, model, mean)

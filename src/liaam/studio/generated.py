@@ -45,7 +45,8 @@ def trained(calibrate: bool = False) -> AAM:
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.training import train
 
-    model = train(load_folder(TRAINING), leave_out=calibrate, lamps=None, name="generated heads", progress=False)
+    options = {"lamps": None, "methods": "all", "name": "generated heads", "progress": False}
+    model = train(load_folder(TRAINING), leave_out=calibrate, **options)
     if calibrate:
         return model
     known = json.loads(CALIBRATION.read_bytes())

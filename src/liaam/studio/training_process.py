@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 LEAST = 3
 """Minimum number of pictures for training."""
 
-OPTIONS: dict[str, Any] = {"prior": "smooth"}
+OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
 """Options of training. ``smooth`` shapes work best with few annotated pictures."""
 
 

@@ -13,6 +13,7 @@ from liaam.fitting import FitResult, Fitter
 from liaam.model.shape import diagonal_of
 from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.relighting import paint, shadow_free
+from liaam.relighting.appearance import by_invariant
 from liaam.relighting.painting import REACH, soft_edge
 
 CHANGE = 0.1
@@ -44,7 +45,7 @@ class ShadingRemover:
                 "the model was trained on grey images, and estimating shading needs colour; train on colour images"
             )
         # soft-li determines the appearance from the invariant.
-        self._log = replace(self.fitter, method="li") if method.appearance == "soft" else self.fitter
+        self._log = by_invariant(self.fitter) if method.appearance == "soft" else self.fitter
         self._weights = soft_edge(model)
 
     def reset(self) -> None:

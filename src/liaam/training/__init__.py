@@ -1,7 +1,8 @@
 """Train an active appearance model from landmarked images."""
 
+from liaam.training.kept import compact
 from liaam.training.options import TrainingOptions
 from liaam.training.textures import sample_appearance
 from liaam.training.train import train
 
-__all__ = ["TrainingOptions", "sample_appearance", "train"]
+__all__ = ["TrainingOptions", "compact", "sample_appearance", "train"]

@@ -97,7 +97,7 @@ def _without(
     recipe, variance, appearance_variance = learnt
     others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
     view, levels, rows = model.views[name], [], sampled.rows("soft", others)
-    for level, textures in zip(view.levels, sampled.textures["soft"], strict=True):
+    for level, textures in zip(view.levels, sampled.textures["soft"].values(), strict=True):
         whole = level.appearances["soft"]
         kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
         part = train_appearance_model(textures, kept, rows, left_out=None)

@@ -12,6 +12,7 @@ from liaam.model import MESH, SURROUNDINGS
 from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS
 from liaam.model.pca import Variance, check_variance
 from liaam.model.shape import check_prior
+from liaam.training.kept import Methods, chosen
 
 Blurs = tuple[float, ...]
 
@@ -74,6 +75,8 @@ class TrainingOptions:
         Relit copies of each image that the default method, the search, ``varied`` and ``aia`` also learn from. Every
         other copy is mirrored if the object is symmetric; without lamps there is one mirrored copy. With many
         images there are fewer copies of each. Default: 3, or 0 if all of the variance is kept.
+    methods : names or Methods, or "all"
+        Methods to fit with, besides the default ``soft-li``. Each makes training longer and the model file larger.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
@@ -86,6 +89,7 @@ class TrainingOptions:
     blurs: Blurs | Mapping[str, Blurs] | None = None
     triangles: np.ndarray | None = None
     copies: int | None = None
+    methods: Methods = ()
     leave_out: bool = True
 
     def __post_init__(self) -> None:
@@ -100,6 +104,7 @@ class TrainingOptions:
             raise TrainingError(
                 f"diagonal {self.diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
             )
+        chosen(self.methods)
         for prior in self.priors(0).values():
             check_prior(prior)
         for view, blurs in self.blurs_by_view.items():

@@ -6,12 +6,13 @@ import numpy as np
 
 from liaam.fitting.methods import ENCODING_OF
 from liaam.lamps import Copies
-from liaam.model import AAM, MESH, SURROUNDINGS
+from liaam.model import AAM
 from liaam.model.appearance import (
     CHANNELS,
     COPIED_APPEARANCES,
     AppearanceModel,
     Textures,
+    strongest_modes,
     train_appearance_model,
     train_illumination,
 )
@@ -26,20 +27,22 @@ from liaam.training.entries import Entry
 from liaam.training.options import Blurs
 from liaam.training.steps import Steps
 
-SAMPLED = {MESH: ("value", "log", "orientation", "varied", "features"), SURROUNDINGS: ("soft",)}
-"""Appearances of each view for which images are sampled; ``varied`` only with relit copies, ``features`` only with a
-function of the user."""
+SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
+"""Appearances that are learnt from the textures of another."""
+
+Wanted = dict[str, list[list[str]]]
+"""Names of the appearances to learn, by view and level."""
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """Textures of all samples by appearance, one per blur, and whether all images are grey.
+    """Textures of all samples by appearance and level, and whether all images are grey.
 
     ``owners`` (n_textures,) is the sample of each texture of :data:`COPIED_APPEARANCES`; copies follow their sample.
     ``coloured`` (m,) are the samples of the other appearances: those in colour, or all if all are grey.
     """
 
-    textures: dict[str, list[Textures]]
+    textures: dict[str, dict[int, Textures]]
     owners: np.ndarray
     coloured: np.ndarray
     grey: bool
@@ -70,28 +73,40 @@ def sample_all(
     grey: np.ndarray,
     model: AAM,
     blurs: dict[str, Blurs],
+    wanted: Wanted,
     steps: Steps,
     copied: Copies,
     encoder: Encoder | None = None,
 ) -> Sampled:
-    """Sample the textures of all entries and their copies at each blur of the views' levels.
+    """Sample the textures of all entries and their copies at the views' levels, for the appearances to learn.
+
+    ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user.
 
     Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
     """
     camera, owners = model.camera, copied.owners
     coloured = np.arange(len(entries)) if grey.all() else np.flatnonzero(~grey)
     absent = {"varied": not copied.are_relit, "features": encoder is None}
-    view_of = {name: view for view, known in SAMPLED.items() for name in known if not absent.get(name)}
+    levels: dict[str, list[int]] = {}
+    view_of: dict[str, str] = {}
+    for view, by_level in wanted.items():
+        for level, names in enumerate(by_level):
+            for name in dict.fromkeys(SOURCES.get(name, name) for name in names):
+                if not absent.get(name):
+                    view_of[name] = view
+                    levels.setdefault(name, []).append(level)
     channels = CHANNELS if encoder is None else {**CHANNELS, "features": encoder.width}
     counts = {name: len(owners) if name in COPIED_APPEARANCES else len(coloured) for name in view_of}
     warps = {name: model.views[view].warp for name, view in view_of.items()}
     room = {
-        name: [_room(n, warps[name], name, channels[name]) for _ in blurs[view_of[name]]] for name, n in counts.items()
+        name: {level: _room(n, warps[name], name, channels[name]) for level in levels[name]}
+        for name, n in counts.items()
     }
 
     def sample(image: np.ndarray, points: np.ndarray, name: str, row: int, colour: bool) -> None:
         encoding = encoder if encoder is not None and name == "features" else ENCODING_OF[name]
-        for (values, usable), blur in zip(room[name], blurs[view_of[name]], strict=True):
+        for level, (values, usable) in room[name].items():
+            blur = blurs[view_of[name]][level]
             found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
             values[row], usable[row] = _learnt(encoding, *found, camera.theta, colour)
 
@@ -109,7 +124,7 @@ def sample_all(
             steps.next(f"a copy of {entry.name}")
             for name in copied_names:
                 sample(copy, points, name, row, not grey[i])
-    textures = {name: [Textures.of(*each) for each in by_blur] for name, by_blur in room.items()}
+    textures = {name: {i: Textures.of(*each) for i, each in by_level.items()} for name, by_level in room.items()}
     return Sampled(textures, owners, coloured, bool(grey.all()))
 
 
@@ -156,20 +171,27 @@ def sample_appearance(
 
 
 def level_appearances(
-    sampled: Sampled, view: str, level: int, theta: float, variance: Variance, folds: list[np.ndarray]
+    sampled: Sampled, names: list[str], level: int, theta: float, variance: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
-    """Learn all appearances of one level of a view."""
-    textures = {name: sampled.textures[name][level] for name in SAMPLED[view] if name in sampled.textures}
-    if "log" in textures and not sampled.grey:
-        # LIT: project first, then learn (paper section 4).
-        log = textures["log"]
-        textures["invariant"] = Textures.of(log.values @ invariant_row(theta).T.astype(np.float32), log.usable)
+    """Learn the appearances of the given names at one level of a view, as far as images were sampled for them."""
     appearances, every = {}, some_folds(sampled.n_samples)
-    for name, each in textures.items():
-        kept = count_by_evidence(each.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
-        appearances[name] = train_appearance_model(each, kept, left_out=sampled.folds(name, every))
-    if "varied" in textures:
-        # Evidence from left-out images under the training light cannot choose the number of illumination modes.
-        kept, relit = 0.98 if variance == "auto" else variance, textures["varied"].of_rows(sampled.copies)
-        appearances["illumination"] = train_illumination(appearances["value"], relit, kept)
+    for name in names:
+        source = sampled.textures.get(SOURCES.get(name, name), {})
+        if level not in source or (name == "invariant" and sampled.grey):
+            continue
+        textures = source[level]
+        if name == "illumination":
+            # Evidence from left-out images under the training light cannot choose the number of illumination modes.
+            kept = 0.98 if variance == "auto" else variance
+            relit = textures.of_rows(sampled.copies)
+            appearances[name] = train_illumination(appearances["value"], relit, kept)
+            continue
+        if name == "invariant":
+            # LIT: project first, then learn (paper section 4).
+            textures = Textures.of(textures.values @ invariant_row(theta).T.astype(np.float32), textures.usable)
+        kept = count_by_evidence(textures.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
+        if name == "search":
+            appearances[name] = strongest_modes(train_appearance_model(textures, kept))
+        else:
+            appearances[name] = train_appearance_model(textures, kept, left_out=sampled.folds(name, every))
     return appearances

@@ -11,7 +11,7 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.lamps import Copies, Lamps, learn_lamps
-from liaam.model import AAM, SURROUNDINGS, VIEWS, Level, make_view
+from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
@@ -21,6 +21,7 @@ from liaam.training import faces
 from liaam.training.entries import Entry, check_flat, check_fold, mesh_of, read_entries
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
+from liaam.training.kept import chosen, keep_only, wanted
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
 from liaam.training.options import TrainingOptions
 from liaam.training.points import Points, map_of_points
@@ -132,16 +133,22 @@ def train(
         light=None if lit is None else lit.basis(symmetric is not None),
         points=None if points is None else map_of_points(points, entries, mean),
         features=None if encoder is None else encoder.features,
+        is_colour=not grey.all(),
     )
     blurs, kept = options.blurs_by_view, options.appearance_variances
+    methods = chosen(options.methods)
+    names = {view: [wanted(methods, view, i, len(blurs[view])) for i in range(len(blurs[view]))] for view in VIEWS}
+    if encoder is not None:
+        names[MESH] = [[*each, "features"] for each in names[MESH]]
     with reported("training", progress) as report:
         steps = _steps(model, options, folds, report)
-        sampled = sample_all(checked, grey, model, blurs, steps, copied, encoder)
+        sampled = sample_all(checked, grey, model, blurs, names, steps, copied, encoder)
         for view in VIEWS:
             levels = []
             for i, blur in enumerate(blurs[view]):
                 steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
-                levels.append(Level(float(blur), level_appearances(sampled, view, i, camera.theta, kept[view], folds)))
+                found = level_appearances(sampled, names[view][i], i, camera.theta, kept[view], folds)
+                levels.append(Level(float(blur), found))
             model = model.with_view(view, levels=tuple(levels))
 
         if options.leave_out:
@@ -150,7 +157,8 @@ def train(
             reliability = reliability_of(model, checked, shapes, sampled, copied, settings, folds, steps)
             model = model.with_view(default, reliability=reliability)
         steps.next("trained", 0)
-    return model
+    # A model of exactly the training images is not rounded.
+    return model if options.keeps_all else keep_only(model, methods)
 
 
 def _copies(
