@@ -233,8 +233,8 @@ class TestFit:
     def test_warming_up_makes_everything_ready(self, folder, head_model):
         fits = make_fits(folder, head_model)
         fits.warm_up_soon(fits.models.current).join()
-        assert len(fits._fitters) == 2
-        searcher = fits._fitters.peek((id(head_model), "igo", False))
+        assert len(fits._fitters) == 1  # that fits and searches
+        searcher = fits._fitters.peek((id(head_model), "soft-li", False))
         assert searcher is not None
         assert "templates" in searcher.finder.__dict__
 
