@@ -268,7 +268,8 @@ class TestLayers:
         assert clear[~inside].mean() > 0.98
         assert not drawn[clear][:, :3].any()
         if what == "shading":
-            assert not clear[mesh_mask(fitted, (width, height), grow=-3)].any()
+            # The mask's corners are rounded, and pixels on the mesh's border are half covered.
+            assert not clear[mesh_mask(fitted, (width, height), grow=-5)].any()
 
     def test_flat_is_the_whole_picture(self, fits, fitted, scene):
         drawn = decode_image(fits.layer(fitted, "flat", 320))

@@ -66,8 +66,8 @@ _MESSAGES = {
         "was kept fixed."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit converged, but its quality is low, so that it is probably wrong; check the landmarks, and start nearer "
-        "to the object if they are wrong."
+        "The fit converged, but its quality is low: it is probably wrong. Check the landmarks, and start nearer to the "
+        "object if they are."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit did not converge within its iterations; start nearer to the object or allow more iterations."
