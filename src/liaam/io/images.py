@@ -246,6 +246,7 @@ def _read_header(path: Path) -> _Header:
 
 def _header_of(file: Any, path: Path | str) -> _Header:
     """Read kind, size and depth from an open file without decoding pixels."""
+    kind: str | None = None
     try:
         kind = _kind_of(file.read(16))
         if kind is None:
@@ -259,9 +260,8 @@ def _header_of(file: Any, path: Path | str) -> _Header:
     except ImageError:
         raise
     except ImportError as fault:
-        raise ImageError(
-            f"{path} is an image of a kind that needs {installing('heic')}: install it, or save the image as PNG."
-        ) from fault
+        needs = _NEEDS.get(str(kind), f"image of a format that needs another Pillow ({kind})")
+        raise ImageError(f"{path} is an {needs}, or save the image as PNG.") from fault
     except OSError as fault:
         if fault.errno is not None:  # raised by the system, not by Pillow
             raise
@@ -336,6 +336,11 @@ def _open_heif(file: Any) -> Any:
 
 _LATER = {"WEBP": _open_webp, "GIF": _open_gif, "AVIF": _open_avif, "HEIF": _open_heif}
 """How the formats are opened that older versions of Pillow, or Pillow alone, may lack."""
+
+_NEEDS = {
+    "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
+    "HEIF": f"HEIC image, which needs the extra heic: {installing('heic')}",
+}
 
 
 def _pillow_header(file: Any, kind: str) -> _Header:
