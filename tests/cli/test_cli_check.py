@@ -47,7 +47,16 @@ def spoilt(scenes, order, tmp_path_factory):
 def test_check_says_that_all_is_well(run, good, tmp_path):
     code, text, err = run("check", good, "-o", tmp_path / "o")
     assert (code, err) == (0, "")
-    assert "no faults found" in text
+    assert "no faults found" in text and "not looked for" not in text
+
+
+def test_check_says_what_it_cannot_judge_with_few_landmarks(run, scenes, tmp_path):
+    for i, scene in enumerate(scenes):
+        write_image(tmp_path / f"face{i}.png", scene.image)
+        write_landmarks(tmp_path / f"face{i}.pts", Landmarks(scene.landmarks[:9]))
+    code, text, _ = run("check", tmp_path)
+    assert code == 0
+    assert "single misplaced landmarks were not looked for: 9 landmarks are too few" in " ".join(text.split())
     assert not (tmp_path / "o").exists()
 
 

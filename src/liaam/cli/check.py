@@ -52,6 +52,8 @@ def check(
     Also names grey images among colour images, damaged images, landmarks outside of their image, and files that do not
     match. Changes nothing in the folder. The exit status is 1 if faults are found.
     """
+    from liaam.datasets.label_faults import LEAST_LANDMARKS
+
     data = read_folder(folder, images, recursive, Reading(strict, category, group, y_down, stored_orientation))
     unusable = check_pixels(data)
     complete = complete_samples(data)
@@ -60,6 +62,12 @@ def check(
     faults = faults_by_sample(complete)
     if not faults:
         say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
+        n_landmarks = len(data.samples[0].landmarks.points)
+        if n_landmarks < LEAST_LANDMARKS:
+            say(
+                f"single misplaced landmarks were not looked for: {n_landmarks} landmarks are too few to distinguish "
+                f"them from unusual shapes; {LEAST_LANDMARKS} are needed"
+            )
         if unusable:
             raise typer.Exit(1)
         return
