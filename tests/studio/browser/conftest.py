@@ -94,7 +94,7 @@ def portraits() -> list[Scene]:
 def portrait_model(portraits, tmp_path_factory) -> Path:
     """Give a model of the portraits."""
     path = tmp_path_factory.mktemp("model") / "portraits.liaam"
-    train([(scene.image, scene.landmarks) for scene in portraits[:8]]).save(path)
+    train([(scene.image, scene.landmarks) for scene in portraits[:8]], methods="all").save(path)
     return path
 
 
