@@ -300,7 +300,7 @@ def pair_files(
 
     Samples are made of the ``wanted`` images, all by default. Also return the files that were not used.
     """
-    pairing = _pair(root, images, marks, images if wanted is None else wanted, Reading())
+    pairing = _pair(root, images, marks, images if wanted is None else wanted, USUAL)
     return pairing.finish(), pairing.left_out
 
 

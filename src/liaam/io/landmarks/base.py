@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -156,10 +157,9 @@ class Landmarks:
     def objects(self, name: str) -> "Iterator[tuple[str, Landmarks]]":
         """Yield each object and its name: ``name``, ``name#2``, ..., or ``name#ID`` if IDs tell them apart."""
         every = (self, *self.others)
-        labels = {re.sub(r"[\\/#]", "_", each.label) for each in every} - {""}
-        by_label = bool(self.others) and len(labels) == len(every)
-        for number, each in enumerate(every, 1):
-            number = re.sub(r"[\\/#]", "_", each.label) if by_label else number
+        labels = [re.sub(r"[\\/#]", "_", each.label) for each in every]
+        by_label = bool(self.others) and all(labels) and len(set(labels)) == len(labels)
+        for number, each in zip(labels if by_label else count(1), every, strict=False):
             yield name if number == 1 else f"{name}#{number}", each
 
     def in_order_of(self, names: Sequence[str]) -> "Landmarks":

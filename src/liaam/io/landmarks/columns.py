@@ -111,10 +111,14 @@ def _ambiguous(path: Path, header: list[str], why: str, column: int) -> Landmark
     return LandmarkError(f"{path}: the column '{header[column]}' {why}.")
 
 
+def without_title(name: str) -> str:
+    """Return an image's name without what ImageJ adds behind it, as in ``a.png:eye``."""
+    return re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", name)
+
+
 def _are_files(values: Sequence[str]) -> bool:
     return bool(values) and all(
-        PureWindowsPath(re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", value)).suffix.lower()
-        in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)
+        PureWindowsPath(without_title(value)).suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)
         for value in set(values)
     )
 

@@ -8,14 +8,13 @@ semicolon or a tab. ImageJ's results count from the corner of the first pixel, s
 import csv
 import io
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, named_points, parse_number
-from liaam.io.landmarks.columns import Columns, columns_of, has_points
+from liaam.io.landmarks.columns import Columns, columns_of, has_points, without_title
 from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
 
 
@@ -35,7 +34,7 @@ def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
     shift = 0.5 if _is_imagej(lines[0][1]) else 0.0
     groups: dict[tuple[str, str], list[Row]] = {}
     for number, row in rows:
-        image = "" if columns.image is None else re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", row[columns.image])
+        image = "" if columns.image is None else without_title(row[columns.image])
         specimen = "" if columns.specimen is None else row[columns.specimen].strip()
         groups.setdefault((image, specimen), []).append((number, row))
 

@@ -73,10 +73,10 @@ class ImageNames:
         named = self._by_name.get(name_key(path.name), [])
         best = _best(named, path, folder)
         if best is not None:
-            return best, "" if name_key(best.name) == name_key(path.name) and _same(best.name, path.name) else CASE
-        other = path.suffix.lower() in _SUFFIXES
+            return best, "" if _same(best.name, path.name) else CASE
         if named:
             return None, ""
+        other = path.suffix.lower() in _SUFFIXES
         stem = path.stem if other else path.name
         alike = self._by_stem.get(name_key(stem), [])
         firsts = {image.parent: image for image in reversed(alike)}

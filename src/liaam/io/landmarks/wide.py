@@ -32,8 +32,10 @@ def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, int]] = {}
     for i, cell in enumerate(header):
         match = _COLUMN.fullmatch(cell.strip())
-        if match is not None and plain(match["key"] or match["key2"] or match["key3"] or match["key4"]) not in _BOXES:
-            key = match["key"] or match["key2"] or match["key3"] or match["key4"]
+        if match is None:
+            continue
+        key = match["key"] or match["key2"] or match["key3"] or match["key4"]
+        if plain(key) not in _BOXES:
             axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
             found.setdefault(key, {})[axis.lower()] = i
     return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
