@@ -338,7 +338,7 @@ def _without(text: bytes, key: str) -> Any:
 
 
 def _train(world: World, folder: Path) -> list[str]:
-    options = ("--diagonal", "40", "--no-leave-out", "--copies", "0")
+    options = ("--diagonal", "40", "--no-leave-out", "--copies", "0", "--methods", "grey")
     return ["train", str(world.pictures), "-o", str(folder / "m.liaam"), *options]
 
 

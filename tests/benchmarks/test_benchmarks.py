@@ -94,4 +94,4 @@ def test_the_benchmark_of_the_first_fit_runs(head_model, moving, monkeypatch, ca
     monkeypatch.setattr(fit, "make_model", lambda: head_model)
     monkeypatch.setattr(fit, "make_pictures", lambda: ([], [(moving[0].image, moving[0].landmarks)]))
     fit.measure_start()
-    assert "later_process_s" in capsys.readouterr().out
+    assert "process_s" in capsys.readouterr().out

@@ -130,7 +130,8 @@ def test_faces_pool_their_angles(run, tmp_path):
     for i, scene in enumerate(make_set(6, head=Head(5), camera=camera, size=(200, 150))):
         write_image(tmp_path / f"face{i}.png", scene.image)
         write_landmarks(tmp_path / f"face{i}.pts", scene.landmarks)
-    assert run("train", tmp_path, "-o", tmp_path / "m.liaam", "--diagonal", 100)[0] == 0
+    options = ("--diagonal", 100, "--methods", "li-pcs,soft-li")
+    assert run("train", tmp_path, "-o", tmp_path / "m.liaam", *options)[0] == 0
     lit = tmp_path / "lit"
     lit.mkdir()
     for i in range(6):
