@@ -56,7 +56,7 @@ def make_model(diagonal: float = 150.0) -> AAM:
         diagonal=diagonal,
         leave_out=False,
         lamps=None,
-        methods=["li"],
+        methods=["li", "grey"],
     )
 
 

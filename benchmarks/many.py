@@ -1,12 +1,12 @@
 """Images per second of ``liaam.fit_many`` on one thread and on two, compared with the gain that two cores allow.
 
 Generated faces under hard light from the side are fitted with a model of the same head under diffuse light, from starts
-with errors of a few per cent. The images are in memory. Time is wall-clock time. Under
-other load the ratio is meaningful only if that of work without the interpreter, measured in turn, is near 2.
+with errors of a few per cent. The images are in memory. Time is wall-clock time. What two cores allow is measured in
+turn with two processes, which share no interpreter: caches and memory are shared there too.
 """
 
+import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from time import perf_counter
 
 import numpy as np
@@ -23,7 +23,7 @@ N_TRAINING, N_SCENES, N_PICTURES = 10, 8, 64
 ROUNDS = 7
 METHODS = ("soft-li", "li")
 DIAGONAL = 150.0
-BAR = 1.8
+BAR = 1.85
 
 
 def make_model() -> AAM:
@@ -49,30 +49,36 @@ def seconds(work: Callable[[], object]) -> float:
     return perf_counter() - begin
 
 
-def without_interpreter(threads: int) -> None:
-    """Sort numbers eight times on some threads, since NumPy releases the GIL."""
-    numbers = np.random.default_rng(0).random(400_000)
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(np.sort, [numbers] * 8))
+def in_processes(n: int, fit_all: Callable[[slice], None]) -> None:
+    """Let each of ``n`` processes fit a share of the images."""
+    children = []
+    for i in range(1, n):
+        if not (child := os.fork()):
+            fit_all(slice(i, None, n))
+            os._exit(0)
+        children.append(child)
+    fit_all(slice(0, None, n))
+    for child in children:
+        os.waitpid(child, 0)
 
 
 def measure(fitter: Fitter, name: str, images: list[np.ndarray], starts: list[np.ndarray]) -> None:
     """Print the metrics of one method: medians over rounds that time all variants in turn."""
 
-    def fits(workers: int) -> None:
-        for _ in fit_each(fitter, images, starts, workers=workers, progress=False):
+    def fits(workers: int, chosen: slice = slice(None)) -> None:
+        for _ in fit_each(fitter, images[chosen], starts[chosen], workers=workers, progress=False):
             pass
 
     fits(2)
-    kinds = {"fits": fits, "loop": without_interpreter}
+    kinds = {"threads": fits, "processes": lambda n: in_processes(n, lambda chosen: fits(1, chosen))}
     times = {(kind, n): np.empty(ROUNDS) for kind in kinds for n in (1, 2)}
     for i in range(ROUNDS):
         for (kind, n), own in times.items():
             own[i] = seconds(lambda kind=kind, n=n: kinds[kind](n))
     for n in (1, 2):
-        report(f"many_{name}_rate_{n}", len(images) / np.median(times["fits", n]), "pictures a second", form=".1f")
+        report(f"many_{name}_rate_{n}", len(images) / np.median(times["threads", n]), "pictures a second", form=".1f")
     gain, machine = (float(np.median(times[kind, 1] / times[kind, 2])) for kind in kinds)
-    report(f"many_{name}_speedup", gain, f"(bar: at least {BAR}; of the machine itself {machine:.2f})", form=".2f")
+    report(f"many_{name}_speedup", gain, f"(bar: at least {BAR}, or 0.95 of two processes, {machine:.2f})", form=".2f")
 
 
 def main() -> None:
