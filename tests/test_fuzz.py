@@ -87,20 +87,6 @@ def test_a_case_depends_on_target_seed_and_number_alone(name):
     assert repr(target.input_of(4, 7)) != alone[0] or repr(target.input_of(4, 8)) != repr(target.input_of(3, 8))
 
 
-@pytest.fixture(scope="module")
-def all_targets():
-    cases = {name: max(40, round(120 * target.share)) for name, target in TARGETS.items()}
-    return run([Job(name, 1, 0, n) for name, n in cases.items()], n_children=2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TARGETS)
-def test_hostile_inputs_are_read_or_refused(all_targets, name):
-    tally = all_targets[name]
-    assert not tally.failures, "\n".join(report({name: tally}))
-    assert tally.returned and tally.refused, "all inputs meet with the same: they test little"
-
-
 def test_the_command_line_gives_a_status(capsys, tmp_path):
     assert main(["landmarks.pts", "--cases", "20", "--jobs", "1", "--keep", str(tmp_path / "kept")]) == 0
     assert "landmarks.pts" in capsys.readouterr().out
