@@ -1,4 +1,4 @@
-"""Print the packages of an extra of pyproject.toml: ``python .ci/extra.py docs``. Installing them does not build liaam."""
+"""Print the packages of an extra: ``python .ci/extra.py docs``. Installing them does not build liaam."""
 
 import sys
 import tomllib

@@ -20,10 +20,10 @@ import numpy as np
 import psutil
 
 from benchmarks.metrics import report
-from liaam.datasets.scenes import Head, make_set
 from liaam.io import write_image
 from liaam.model.shape import diagonal_of
 from liaam.training import train
+from scenes import Head, make_set
 
 SIZE = (160, 120)
 DISTINCT = 200

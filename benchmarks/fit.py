@@ -18,12 +18,12 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks import iteration
 from benchmarks.metrics import in_turn, report
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.evaluation import point_error
 from liaam.fitting import Fitter
 from liaam.io import write_image
 from liaam.model import AAM
 from liaam.training import train
+from scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 
 SIZE, LARGE = (640, 480), (6000, 4000)
 N_TRAINING, N_PICTURES, ROUNDS = 24, 8, 5

@@ -12,11 +12,11 @@ from time import perf_counter
 import numpy as np
 
 from benchmarks.metrics import report
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set
 from liaam.fitting import Fitter, fit_each
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.training import train
+from scenes import DIFFUSE, Head, lateral, make_set
 
 SIZE = (240, 180)
 N_TRAINING, N_SCENES, N_PICTURES = 10, 8, 64

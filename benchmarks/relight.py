@@ -16,12 +16,12 @@ from experiments.relit import (
     seam,
     train_on_flat_light,
 )
-from liaam.datasets.scenes import Head
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.model.shape import align
 from liaam.relighting import Relighter, paint
 from liaam.relighting.painting import eight_bits, log_light
+from scenes import Head
 
 PERSONS = (3, 5, 8, 11)
 """Seeds of the generated heads."""

@@ -13,11 +13,11 @@ import numpy as np
 
 from benchmarks.metrics import report
 from liaam.datasets import Dataset, load_folder
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.fitting import Finder
 from liaam.model.shape import diagonal_of
 from liaam.photometry import is_grey
 from liaam.training import train
+from scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 
 EYES = 0.3
 LIMIT = 0.25

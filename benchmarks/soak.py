@@ -25,9 +25,9 @@ import numpy as np
 
 from benchmarks.metrics import report
 from benchmarks.studio import Server, start
-from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set
 from liaam.io import Contour, write_image
 from liaam.studio.template import Template
+from scenes import DIFFUSE, Head, Scene, lateral, make_set
 
 HOURS = 8
 SCALE, NOISE = 6, 3.0

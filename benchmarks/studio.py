@@ -24,9 +24,9 @@ import numpy as np
 
 from benchmarks.metrics import report
 from benchmarks.search import half_sets, pictures_of
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
 from liaam.io import read_image, write_image, write_landmarks
 from liaam.training import train
+from scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
 
 SIZE = (480, 640)
 N_DROPS, N_MOVES = 12, 120

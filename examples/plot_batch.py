@@ -15,7 +15,7 @@ from distributed import Client
 
 import liaam
 from liaam.batch import Settings, run_batch
-from liaam.datasets.scenes import Head, lateral, make_set
+from scenes import Head, lateral, make_set
 
 # %%
 # A model, and a folder with 24 images under another light.

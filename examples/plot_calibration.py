@@ -8,9 +8,9 @@ Light invariance needs one angle of the camera. Estimate it from two images of a
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import Camera, photograph, poster, uneven_light
 from liaam.photometry import CameraModel, invariant_image
 from liaam.plotting.photometry import figure_of_invariants, figure_of_sweep
+from scenes import Camera, photograph, poster, uneven_light
 
 # %%
 # Two images of a poster: a warm lamp and a window. Camera and poster stand still. The exposure and the white balance of

@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
 from liaam.plotting import overlay
+from scenes import Expression, Head, Pose, lateral, make_set, render
 
 # %%
 # The model is trained under soft, frontal light; the test image is lit from the left.

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import Expression, Head, Pose, lateral, make_set, render
 from liaam.plotting import figure_of_model
+from scenes import Expression, Head, Pose, lateral, make_set, render
 
 # %%
 # Training images

@@ -10,9 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from liaam.calibration import agreement, averaged
-from liaam.datasets.scenes import Head, lateral, render
 from liaam.photometry import CameraModel, invariant_image
 from liaam.plotting.photometry import invariant_picture
+from scenes import Head, lateral, render
 
 head, size = Head(5), (240, 180)
 scenes = {"from the left": lateral("left"), "from the right": lateral("right")}

@@ -9,8 +9,8 @@ before training.
 import matplotlib.pyplot as plt
 
 import liaam
-from liaam.datasets.scenes import Head, make_set
 from liaam.plotting import overlay_of_faults
+from scenes import Head, make_set
 
 scenes = make_set(12, head=Head(5), seed=1, size=(200, 150))
 shapes = [scene.landmarks.copy() for scene in scenes]

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import Head, Pose, make_set, render
 from liaam.plotting import overlay
+from scenes import Head, Pose, make_set, render
 
 head = Head(5)
 training = make_set(8, head=head, seed=1, size=(240, 180))

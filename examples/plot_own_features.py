@@ -11,9 +11,9 @@ import numpy as np
 from skimage.feature import daisy
 
 import liaam
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, make_set
 from liaam.fitting import features_method
 from liaam.plotting import overlay
+from scenes import DIFFUSE, Head, lateral, make_set
 
 RADIUS = 8
 

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import photograph, poster, uneven_light
 from liaam.plotting.photometry import checkerboard
+from scenes import photograph, poster, uneven_light
 
 # %%
 # The second image is taken from a slightly different place, under another light.

@@ -9,7 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import (
+from liaam.relighting import Relighter
+from scenes import (
     DIFFUSE,
     Expression,
     Head,
@@ -20,7 +21,6 @@ from liaam.datasets.scenes import (
     random_pose,
     render,
 )
-from liaam.relighting import Relighter
 
 head = Head(5)
 training = make_set(10, head=head, seed=1, size=(240, 180))

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import Camera, Expression, Head, Pose, make_set, render
 from liaam.plotting import overlay
+from scenes import Camera, Expression, Head, Pose, make_set, render
 
 # %%
 # Both are calibrated in training: the images are left out in turn and fitted by a model of the others. This takes about

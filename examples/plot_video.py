@@ -9,7 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import liaam
-from liaam.datasets.scenes import (
+from liaam.plotting import overlay
+from scenes import (
     Ambient,
     Expression,
     Head,
@@ -18,7 +19,6 @@ from liaam.datasets.scenes import (
     make_set,
     render,
 )
-from liaam.plotting import overlay
 
 head = Head(5)
 training = make_set(8, head=head, seed=1, size=(200, 150))

@@ -15,7 +15,9 @@ from experiments.measures import or_dash
 from experiments.runner import Experiment, NumberedTrial, Row
 from liaam.calibration import AngleEstimate, least_squares_angle, theta_from_chart, theta_from_image, theta_from_scene
 from liaam.calibration.estimate import axis_difference
-from liaam.datasets.scenes import (
+from liaam.errors import LiaamError
+from liaam.evaluation import root_mean_square
+from scenes import (
     Camera,
     colour_chart,
     even_light,
@@ -24,8 +26,6 @@ from liaam.datasets.scenes import (
     poster,
     uneven_light,
 )
-from liaam.errors import LiaamError
-from liaam.evaluation import root_mean_square
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

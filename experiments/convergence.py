@@ -86,7 +86,7 @@ def trace_scene(setup: Setup, trial: NumberedTrial) -> list[Row]:
 
 @lru_cache(maxsize=1)
 def _lateral_scenes() -> list:
-    from liaam.datasets.scenes import lateral
+    from scenes import lateral
 
     return head_scenes(lateral("left"))
 

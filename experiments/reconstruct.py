@@ -118,7 +118,7 @@ def get_case(setup: Setup, task: Any) -> tuple[dict[str, Fitter], Case]:
 
 
 def _camera(kind: str):
-    from liaam.datasets.scenes import Camera, narrow_band_camera
+    from scenes import Camera, narrow_band_camera
 
     if kind == "broad":
         return Camera(exposure=EXPOSURE), "additive"
@@ -127,7 +127,7 @@ def _camera(kind: str):
 
 @lru_cache(maxsize=2)
 def _scene_fitters(kind: str, methods: tuple[str, ...], solver: str) -> dict[str, Fitter]:
-    from liaam.datasets.scenes import Head, make_set
+    from scenes import Head, make_set
 
     camera, mixing = _camera(kind)
     scenes = make_set(N_TRAINING, Head(SCENE_HEAD), camera=camera, mixing=mixing)
@@ -137,7 +137,7 @@ def _scene_fitters(kind: str, methods: tuple[str, ...], solver: str) -> dict[str
 
 
 def _scene_case(kind: str, seed: int, number: int) -> Case:
-    from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
+    from scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 
     camera, mixing = _camera(kind)
     rng = np.random.default_rng([seed, number, 4])

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.reconstruct import EXPOSURE
-from liaam.datasets.scenes import (
+from liaam.evaluation import root_mean_square
+from liaam.model import AAM
+from liaam.model.shape import diagonal_of
+from liaam.photometry import CameraModel
+from liaam.photometry.encoding import DARK, SATURATED
+from liaam.photometry.response import from_linear, to_linear
+from liaam.relighting import paint
+from liaam.relighting.painting import REACH, log_light
+from liaam.training import sample_appearance, train
+from scenes import (
     DIFFUSE,
     Camera,
     Head,
@@ -18,15 +27,6 @@ from liaam.datasets.scenes import (
     random_pose,
     render,
 )
-from liaam.evaluation import root_mean_square
-from liaam.model import AAM
-from liaam.model.shape import diagonal_of
-from liaam.photometry import CameraModel
-from liaam.photometry.encoding import DARK, SATURATED
-from liaam.photometry.response import from_linear, to_linear
-from liaam.relighting import paint
-from liaam.relighting.painting import REACH, log_light
-from liaam.training import sample_appearance, train
 
 LIGHTS: dict[str, Lights] = {
     "left": lateral("left"),

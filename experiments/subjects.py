@@ -128,7 +128,7 @@ def _stored_values(sample: Sample, reduce: int) -> np.ndarray:
 
 def scene_subject(n_images: int = N_IMAGES) -> Subject:
     """Generate images of one head under diffuse light, from a camera without noise."""
-    from liaam.datasets.scenes import DIFFUSE
+    from scenes import DIFFUSE
 
     scenes = head_scenes(DIFFUSE, n_images)
     return Subject("generated head", tuple(scene.image for scene in scenes), tuple(scene.landmarks for scene in scenes))
@@ -136,7 +136,7 @@ def scene_subject(n_images: int = N_IMAGES) -> Subject:
 
 def head_scenes(lights, n_images: int = N_IMAGES) -> list:
     """Scenes of the generated head under given lights. Poses and expressions do not depend on the lights."""
-    from liaam.datasets.scenes import Camera, Head, make_set
+    from scenes import Camera, Head, make_set
 
     return make_set(n_images, Head(SCENE_HEAD), lights, Camera().noiseless("srgb"))
 

@@ -139,7 +139,7 @@ class Picture:
 
 def generated(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
     """Yield a head's model and its images at all noise levels."""
-    from liaam.datasets.scenes import DIFFUSE, Camera, Head, lateral, make_set, random_expression, random_pose, render
+    from scenes import DIFFUSE, Camera, Head, lateral, make_set, random_expression, random_pose, render
 
     rng, camera = request.rng("head", name), Camera().noiseless("srgb")
     head = Head(int(rng.integers(1, 1_000_000)))

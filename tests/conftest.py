@@ -21,7 +21,11 @@ from hypothesis import settings
 from experiments import cli as experiments_cli
 from liaam.cli.main import main as liaam_main
 from liaam.datasets import Sample
-from liaam.datasets.scenes import (
+from liaam.io import Landmarks, video_writer
+from liaam.lamps import Lamps, learn_lamps
+from liaam.model import AAM, SURROUNDINGS, load_model
+from liaam.training import faces, train
+from scenes import (
     DIFFUSE,
     Head,
     Scene,
@@ -32,10 +36,6 @@ from liaam.datasets.scenes import (
     random_pose,
     render,
 )
-from liaam.io import Landmarks, video_writer
-from liaam.lamps import Lamps, learn_lamps
-from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import faces, train
 from setups import MOVING_FRAMES, between, moving_scene, train_on
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -10,7 +10,16 @@ import numpy as np
 import pytest
 
 from liaam import _core
-from liaam.datasets.scenes import (
+from liaam.fitting import get_method
+from liaam.fitting.level_image import LevelImage
+from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.reference import Problem
+from liaam.io import write_image, write_landmarks
+from liaam.model import AAM
+from liaam.model.shape import align, diagonal_of
+from liaam.photometry import CameraModel
+from liaam.training import train
+from scenes import (
     DIFFUSE,
     Expression,
     Head,
@@ -21,15 +30,6 @@ from liaam.datasets.scenes import (
     random_pose,
     render,
 )
-from liaam.fitting import get_method
-from liaam.fitting.level_image import LevelImage
-from liaam.fitting.objective import Objective, make_objectives
-from liaam.fitting.reference import Problem
-from liaam.io import write_image, write_landmarks
-from liaam.model import AAM
-from liaam.model.shape import align, diagonal_of
-from liaam.photometry import CameraModel
-from liaam.training import train
 
 MOVING_FRAMES = 24
 

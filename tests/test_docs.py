@@ -124,7 +124,8 @@ def words_of(path: Path) -> set[str]:
 
 def test_the_theory_names_code_that_exists():
     text = text_of(ROOT / "docs/explanation/theory.md")
-    files = [*(ROOT / "src").rglob("*.?pp"), *(ROOT / "src").rglob("*.py"), *(ROOT / "experiments").glob("*.py")]
+    folders = [ROOT / name for name in ("src", "experiments", "scenes")]
+    files = [path for folder in folders for path in folder.rglob("*.*") if path.suffix in (".py", ".cpp", ".hpp")]
     code = {path.relative_to(ROOT).as_posix(): words_of(path) for path in files}
     everywhere = set().union(*code.values())
     for name in re.findall(r"`([A-Za-z_][\w.]*)`", text):

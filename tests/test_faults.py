@@ -16,11 +16,11 @@ import pytest
 from liaam.batch import Settings, run_batch
 from liaam.batch.work import Job
 from liaam.datasets import load_folder
-from liaam.datasets.scenes import Head, make_set
 from liaam.errors import LiaamError
 from liaam.io import VideoReader, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
 from liaam.training import train
+from scenes import Head, make_set
 from setups import train_on
 
 resource = pytest.importorskip("resource", reason="limits of POSIX")

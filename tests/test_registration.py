@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from finite_differences import assert_jacobian
-from liaam.datasets.scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, get_method
 from liaam.fitting.level_image import LevelImage
@@ -15,6 +14,7 @@ from liaam.model.shape import align
 from liaam.model.warp import apply_homography
 from liaam.photometry import THETA_DEFAULT
 from liaam.registration import OPTIONS, _levels, register
+from scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
 
 SIZE = (160, 200)
 

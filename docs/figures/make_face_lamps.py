@@ -11,12 +11,12 @@ import numpy as np
 from safetensors.numpy import save
 
 from liaam.datasets import Sample
-from liaam.datasets.scenes import DIFFUSE, Head, Lights, lateral, random_expression, random_pose, render
 from liaam.io import Landmarks, write_bytes_atomically
 from liaam.lamps import learn_lamps
 from liaam.model import MESH, SURROUNDINGS
 from liaam.training import train
 from liaam.training.faces import FOLDER, LAMPS, MODEL, N_LAMPS
+from scenes import DIFFUSE, Head, Lights, lateral, random_expression, random_pose, render
 
 N_HEADS, N_FITTED = 6, 30
 """Heads under lamps, and other heads for the model."""

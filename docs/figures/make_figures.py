@@ -18,7 +18,13 @@ from experiments.reconstruct import reconstruct_experiment
 from experiments.runner import run_experiment
 from liaam.calibration import theta_from_scene
 from liaam.datasets import Sample
-from liaam.datasets.scenes import (
+from liaam.demo import run_demo
+from liaam.io import Landmarks
+from liaam.lamps import learn_lamps
+from liaam.photometry import CameraModel, invariant_image
+from liaam.plotting import figure_of_lamps
+from liaam.plotting.photometry import figure_of_invariants, save_figure
+from scenes import (
     DIFFUSE,
     Camera,
     Head,
@@ -29,12 +35,6 @@ from liaam.datasets.scenes import (
     render,
     uneven_light,
 )
-from liaam.demo import run_demo
-from liaam.io import Landmarks
-from liaam.lamps import learn_lamps
-from liaam.photometry import CameraModel, invariant_image
-from liaam.plotting import figure_of_lamps
-from liaam.plotting.photometry import figure_of_invariants, save_figure
 
 HERE = Path(__file__).parent
 

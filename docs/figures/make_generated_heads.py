@@ -1,4 +1,4 @@
-"""Make the generated heads of the studio: ``python -m docs.figures.make_generated_heads``, from the checkout's root.
+"""Make the generated heads that come with liaam: ``python -m docs.figures.make_generated_heads``, from the root.
 
 Heads under soft light, with landmarks, train the model. The same heads under hard light, with other poses and
 expressions, are shown. Their pose and light were chosen among eight per head: with a model of 18 pictures, the search
@@ -13,7 +13,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from liaam.datasets.scenes import (
+from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
+from liaam.fitting import Fitter
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.io import Contour, Landmarks, write_bytes_atomically, write_landmarks
+from liaam.studio.generated import CALIBRATION, trained
+from scenes import (
     DIFFUSE,
     Ambient,
     Expression,
@@ -21,14 +26,11 @@ from liaam.datasets.scenes import (
     Lights,
     PointLight,
     Pose,
+    Scene,
     lateral,
     make_set,
     render,
 )
-from liaam.fitting import Fitter
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.io import Contour, Landmarks, write_bytes_atomically, write_landmarks
-from liaam.studio.generated import CALIBRATION, GALLERY, TRAINING, trained
 
 HEADS = (Head(0), Head(2), Head(11), Head(8, skin=0.8), Head(16), Head(5))
 EACH = 3
@@ -71,33 +73,36 @@ SHOWN: tuple[tuple[Pose, Expression, Lights], ...] = (
 
 def main() -> None:
     """Write the pictures, and report how well the model fits those that are shown."""
-    for folder in (TRAINING, GALLERY):
-        folder.mkdir(exist_ok=True)
+    for folder in (SOFT_LIGHT, HARD_LIGHT):
+        folder.mkdir(parents=True, exist_ok=True)
     for i, head in enumerate(HEADS):
         for j in range(EACH):
             (scene,) = make_set(1, head, DIFFUSE, seed=10 * i + j, size=(320, 240))
-            name = TRAINING / f"head-{i + 1}-{j + 1}"
-            write_jpeg(name.with_suffix(".jpg"), scene.image)
-            contours = tuple(Contour(tuple(indices), closed) for indices, closed in scene.contours)
-            written = name.with_suffix(".ljson")
-            write_landmarks(written, Landmarks(np.round(scene.landmarks, 2), contours))
-            written.write_text(json.dumps(json.loads(written.read_text()), separators=(",", ":")) + "\n")
+            write(scene, SOFT_LIGHT / f"head-{i + 1}-{j + 1}")
+    tests = [
+        render(head, *shown, size=(640, 480), seed=900 + i)
+        for i, (head, shown) in enumerate(zip(HEADS, SHOWN, strict=True))
+    ]
+    for i, scene in enumerate(tests):
+        write(scene, HARD_LIGHT / f"head-{i + 1}")
     calibration = trained(calibrate=True).views[METHODS[DEFAULT_METHOD].view].reliability
     assert calibration is not None
     fields = {name: np.round(value, 6).tolist() for name, value in asdict(calibration).items()}
     write_bytes_atomically(CALIBRATION, json.dumps(fields, separators=(",", ":")).encode() + b"\n")
     fitter = Fitter(trained())
-    for i, (head, (pose, expression, lights)) in enumerate(zip(HEADS, SHOWN, strict=True)):
-        scene = render(head, pose, expression, lights, size=(640, 480), seed=900 + i)
-        write_jpeg(GALLERY / f"head-{i + 1}.jpg", scene.image)
+    for i, scene in enumerate(tests):
         result = fitter.fit(scene.image)
         error = np.linalg.norm(result.landmarks - scene.landmarks, axis=1).mean()
         print(f"head-{i + 1}: {result.status}, quality {result.quality:.2f}, error {error:.2f} px")
 
 
-def write_jpeg(path: Path, image: np.ndarray) -> None:
-    """Write an image (h, w, 3) uint8."""
-    path.write_bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
+def write(scene: Scene, name: Path) -> None:
+    """Write an image and its landmarks, both small."""
+    quality = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    name.with_suffix(".jpg").write_bytes(cv2.imencode(".jpg", scene.image[..., ::-1], quality)[1].tobytes())
+    written = name.with_suffix(".ljson")
+    write_landmarks(written, Landmarks(np.round(scene.landmarks, 2), Contour.all_of(scene.contours)))
+    written.write_text(json.dumps(json.loads(written.read_text()), separators=(",", ":")) + "\n")
 
 
 if __name__ == "__main__":

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.studio import browsing, material, served
-from liaam.datasets.scenes import DIFFUSE, Head, make_set
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
+from scenes import DIFFUSE, Head, make_set
 
 HERE = Path(__file__).parent
 

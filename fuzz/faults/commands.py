@@ -60,9 +60,9 @@ class World:
 
 def make_world(folder: Path) -> World:
     """Generate what the commands work on."""
-    from liaam.datasets.scenes import DIFFUSE, Expression, Head, Pose, make_set, render
     from liaam.io import Landmarks, video_writer, write_image, write_landmarks
     from liaam.model.shape import diagonal_of
+    from scenes import DIFFUSE, Expression, Head, Pose, make_set, render
 
     scenes = make_set(PICTURES, Head(5), size=SIZE, seed=2)
     mean = np.mean([scene.landmarks for scene in scenes], axis=0)

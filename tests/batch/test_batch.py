@@ -28,10 +28,10 @@ from liaam.batch.journal import Journal, place_of
 from liaam.batch.pools import in_processes
 from liaam.batch.run import earlier_summary
 from liaam.batch.work import Job, _shorts
-from liaam.datasets.scenes import Head, make_set
 from liaam.errors import LiaamError
 from liaam.io import read_collection, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
+from scenes import Head, make_set
 from setups import train_on
 
 SIZE = (160, 120)

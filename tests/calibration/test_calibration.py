@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import norm
 
 from liaam.calibration import align_pictures, homographies_between, theta_from_fits, theta_from_scene
-from liaam.datasets.scenes import narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import CameraError
 from liaam.fitting import FitStatus, get_method
 from liaam.photometry import CameraModel
+from scenes import narrow_band_camera, photograph, poster, uneven_light
 
 SIZE = (120, 160)
 

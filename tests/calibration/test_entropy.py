@@ -8,7 +8,10 @@ from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as arrays
 
 from liaam.calibration.entropy import MOST_PIXELS, entropy_curve, theta_from_image
-from liaam.datasets.scenes import (
+from liaam.errors import CameraError, LiaamError
+from liaam.io import read_image
+from liaam.photometry import CHROMATICITY, from_linear, invariant_row, temperature_direction
+from scenes import (
     Camera,
     Head,
     even_light,
@@ -19,9 +22,6 @@ from liaam.datasets.scenes import (
     render,
     uneven_light,
 )
-from liaam.errors import CameraError, LiaamError
-from liaam.io import read_image
-from liaam.photometry import CHROMATICITY, from_linear, invariant_row, temperature_direction
 
 SIZE = (240, 320)
 KINDS = ("quadratic", "shannon")

@@ -10,7 +10,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from liaam.calibration.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
-from liaam.datasets.scenes import (
+from liaam.errors import CameraError, ImageError
+from liaam.photometry import NoiseModel, ResponseCurve
+from liaam.photometry.noise import noise_deviation
+from scenes import (
     Camera,
     Head,
     colour_chart,
@@ -22,9 +25,6 @@ from liaam.datasets.scenes import (
     render,
     uneven_light,
 )
-from liaam.errors import CameraError, ImageError
-from liaam.photometry import NoiseModel, ResponseCurve
-from liaam.photometry.noise import noise_deviation
 
 SIZE = (160, 200)
 BRIGHTNESSES = np.array([0.05, 0.1, 0.2, 0.4, 0.8])

@@ -18,11 +18,11 @@ from liaam.calibration.radiometry import (
     calibrate_response,
     vignetting_from_flat_field,
 )
-from liaam.datasets.scenes.camera import narrow_band_camera
-from liaam.datasets.scenes.plane import photograph, poster, uneven_light
 from liaam.errors import CameraError
 from liaam.photometry import CameraModel, ResponseCurve, log_slope, noise_deviation, to_linear
 from liaam.photometry.camera import falloff_at
+from scenes.camera import narrow_band_camera
+from scenes.plane import photograph, poster, uneven_light
 
 SIZE = (240, 320)
 VIGNETTING = (-0.30, 0.08, -0.06)

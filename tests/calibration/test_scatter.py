@@ -8,9 +8,9 @@ from hypothesis import given, settings, strategies as st
 
 from liaam.calibration.chart import chart_patches, patch_labels, theta_from_chart
 from liaam.calibration.scatter import Surfaces, block_labels, theta_from_scene, theta_of_least_scatter
-from liaam.datasets.scenes import colour_chart, even_light, narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import CameraError, ImageError
 from liaam.photometry import CameraModel, NoiseModel, invariant_row, temperature_direction
+from scenes import colour_chart, even_light, narrow_band_camera, photograph, poster, uneven_light
 
 CAMERA = replace(narrow_band_camera(response="srgb"), bits=8)
 TRUTH = CAMERA.theta("wien")

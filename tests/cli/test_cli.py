@@ -9,8 +9,8 @@ import pytest
 
 from liaam.cli.inputs import unique_stems
 from liaam.cli.train import parse_prior
-from liaam.datasets.scenes import Head, lateral, make_set, render
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
+from scenes import Head, lateral, make_set, render
 
 
 @pytest.fixture(scope="module")

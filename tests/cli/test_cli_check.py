@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from liaam import find_label_faults
-from liaam.datasets.scenes import Head, make_set
 from liaam.io import Contour, Landmarks, read_image, read_landmarks, write_image, write_landmarks
 from liaam.plotting import overlay_of_faults
+from scenes import Head, make_set
 
 SPOILT = "face3"
 

@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import Head, make_set
 from liaam.io import read_image, write_image, write_landmarks
+from scenes import Head, make_set
 
 FAST = ("--diagonal", 40, "--copies", 0, "--no-leave-out")
 

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import (
+from liaam.io import read_image, write_image, write_landmarks
+from liaam.photometry import CameraModel, load_camera
+from scenes import (
     Camera,
     Head,
     colour_chart,
@@ -19,8 +21,6 @@ from liaam.datasets.scenes import (
     render,
     uneven_light,
 )
-from liaam.io import read_image, write_image, write_landmarks
-from liaam.photometry import CameraModel, load_camera
 
 SIZE = (120, 160)
 CAMERA = replace(narrow_band_camera(response="srgb"), bits=8, read_noise=0.002)

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import lateral
 from liaam.io import read_image, write_image, write_landmarks
+from scenes import lateral
 from setups import moving_scene
 
 SIDE = lateral("left", ambient_strength=0.4)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from liaam.datasets.scenes import Head, make_set
 from liaam.fitting import Fitter
 from liaam.training import train
+from scenes import Head, make_set
 
 scenes = make_set(4, Head(7), size=(120, 90))
 model = train([(scene.image, scene.landmarks) for scene in scenes[:3]], diagonal=50.0, leave_out=False, lamps=None)

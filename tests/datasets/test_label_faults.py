@@ -6,11 +6,11 @@ from hypothesis import given, settings, strategies as st
 
 from liaam.datasets import load_folder
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
-from liaam.datasets.scenes import Head, random_expression, random_pose
-from liaam.datasets.scenes.render import render
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_landmarks
 from liaam.model.shape import rotation
+from scenes import Head, random_expression, random_pose
+from scenes.render import render
 
 
 @pytest.fixture(scope="module")

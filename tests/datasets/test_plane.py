@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import colour_chart, even_light, narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import LiaamError
 from liaam.photometry import invariant
+from scenes import colour_chart, even_light, narrow_band_camera, photograph, poster, uneven_light
 
 
 def test_the_chart_has_24_patches_of_one_colour_each():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from liaam.datasets.scenes.raster import depth_map, draw, splat_map, transform, visibility
+from scenes.raster import depth_map, draw, splat_map, transform, visibility
 
 HEIGHT, WIDTH = 15, 14
 

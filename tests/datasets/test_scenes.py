@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from liaam.datasets.scenes import (
+from liaam.errors import LiaamError
+from scenes import (
     DIFFUSE,
     Ambient,
     Camera,
@@ -19,7 +20,6 @@ from liaam.datasets.scenes import (
     narrow_band_camera,
     render,
 )
-from liaam.errors import LiaamError
 
 SMALL = (160, 120)
 

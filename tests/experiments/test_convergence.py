@@ -9,8 +9,8 @@ from experiments.convergence import SHOWN, convergence_experiment, errors_by_ite
 from experiments.runner import run_experiment
 from experiments.simulated import get_fitters, make_case
 from experiments.subjects import get_subject
-from liaam.datasets.scenes import Head, make_set
 from liaam.io import write_image, write_landmarks
+from scenes import Head, make_set
 from setups import write_person
 
 pytestmark = pytest.mark.slow

@@ -3,8 +3,8 @@
 import pytest
 
 from experiments import simulated
-from liaam.datasets.scenes import make_set
 from liaam.io import Landmarks, write_image, write_landmarks
+from scenes import make_set
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import pytest
 from experiments import reconstruct
 from experiments.reconstruct import reconstruct_experiment
 from experiments.runner import run_experiment
-from liaam.datasets.scenes import Head, make_set
 from liaam.errors import MethodError
 from liaam.io import write_image, write_landmarks
+from scenes import Head, make_set
 from setups import write_person
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.relight import PLAIN, hue_distance, log_luminance, seam_of, skin_of
-from liaam.datasets.scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 from liaam.io import write_image, write_landmarks
+from scenes import DIFFUSE, Head, lateral, random_expression, random_pose, render
 
 
 def disc(size: int = 60) -> np.ndarray:

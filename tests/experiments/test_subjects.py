@@ -14,11 +14,11 @@ from experiments.subjects import (
     simulated_shadow,
     subject_facts,
 )
-from liaam.datasets.scenes import DIFFUSE, Head, make_set
 from liaam.errors import LiaamError
 from liaam.io import write_image, write_landmarks
 from liaam.model.shape import diagonal_of
 from liaam.photometry import invariant, srgb_to_linear
+from scenes import DIFFUSE, Head, make_set
 
 
 @pytest.fixture(scope="module")

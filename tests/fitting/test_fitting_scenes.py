@@ -54,7 +54,7 @@ def test_li_and_lit_differ_when_modes_are_dropped(scenes, lit_scene):
 
 
 def test_the_angle_of_another_camera_is_found(scenes, lit_scene):
-    from liaam.datasets.scenes import Head, lateral, make_set, narrow_band_camera
+    from scenes import Head, lateral, make_set, narrow_band_camera
 
     other = narrow_band_camera((620.0, 520.0, 450.0))
     # The same colours through another camera differ by more than the angle, so train on what it sees.

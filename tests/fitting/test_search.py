@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import liaam
-from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, narrow_band_camera, render
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import Candidate, Finder, FitStatus, Fitter, find, search
 from liaam.fitting.levels import LinearImage
@@ -24,6 +23,7 @@ from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
 from liaam.photometry import CameraModel
 from liaam.workers import one_thread
+from scenes import DIFFUSE, Head, Pose, lateral, narrow_band_camera, render
 from setups import model_pixels, train_on
 
 WIDE = (320, 420)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from liaam.datasets import Sample
-from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, random_expression, random_pose, render
 from liaam.errors import LiaamError, ModelFileError, TrainingError
 from liaam.evaluation import point_error, root_mean_square
 from liaam.fitting import Fitter
@@ -20,6 +19,7 @@ from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
 from liaam.relighting import Relighter
 from liaam.training import train
+from scenes import DIFFUSE, Head, Pose, lateral, random_expression, random_pose, render
 from setups import disturb
 
 SIZE = (160, 120)

@@ -82,7 +82,7 @@ def test_wien_theta_cancels_simulated_wien_radiation(peaks, cold, hot):
 
 
 def test_wien_theta_of_the_simulated_camera():
-    from liaam.datasets.scenes import narrow_band_camera
+    from scenes import narrow_band_camera
 
     assert wien_theta((610, 540, 450)) == pytest.approx(narrow_band_camera((610, 540, 450)).theta("wien"))
 

@@ -8,11 +8,11 @@ import pytest
 from liaam.calibration.chart import chart_patches, theta_from_chart
 from liaam.calibration.comparison import agreement, averaged
 from liaam.calibration.scatter import theta_from_scene
-from liaam.datasets.scenes import narrow_band_camera, photograph, poster, uneven_light
 from liaam.errors import ImageError
 from liaam.io import read_image
 from liaam.photometry import CameraModel
 from liaam.photometry.projection import invariant_image
+from scenes import narrow_band_camera, photograph, poster, uneven_light
 
 SIZE = (120, 160)
 CAMERA = replace(narrow_band_camera(response="srgb"), bits=8)

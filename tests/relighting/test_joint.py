@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from experiments.relit import train_on_flat_light
-from liaam.datasets.scenes import Head
 from liaam.model import MESH
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.domain_transform import averaged
 from liaam.relighting.joint import appearance_in_light, at_a_known_level, light_curve
 from liaam.relighting.shading import Seen
+from scenes import Head
 
 AMBIENT, LAMP = np.array([0.10, 0.12, 0.15]), np.array([1.1, 0.9, 0.6])
 NOISE = 1e-6

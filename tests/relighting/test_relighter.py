@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, seam, train_on_flat_light
-from liaam.datasets.scenes import Head
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
 from liaam.io import write_image
@@ -16,6 +15,7 @@ from liaam.relighting.extrapolation import around, continued
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import piecewise_smooth
+from scenes import Head
 
 SIZE = (240, 180)
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from small_projects import TRIANGLE
 
-from liaam.datasets.scenes import Head, Scene, make_set
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
 from liaam.studio.app import Studio, make_studio
 from liaam.studio.project import Project
 from liaam.studio.serving import make_server, open_port
 from liaam.studio.settings import Settings
+from scenes import Head, Scene, make_set
 
 CONTOURS = (Contour(tuple(range(13))), Contour(tuple(range(21, 29)), closed=True))
 

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from liaam.datasets.scenes import Scene
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
@@ -34,6 +33,7 @@ from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
+from scenes import Scene
 from setups import moving_scene
 
 SETTINGS = Settings(fits_kept=5)

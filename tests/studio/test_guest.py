@@ -6,7 +6,8 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from liaam.studio.generated import CALIBRATION, GALLERY, gallery, trained
+from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
+from liaam.studio.generated import CALIBRATION, trained
 from liaam.studio.model_store import ModelStore, model_json
 from liaam.studio.safety import GUEST, UPLOADS
 
@@ -92,8 +93,8 @@ def test_the_heads_are_offered_and_their_model_is_made(page):
 def test_all_heads_are_fitted_well(page):
     page.client.post("/api/heads/model", json={})
     fits = []
-    for name in gallery():
-        upload = page.client.post(UPLOADS, params={"name": name}, content=(GALLERY / name).read_bytes()).json()["id"]
+    for path in sorted(HARD_LIGHT.glob("*.jpg")):
+        upload = page.client.post(UPLOADS, params={"name": path.name}, content=path.read_bytes()).json()["id"]
         fits.append(page.client.post("/api/fits", json={"upload": upload}).json())
     assert len(fits) == 6
     assert all(fit["ok"] and fit["quality"] > 0.8 and "flat" in fit["layers"] for fit in fits)
@@ -109,5 +110,5 @@ def test_the_calibration_is_that_of_the_pictures():
 
 
 def test_the_files_are_small():
-    files = [*GALLERY.iterdir(), *CALIBRATION.parent.iterdir()]
+    files = [*SOFT_LIGHT.iterdir(), *HARD_LIGHT.iterdir(), CALIBRATION]
     assert sum(file.stat().st_size for file in files) < 700_000

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import Head, make_set
 from liaam.io import Contour, Landmarks
 from liaam.studio.template import Template, mirror_by_names, mirror_by_place, parse_template, template_of
+from scenes import Head, make_set
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import lateral
 from liaam.errors import MethodError
 from liaam.fitting import Fitter
 from liaam.relighting.blending import blended
 from liaam.relighting.painting import soft_edge
 from liaam.tracking import Tracker
 from liaam.tracking.shading import ShadingRemover, filtered
+from scenes import lateral
 from setups import MOVING_FRAMES, moving_scene
 
 

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import lateral
 from liaam.errors import ImageError, MethodError, StartError, VideoError
 from liaam.fitting import Candidate, Finder, FitStatus, Fitter
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import align, diagonal_of
 from liaam.tracking import Tracker, TrackingOptions, TrackStatus, track_video
 from liaam.tracking.tracker import sharpest
+from scenes import lateral
 from setups import MOVING_FRAMES, moving_scene
 
 RIGHT = 0.03

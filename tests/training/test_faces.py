@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from liaam.datasets import Sample
-from liaam.datasets.scenes import DIFFUSE, Head, make_set
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model.shape import scaled_mean
 from liaam.photometry import CameraModel
 from liaam.training import train
 from liaam.training.entries import read_entries
+from scenes import DIFFUSE, Head, make_set
 
 
 def heads(n: int, points=lambda shape: shape) -> list[Sample]:

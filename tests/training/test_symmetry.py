@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.datasets.scenes import DIFFUSE, Head, Pose, lateral, random_expression, render
 from liaam.lamps import Copies
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import mirror_order
@@ -14,6 +13,7 @@ from liaam.photometry import CameraModel
 from liaam.training import train
 from liaam.training.entries import read_entries
 from liaam.training.symmetry import describe_offset, sideways_offset
+from scenes import DIFFUSE, Head, Pose, lateral, random_expression, render
 
 FAST = {"diagonal": 40.0, "blurs": (0.5,), "lamps": None, "leave_out": False}
 

@@ -1,13 +1,6 @@
-"""Sets of landmarked images: read from a folder, or simulated."""
-
-from typing import TYPE_CHECKING
+"""Sets of landmarked images: read from a folder, or generated heads that come with liaam."""
 
 from liaam.datasets.folder import Dataset, LeftOut, Sample, load_folder
-from liaam.lazy import submodules
+from liaam.datasets.heads import load_heads
 
-__all__ = ["Dataset", "LeftOut", "Sample", "load_folder"]
-
-if TYPE_CHECKING:
-    from liaam.datasets import scenes as scenes
-else:
-    __getattr__ = submodules(__name__, "scenes")
+__all__ = ["Dataset", "LeftOut", "Sample", "load_folder", "load_heads"]

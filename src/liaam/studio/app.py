@@ -22,6 +22,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
+from liaam.datasets.heads import HARD_LIGHT
 from liaam.errors import ImageError, LiaamError
 from liaam.model import AAM
 from liaam.photometry import CameraModel
@@ -31,7 +32,7 @@ from liaam.studio.events import Events
 from liaam.studio.export import attachment, export_of
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
-from liaam.studio.generated import GALLERY, gallery, model_of_heads
+from liaam.studio.generated import model_of_heads
 from liaam.studio.live import LiveVideos
 from liaam.studio.locking import FolderLock
 from liaam.studio.model_store import (
@@ -122,6 +123,7 @@ def make_app(studio: Studio) -> Starlette:
             *fit_routes.routes(studio.fits),
             *live.routes(studio.live),
             Route("/api/{rest:path}", _nothing),
+            Mount("/heads", StaticFiles(directory=HARD_LIGHT)),
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],
         middleware=[Middleware(Guard, settings=studio.settings)],
@@ -316,7 +318,7 @@ class _Handlers:
 
     async def heads(self, request: Request) -> Response:
         self.studio.fits.prepare_soon(model_of_heads)
-        return JSONResponse({"pictures": [f"{GALLERY.name}/{name}" for name in gallery()]})
+        return JSONResponse({"pictures": [f"heads/{path.name}" for path in sorted(HARD_LIGHT.glob("*.jpg"))]})
 
     # Pictures -------------------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
-"""Generated heads for beginners: pictures under hard light, and the model that fits them.
+"""The model of the generated heads, for beginners.
 
-``docs/figures/make_generated_heads.py`` makes the files. The model is trained when it is first needed, which takes
-about a second. A file of the model would be fifty times as large as its pictures.
+It is trained when it is first needed, which takes about a second. A file of the model would be fifty times as large as
+its pictures.
 """
 
 from __future__ import annotations
@@ -15,23 +15,11 @@ import numpy as np
 from liaam.model import AAM
 from liaam.model.views import Reliability
 from liaam.studio.pictures import Kept
-from liaam.studio.settings import STATIC
 
-GALLERY = STATIC / "heads"
-"""Folder of the pictures under hard light; the page fetches them."""
-
-TRAINING = Path(__file__).with_name("heads")
-"""Folder of the pictures with landmarks under soft light."""
-
-CALIBRATION = TRAINING / "calibration.json"
-"""The calibration that training with ``leave_out`` measures, which takes most of its time."""
+CALIBRATION = Path(__file__).with_name("heads_calibration.json")
+"""The calibration that training with ``leave_out`` measures, which takes most of its time. Made with the pictures."""
 
 _MODEL: Kept[str, AAM] = Kept(1)
-
-
-def gallery() -> list[str]:
-    """Return the names of the pictures under hard light."""
-    return sorted(path.name for path in GALLERY.glob("*.jpg"))
 
 
 def model_of_heads() -> AAM:
@@ -41,12 +29,12 @@ def model_of_heads() -> AAM:
 
 def trained(calibrate: bool = False) -> AAM:
     """Train the model; measure its calibration, or read it from :data:`CALIBRATION`."""
-    from liaam.datasets import load_folder
+    from liaam.datasets import load_heads
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
     from liaam.training import train
 
     options = {"lamps": None, "methods": "all", "name": "generated heads", "progress": False}
-    model = train(load_folder(TRAINING), leave_out=calibrate, **options)
+    model = train(load_heads()[0], leave_out=calibrate, **options)
     if calibrate:
         return model
     known = json.loads(CALIBRATION.read_bytes())

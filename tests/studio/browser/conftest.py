@@ -8,9 +8,9 @@ import pytest
 from people import NAMES, TIMEOUT
 
 from benchmarks.studio import Server, lacking, launched, start
-from liaam.datasets.scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.training import train
+from scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
 
 PROGRAM = (str(Path(__file__).with_name("delayed_server.py")),) if "LIAAM_DELAY" in os.environ else ("-m", "liaam")
 """What runs the studio. To find races, LIAAM_DELAY makes its answers late by up to so many milliseconds."""

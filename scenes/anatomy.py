@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from liaam.datasets.scenes.chart import CHART_OPENING, EYE_LEFT, EYE_RIGHT, JAW, MOUTH, Profile
-from liaam.datasets.scenes.head import Traits
+from scenes.chart import CHART_OPENING, EYE_LEFT, EYE_RIGHT, JAW, MOUTH, Profile
+from scenes.head import Traits
 
 LIP_LINE = np.array([-0.96, -0.82, -0.60, -0.30, 0.0, 0.30, 0.60, 0.82, 0.96])
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from liaam.datasets.scenes.light import COLDEST_K, HOTTEST_K, Radiator, check_kelvin, spectrum
 from liaam.errors import LiaamError
 from liaam.photometry.response import Response, from_linear, to_linear
+from scenes.light import COLDEST_K, HOTTEST_K, Radiator, check_kelvin, spectrum
 
 BASIS_PEAKS_NM, BASIS_WIDTH_NM = (605.0, 540.0, 460.0), 23.0
 TABLE_SIZE = 400

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from liaam.datasets.scenes.anatomy import (
+from scenes.anatomy import (
     LOWER_EDGE,
     UPPER_EDGE,
     head_profile,
@@ -18,7 +18,7 @@ from liaam.datasets.scenes.anatomy import (
     neutral_lip_line,
     pins,
 )
-from liaam.datasets.scenes.chart import (
+from scenes.chart import (
     CHART_OPENING,
     PARTING,
     U_PER_RADIAN,
@@ -31,7 +31,7 @@ from liaam.datasets.scenes.chart import (
     smoothstep,
     u_to_frontal,
 )
-from liaam.datasets.scenes.head import Expression, Head, traits_of
+from scenes.head import Expression, Head, traits_of
 
 N_AROUND, N_UP = 208, 200
 RBF_SUPPORT = 0.7

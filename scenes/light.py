@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from liaam.datasets.scenes.body import Body
-from liaam.datasets.scenes.raster import depth_map, splat_map, transform, visibility
 from liaam.errors import LiaamError
+from scenes.body import Body
+from scenes.raster import depth_map, splat_map, transform, visibility
 
 Radiator = Literal["wien", "planck"]
 K2_NM = 1.438776877e7  # second radiation constant, nm K

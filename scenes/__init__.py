@@ -1,6 +1,6 @@
 """Simulated portraits: a parametric head, Planckian lights with cast shadows, and a camera.
 
->>> from liaam.datasets.scenes import Head, lateral, make_set, render
+>>> from scenes import Head, lateral, make_set, render
 >>> training = make_set(2, head=Head(7))
 >>> test = render(Head(7), lights=lateral("left"))
 
@@ -8,11 +8,11 @@ The image formation is that of Pizarro, Peyras and Bartoli (CVPR 2008), after Fi
 light, and a sensor that is linear up to its response curve. Everything follows from the seeds.
 """
 
-from liaam.datasets.scenes.camera import Camera, narrow_band_camera
-from liaam.datasets.scenes.head import Expression, Head, Pose
-from liaam.datasets.scenes.light import DIFFUSE, Ambient, Lights, PointLight, lateral
-from liaam.datasets.scenes.plane import PlaneLight, colour_chart, even_light, photograph, poster, uneven_light
-from liaam.datasets.scenes.render import Scene, make_set, random_expression, random_pose, render
+from scenes.camera import Camera, narrow_band_camera
+from scenes.head import Expression, Head, Pose
+from scenes.light import DIFFUSE, Ambient, Lights, PointLight, lateral
+from scenes.plane import PlaneLight, colour_chart, even_light, photograph, poster, uneven_light
+from scenes.render import Scene, make_set, random_expression, random_pose, render
 
 Light = Lights
 

@@ -1,6 +1,6 @@
 """Reflectance of a person's skin and skull on the chart, computed once per identity.
 
-Colours are linear RGB reflectances, 0 to 1; `liaam.datasets.scenes.light` turns them into spectra.
+Colours are linear RGB reflectances, 0 to 1; `scenes.light` turns them into spectra.
 """
 
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from liaam.datasets.scenes import chart
-from liaam.datasets.scenes.chart import Face, smoothstep
-from liaam.datasets.scenes.head import Head, Traits
-from liaam.datasets.scenes.surface import face_of
+from scenes import chart
+from scenes.chart import Face, smoothstep
+from scenes.head import Head, Traits
+from scenes.surface import face_of
 
 TEXELS_PER_UNIT = 220
 CHART = (-1.45, 1.45, -1.34, 1.16)  # u and v ranges of the textures

@@ -6,17 +6,17 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from liaam.datasets.scenes import body as figure, light as lighting
-from liaam.datasets.scenes.body import Body, build_body
-from liaam.datasets.scenes.camera import Camera, matrices_at
-from liaam.datasets.scenes.chart import CONTOURS, Face, smoothstep
-from liaam.datasets.scenes.head import Expression, Head, Pose, Traits
-from liaam.datasets.scenes.light import DIFFUSE, Ambient, Lights, PointLight, Radiator
-from liaam.datasets.scenes.paint import Textures, look_up, look_up_periodic, skin_tone, textures_of
-from liaam.datasets.scenes.raster import draw
-from liaam.datasets.scenes.surface import face_of, landmark_points
 from liaam.errors import LiaamError
 from liaam.evaluation import short_repr
+from scenes import body as figure, light as lighting
+from scenes.body import Body, build_body
+from scenes.camera import Camera, matrices_at
+from scenes.chart import CONTOURS, Face, smoothstep
+from scenes.head import Expression, Head, Pose, Traits
+from scenes.light import DIFFUSE, Ambient, Lights, PointLight, Radiator
+from scenes.paint import Textures, look_up, look_up_periodic, skin_tone, textures_of
+from scenes.raster import draw
+from scenes.surface import face_of, landmark_points
 
 Mixing = Literal["additive", "planckian"]
 VIEWING_DISTANCE = 14.0  # head units: a camera at 1.4 m
@@ -107,7 +107,7 @@ def render(
 
     Examples
     --------
-    >>> from liaam.datasets.scenes import Head, lateral, render
+    >>> from scenes import Head, lateral, render
     >>> scene = render(Head(3), lights=lateral("left"))
     >>> scene.image.shape, scene.landmarks.shape
     ((320, 240, 3), (58, 2))

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from liaam.datasets.scenes.camera import Camera, matrices_at
-from liaam.datasets.scenes.light import Radiator, check_kelvin
 from liaam.errors import LiaamError
 from liaam.evaluation import short_repr
+from scenes.camera import Camera, matrices_at
+from scenes.light import Radiator, check_kelvin
 
 CHART_ROWS, CHART_COLUMNS = 4, 6
 GREYS = (0.88, 0.58, 0.36, 0.19, 0.09, 0.035)

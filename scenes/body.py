@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from liaam.datasets.scenes.chart import Face
-from liaam.datasets.scenes.head import Expression, Pose
-from liaam.datasets.scenes.surface import head_points
+from scenes.chart import Face
+from scenes.head import Expression, Pose
+from scenes.surface import head_points
 
 HEAD, SKIN, CLOTH, HAIR = 1, 2, 3, 4
 NECK = np.array([0.0, -0.75, -0.22])  # centre of the head's rotation

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from liaam.datasets.scenes.head import Traits
+from scenes.head import Traits
 
 U_PER_RADIAN = 0.75
 CHART_OPENING = 0.3
