@@ -51,20 +51,6 @@ EQUIVALENT: tuple[tuple[str, str, str, str], ...] = (
     ("liaam.io.raw", "image = image.reshape(*image.shape[:2], -1)", "1 -> 2", "NumPy takes -2 for -1"),
     ("liaam.io.images", "return _kind_of(data[:16]) is not None", "16 -> 17", "signatures are shorter"),
     ("liaam.io.images", "kind = _kind_of(file.read(16))", "16 -> 17", "signatures are shorter"),
-    ("liaam.io.images", "if header.bits <= 8:", "8 -> 9", "no header has 9 to 15 bits"),
-    ("liaam.io.images", "bits=16 if deep else 8,", "16 -> 17", "bits are compared with 8 only"),
-    (
-        "liaam.io.images",
-        'bilevel = match is not None and match["kind"] in b"14"',
-        "b'14' -> b'XX14'",
-        "the kind is a digit",
-    ),
-    (
-        "liaam.io.images",
-        'strip = strip.convert("RGBA")',
-        "'RGBA' -> 'XXRGBA'",
-        "Pillow takes an unknown mode of a palette for RGB, and warns of nothing either",
-    ),
     (
         "liaam.io.images",
         'suffix = ".pgm" if array.ndim == 2 else ".ppm"',

@@ -18,6 +18,9 @@ from liaam.errors import ImageError, LiaamError
 MAX_PIXELS = 200_000_000
 """Default limit on width x height. Larger images are rejected before decoding."""
 
+MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"
+"""Environment variable of another limit."""
+
 
 def natural_key(text: str) -> list[Any]:
     """Return a case-insensitive sort key that puts ``img2`` before ``img10``."""
@@ -127,12 +130,18 @@ def may_write_in(folder: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
-    """Raise if an image has too many pixels."""
-    if width * height > max_pixels:
+def check_size(name: object, width: int, height: int, max_pixels: int | None = None) -> None:
+    """Raise if an image has too many pixels: by default more than the environment variable LIAAM_MAX_PIXELS allows."""
+    given = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
+    if max_pixels is None and not given.isdecimal():
         raise ImageError(
-            f"{path} has {width} x {height} pixels, more than the {max_pixels:,} allowed: "
-            "make the image smaller, or raise max_pixels."
+            f"{MAX_PIXELS_VARIABLE}={given} is not a number of pixels: set it to one such as {MAX_PIXELS}."
+        )
+    limit = int(given) if max_pixels is None else max_pixels
+    if width * height > limit:
+        raise ImageError(
+            f"{name} has {width} x {height} pixels, more than the {limit:,} allowed: make the image smaller, or raise "
+            f"max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})."
         )
 
 
