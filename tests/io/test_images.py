@@ -604,6 +604,8 @@ def test_bytes_that_are_no_image_are_named(tmp_path):
             read(b"RIFF....WEBP", "photo.webp")
         with pytest.raises(ImageError, match=r"clip\.mp4 is a video, not an image: use 'liaam track'"):
             read(b"\0\0\0\x18ftypmp42", "clip.mp4")
+        with pytest.raises(ImageError, match=r"clip\.MPG is a video"):
+            read(b"\0\0\1\xba", "clip.MPG")
     write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
     data = (tmp_path / "a.png").read_bytes()
     with pytest.raises(ImageError, match="photo has 30 x 20 pixels, more than the 599 allowed"):

@@ -148,3 +148,11 @@ def check_size(name: object, width: int, height: int, max_pixels: int | None = N
 def as_three_channels(grey: np.ndarray) -> np.ndarray:
     """Stack a grey image (h, w) to three equal channels (h, w, 3)."""
     return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def as_8_bits(image: np.ndarray) -> np.ndarray:
+    """Convert values of integers up to their largest, or of floats up to 1, to uint8."""
+    if image.dtype == np.uint8:
+        return image
+    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+    return np.clip(np.nan_to_num(image.astype(np.float32)) * (255.0 / top), 0, 255).astype(np.uint8)

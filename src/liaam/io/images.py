@@ -7,6 +7,7 @@ recognised by content, not by suffix, except for RAW files (:mod:`liaam.io.raw`)
 
 import importlib
 import io
+import mimetypes
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -249,7 +250,7 @@ def _opened(file: Any, name: str | os.PathLike[str]) -> Iterator[_Opened]:
 def _why_no_image(name: str) -> str:
     if name.endswith(".liaam"):
         return "is a model, not an image: give one model first, and then images."
-    if name.lower().endswith(VIDEO_SUFFIXES):
+    if name.lower().endswith(VIDEO_SUFFIXES) or (mimetypes.guess_type(name)[0] or "").startswith("video/"):
         return "is a video, not an image: use 'liaam track', or save its frames as images."
     return f"is not a {_KINDS} image: open it in an image program and save it as PNG."
 
