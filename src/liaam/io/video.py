@@ -9,7 +9,7 @@ import os
 import queue
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -167,12 +167,10 @@ class VideoReader:
         seen = self._source.n_seen
         if seen > self._source.n_damaged:
             return f"{self.name} has only {seen} frames, so none from frame {self._start} on; choose an earlier start"
-        if not self._source.has_size:
-            return (
-                f"{self.name} has no frame of a size that can be decoded: its frames have more than "
-                f"{MAX_PIXELS:,} pixels, or it is damaged; make it smaller, or export it again"
-            )
-        return f"{self.name} has no frame that can be decoded: it is damaged or cut short; export it again"
+        return (
+            f"{self.name} has no frame that can be decoded: it is damaged or cut short, or its frames have more than "
+            f"{MAX_PIXELS:,} pixels; export it again"
+        )
 
     def _decode(self) -> None:
         """Put all frames into the queue, then None or the error raised."""
@@ -216,7 +214,6 @@ class _Source:
     n_damaged = 0
     fault = damage = ""
     """Why there are no further frames; what damaged frames are missing."""
-    has_size = True
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         raise NotImplementedError
@@ -343,7 +340,6 @@ class _File(_Source):
         self.stream = stream = self.container.streams.video[0]
         stream.thread_type = "AUTO"
         stream.codec_context.options = _decoding()
-        self.has_size = bool(stream.width and stream.height)
         self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         self.n_frames, self.n_packets = self._announced(stream)
         self.n_seen = self.n_read = 0
@@ -371,16 +367,11 @@ class _File(_Source):
             stored, shown = self._next_times()
             self.container.seek(sooner, stream=self.stream)
             seen, read = times.index(shown), order.index(stored)
-        except (
-            self.errors,
-            LookupError,
-            TypeError,
-            ValueError,
-        ):  # times that are missing, or a seek that went elsewhere
-            times, seen, read = [], start, start
-        if seen < start < len(times):
-            self.n_seen, self.n_read, self.begun = seen, read, float(times[0] * self.stream.time_base)
-            return True
+            if seen < start < len(times):
+                self.n_seen, self.n_read, self.begun = seen, read, float(times[0] * self.stream.time_base)
+                return True
+        except (self.errors, LookupError, TypeError, ValueError):
+            pass  # times are missing, or the seek went elsewhere
         self.close()
         self.container = self._opened()
         self._begin()
@@ -415,15 +406,11 @@ class _File(_Source):
                     last = seconds = seconds if seconds > last else last + float(1 / self.rate)
                     self.n_seen += 1
                     yield seconds, partial(self._picture, frame)
+            if not self.n_damaged and self.n_read < self.n_packets:
+                self.fault = f"{self.path} is cut short: it has {self.n_read} of its {self.n_packets} frames"
         except self.errors as fault:
-            self.fault = (
-                f"{self.path} is damaged after frame {self.n_seen} ({fault.strerror}); only earlier frames were read"
-            )
-            return
-        if not self.n_damaged and self.n_read < self.n_packets:
-            self.fault = (
-                f"{self.path} is cut short: it has {self.n_read} of the {self.n_packets} frames that it announces"
-            )
+            why = f"is damaged after frame {self.n_seen} ({fault.strerror})"
+            self.fault = f"{self.path} {why}; only earlier frames were read"
 
     def _frames_of(self, packet: Any) -> list[Any]:
         try:
@@ -568,31 +555,27 @@ def check_video_name(path: Path) -> None:
 
 def can_enter(path: str | os.PathLike[str], start: int) -> bool:
     """Return whether a file or a folder can be read from a frame on without decoding all earlier frames."""
-    source = _source_of(path)
-    try:
+    with closing(_source_of(path)) as source:
         return source.skip_to(start)
-    finally:
-        source.close()
 
 
 def is_video(path: Path) -> bool:
     """Return whether a file can be opened as a video."""
     _pyav(f"{path} is a video")
-    try:
-        _File(path).close()
-    except VideoError:
-        return False
-    return True
+    with suppress(VideoError), closing(_File(path)):
+        return True
+    return False
 
 
 def _encoder(path: Path) -> tuple[str, dict[str, str]]:
     import av
 
-    choice = _WEB_ENCODERS if path.suffix.lower() == ".webm" else _ENCODERS
+    suffix = path.suffix.lower()
+    choice = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
     for name, options in choice:
         if name in av.codecs_available:
             # An .avi cannot store B-frames, which are shown in another order than decoded.
-            return name, {**options, "bf": "0"} if path.suffix.lower() == ".avi" else options
+            return name, {**options, "bf": "0"} if suffix == ".avi" else options
     raise VideoError(f"{path}: this PyAV lacks the encoder {choice[0][0]}; install PyAV from PyPI, or try .mp4")
 
 
