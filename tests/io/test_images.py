@@ -688,6 +688,14 @@ def test_an_animated_png_is_no_still(tmp_path):
         read_image(tmp_path / "a.png")
 
 
+def test_a_jpeg_with_a_preview_behind_it_or_with_damaged_exif_data_is_read(tmp_path):
+    first, second = (Image.fromarray(np.full((16, 16, 3), grey, np.uint8)) for grey in (90, 200))
+    first.save(tmp_path / "phone.jpg", "MPO", save_all=True, append_images=[second])
+    first.save(tmp_path / "exif.jpg", exif=b"Exif\0\0no tags")
+    for name in ("phone.jpg", "exif.jpg"):
+        assert np.abs(read_image(tmp_path / name).astype(int) - 90).max() <= 1
+
+
 def test_a_jpeg_2000_of_16_bits_is_read_as_stored(rng):
     grey, buffer = colour(rng, np.uint16, (9, 8)), io.BytesIO()
     Image.fromarray(grey).save(buffer, "JPEG2000")

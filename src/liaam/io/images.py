@@ -10,7 +10,7 @@ import io
 import mimetypes
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -294,7 +294,9 @@ def _open(file: Any, kind: str) -> _Opened:
     frames = 1 if kind == "JPEG" else getattr(image, "n_frames", 1)  # a JPEG may hold previews of it
     if frames > 1:
         fault = f"holds {frames} pictures, not one still: save one as PNG, or give a GIF or PNG to 'liaam track'."
-    orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
+    orientation = 1
+    with suppress(Exception):  # of damaged EXIF data, which programs that show the image ignore
+        orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
     return _Opened(kind, image, width, height, deep, orientation, fault)
 
 
