@@ -40,6 +40,9 @@ _WORDS = {
     ),
     ".bmp": (b"BM", b"\x28\0\0\0", b"\x7c\0\0\0", b"\x01\0", b"\x08\0", b"\x20\0", b"\x03\0\0\0"),
     ".ppm": (b"P1", b"P2", b"P3", b"P4", b"P5", b"P6", b"#", b"\n", b" 65535 ", b" 255 ", b"7 5", b"99999 99999"),
+    ".gif": (b"GIF89a", b"!\xf9\x04", b",\0\0\0\0", b";"),
+    ".webp": (b"RIFF", b"VP8 ", b"VP8L", b"VP8X", b"ICCP", b"ANIM"),
+    ".jp2": (b"jP  ", b"ihdr", b"colr", b"jp2c", b"\xff\x4f", b"\xff\x51", b"\xff\x52", b"\xff\x90", b"\xff\xd9"),
     ".dng": (b"II*\0", b"\x00\x01\x04\x00", b"\x11\x01\x04\x00", b"\x05\0", b"\x08\0", b"\x0c\0"),
 }
 
@@ -52,7 +55,9 @@ def _noise(height: int, width: int, channels: int, dtype: str = "uint8") -> np.n
 @cache
 def corpus(suffix: str) -> tuple[bytes, ...]:
     """Valid images of a format."""
-    return {".png": _pngs, ".jpg": _jpegs, ".tif": _tiffs, ".bmp": _bmps, ".ppm": _pnms, ".dng": _dngs}[suffix]()
+    makers = {".png": _pngs, ".jpg": _jpegs, ".tif": _tiffs, ".bmp": _bmps, ".ppm": _pnms, ".dng": _dngs}
+    makers |= {".gif": _gifs, ".webp": _webps, ".jp2": _jp2s}
+    return makers[suffix]()
 
 
 def _saved(kind: str, images: list, **options) -> tuple[bytes, ...]:
@@ -80,16 +85,37 @@ def _turned() -> bytes:
     return exif.tobytes()
 
 
+def _profiles() -> list[bytes]:
+    """Colour profiles of sRGB and of another colour space, which Pillow can make."""
+    from PIL import ImageCms
+
+    return [ImageCms.ImageCmsProfile(ImageCms.createProfile(name)).tobytes() for name in ("sRGB", "XYZ")]
+
+
+def _gifs() -> tuple[bytes, ...]:
+    return _saved("GIF", _modes("RGB", "L"))
+
+
+def _webps() -> tuple[bytes, ...]:
+    return (*_saved("WEBP", _modes("RGB", "RGBA")), *_saved("WEBP", _modes("RGB"), lossless=True, exif=_turned()))
+
+
+def _jp2s() -> tuple[bytes, ...]:
+    return _saved("JPEG2000", _modes("RGB", "RGBA", "L"))
+
+
 def _pngs() -> tuple[bytes, ...]:
     import cv2
 
     deep = cv2.imencode(".png", _noise(7, 5, 3, "uint16"))[1].tobytes()
     plain = _saved("PNG", _modes("RGB", "RGBA", "L", "LA", "P", "1"))
+    plain += tuple(file for profile in _profiles() for file in _saved("PNG", _modes("RGB"), icc_profile=profile))
     return (*plain, *_saved("PNG", _modes("RGB"), exif=_turned()), *_saved("PNG", _modes("P"), transparency=3), deep)
 
 
 def _jpegs() -> tuple[bytes, ...]:
     plain = _saved("JPEG", _modes("RGB", "L", "CMYK"), quality=80)
+    plain += tuple(file for profile in _profiles() for file in _saved("JPEG", _modes("RGB"), icc_profile=profile))
     return (*plain, *_saved("JPEG", _modes("RGB"), progressive=True), *_saved("JPEG", _modes("RGB"), exif=_turned()))
 
 

@@ -37,7 +37,10 @@ from setups import train_on
 SIZE = (160, 120)
 N_PICTURES = 9
 FAULTS = {
-    "text.jpg": (b"hello, I am no picture", "is not a PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC or GIF image"),
+    "text.jpg": (
+        b"hello, I am no picture",
+        "is not a PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000 image",
+    ),
     "zero.png": (b"", "is empty"),
     "cut.png": (None, "cut short"),
     "cut.jpg": (b"\xff\xd8\xff\xe0\x00\x10JFIF", "damaged or cut short"),

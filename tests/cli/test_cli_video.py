@@ -8,7 +8,7 @@ import pytest
 
 from liaam.cli import video as cli_video
 from liaam.evaluation import ranges_of
-from liaam.io import VideoFrame, VideoReader, video_writer, write_landmarks
+from liaam.io import VideoFrame, VideoReader, video_writer, write_image, write_landmarks
 from liaam.tracking import Tracker, TrackingOptions, stretches
 
 
@@ -58,6 +58,30 @@ def test_a_name_is_made_up_where_none_is_given(run, model_file, clip, tmp_path):
     assert [row["frame"] for row in rows] == ["3", "4", "5"]
     assert all(row["x5"] == row["raw_x5"] for row in rows)
     assert run("track", model_file, clip, "--frames", 1)[0] == 0  # a track may be written over
+
+
+def test_a_folder_of_frames_is_tracked(run, model_file, moving, tmp_path):
+    (tmp_path / "frames").mkdir()
+    for i, scene in zip((1, 2, 10), moving, strict=False):
+        write_image(tmp_path / "frames" / f"f{i}.png", scene.image)
+    code, _, err = run("track", model_file, "frames", "--video", "drawn.mp4")
+    assert (code, err) == (0, "")
+    rows = rows_of(tmp_path / "frames_track.csv")
+    assert [(row["status"], row["time"]) for row in rows] == [
+        ("found", "0.0000"),
+        *(("tracked", t) for t in ("0.0400", "0.0800")),
+    ]
+    found = np.array([[float(rows[2][f"{a}{i}"]) for a in "xy"] for i in range(58)])
+    assert np.linalg.norm(found - moving[2].landmarks, axis=1).mean() < 4
+    assert len(frames_of(tmp_path / "drawn.mp4")) == 3
+
+
+def test_images_and_videos_name_each_others_command(run, model_file, clip, moving, tmp_path):
+    write_image(tmp_path / "a.png", moving[0].image)
+    code, _, err = run("track", model_file, "a.png")
+    assert code == 1 and "a.png is an image, not a video: use 'liaam fit'" in " ".join(err.split())
+    code, _, err = run("fit", model_file, clip)
+    assert code == 1 and "talk.mp4 is a video, not an image: use 'liaam track'" in " ".join(err.split())
 
 
 def test_starts_of_all_kinds(run, model_file, clip, moving, tmp_path):

@@ -345,7 +345,9 @@ def test_folder_empty_file_and_text(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     assert "is empty (0 bytes)" in refusal(tmp_path / "empty.png")
     (tmp_path / "text.png").write_text("hello")
-    assert "is not a PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC or GIF image" in refusal(tmp_path / "text.png")
+    assert "is not a PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000 image" in refusal(
+        tmp_path / "text.png"
+    )
     (tmp_path / "faces.liaam").write_text("hello")
     assert "faces.liaam is a model, not an image: give one model first" in refusal(tmp_path / "faces.liaam")
 
@@ -415,7 +417,7 @@ def test_too_many_pixels_are_refused_before_decoding(tmp_path: Path) -> None:
     (tmp_path / "bomb.png").write_bytes(make_png(60_000, 60_000, 8, 2, b""))
     message = refusal(tmp_path / "bomb.png")
     assert "60000 x 60000 pixels, more than the 200,000,000 allowed" in message
-    assert "max_pixels" in message
+    assert "max_pixels" in message and "set LIAAM_MAX_PIXELS to 3600000000" in message
     (tmp_path / "bomb.ppm").write_bytes(b"P6 999999999 999999999 255\n")
     assert "more than" in refusal(tmp_path / "bomb.ppm")
     write_image(tmp_path / "a.png", np.zeros((3, 4), np.uint8))
@@ -444,13 +446,13 @@ def test_tiff_that_cannot_be_given_as_stored(
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"P6 5", "its header is incomplete"),
-        (b"P6 5 5 25", "its header is incomplete"),
-        (b"P5 1 1 \0", "its header is incomplete"),
-        (b"P5 1 1 0 \0", "gives 0 as the largest value"),
-        (b"P5 1 1 65536 \0\0", "gives 65536 as the largest value"),
-        (b"P5 0 1 255 \0", "a size of 0 x 1 pixels"),
-        (b"P5 1 0 255 \0", "a size of 1 x 0 pixels"),
+        (b"P6 5", "EOF while reading header"),
+        (b"P6 5 5 25", "not enough image data"),
+        (b"P5 1 1 \0", "invalid literal"),
+        (b"P5 1 1 0 \0", "maxval must be greater than 0"),
+        (b"P5 1 1 65536 \0\0", "less than 65536"),
+        (b"P5 0 1 255 \0", ""),
+        (b"P5 1 0 255 \0", ""),
         (b"P5 2 1 65535 \0\1\0", "4 bytes of pixels expected, 3 found"),
         (b"P6 1 1 65535 \0\1\0\1\0", "6 bytes of pixels expected, 5 found"),
     ],
@@ -602,6 +604,8 @@ def test_bytes_that_are_no_image_are_named(tmp_path):
             read(b"RIFF....WEBP", "photo.webp")
         with pytest.raises(ImageError, match=r"clip\.mp4 is a video, not an image: use 'liaam track'"):
             read(b"\0\0\0\x18ftypmp42", "clip.mp4")
+        with pytest.raises(ImageError, match=r"clip\.MPG is a video"):
+            read(b"\0\0\1\xba", "clip.MPG")
     write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
     data = (tmp_path / "a.png").read_bytes()
     with pytest.raises(ImageError, match="photo has 30 x 20 pixels, more than the 599 allowed"):
@@ -632,10 +636,11 @@ def test_a_preview_is_upright(tmp_path):
     assert read_preview(tmp_path / "a.jpg", 50).shape == (75, 50, 3)
 
 
-def test_a_size_that_can_be_read_in_two_ways_is_refused():
+def test_the_size_that_is_checked_is_the_one_that_is_decoded():
     data = b"P5 9#c\n9 9 255\n" + bytes(99 * 9)  # 9 x 9 pixels by the format's rules, 99 x 9 by Pillow's
-    with pytest.raises(ImageError, match="two ways"):
+    with pytest.raises(ImageError, match="99 x 9 pixels, more than the 100 allowed"):
         decode_image(data, "x", 100)
+    assert decode_image(data, "x", 1000).shape == (9, 99, 3)
 
 
 def test_deep_pictures_are_decoded_without_a_copy_too_many(tmp_path, rng):
@@ -650,17 +655,17 @@ def test_deep_pictures_are_decoded_without_a_copy_too_many(tmp_path, rng):
     assert peak < 1.5 * image.nbytes
 
 
-@pytest.mark.parametrize("suffix", [".webp", ".avif", ".gif", ".jfif"])
+@pytest.mark.parametrize("suffix", [".webp", ".avif", ".gif", ".jfif", ".jp2"])
 def test_what_pillow_opens_is_read_if_it_is_one_still(tmp_path, suffix):
     grey = np.repeat(np.repeat(np.array([[0, 255], [85, 170]], np.uint8), 8, axis=0), 8, axis=1)
     path, still = tmp_path / f"a{suffix}", Image.fromarray(grey).convert("RGB")
-    kind = {".jfif": "JPEG"}.get(suffix, suffix[1:].upper())
+    kind = {".jfif": "JPEG", ".jp2": "JPEG2000"}.get(suffix, suffix[1:].upper())
     if suffix not in Image.registered_extensions():  # AVIF, before Pillow 11.3
         path.write_bytes(b"\0\0\0\x18ftypavif" + bytes(40))
         with pytest.raises(ImageError, match=r"a\.avif is an AVIF image, which needs Pillow 11.3 or later"):
             read_image(path)
         return
-    still.save(path, format=kind, quality=100)
+    still.save(path, format=kind, **({} if kind == "JPEG2000" else {"quality": 100}))
     assert image_size(path) == (16, 16)
     np.testing.assert_allclose(read_image(path)[4::8, 4::8, 1], grey[4::8, 4::8], atol=4)
     if suffix in (".webp", ".gif"):
@@ -674,3 +679,109 @@ def test_a_photo_of_a_phone_names_the_extra(tmp_path):
     (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(40))
     with pytest.raises(ImageError, match=r"a\.heic is (an HEIC image, which needs .*\[heic\]|damaged)"):
         read_image(tmp_path / "a.heic")
+
+
+def test_an_animated_png_is_no_still(tmp_path):
+    first, second = (Image.fromarray(np.full((8, 8, 3), grey, np.uint8)) for grey in (10, 200))
+    first.save(tmp_path / "a.png", save_all=True, append_images=[second])
+    with pytest.raises(ImageError, match=r"a\.png holds 2 pictures, not one still: save one as PNG, or .* 'liaam t"):
+        read_image(tmp_path / "a.png")
+
+
+def test_a_jpeg_with_a_preview_behind_it_or_with_damaged_exif_data_is_read(tmp_path):
+    first, second = (Image.fromarray(np.full((16, 16, 3), grey, np.uint8)) for grey in (90, 200))
+    first.save(tmp_path / "phone.jpg", "MPO", save_all=True, append_images=[second])
+    first.save(tmp_path / "exif.jpg", exif=b"Exif\0\0no tags")
+    for name in ("phone.jpg", "exif.jpg"):
+        assert np.abs(read_image(tmp_path / name).astype(int) - 90).max() <= 1
+
+
+def test_a_jpeg_2000_of_16_bits_is_read_as_stored(rng):
+    grey, buffer = colour(rng, np.uint16, (9, 8)), io.BytesIO()
+    Image.fromarray(grey).save(buffer, "JPEG2000")
+    np.testing.assert_array_equal(decode_image(buffer.getvalue())[..., 1], grey)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"), [("11", "more than the 11 allowed"), ("many", "is not a number of pixels")]
+)
+def test_the_limit_of_pixels_is_set_for_commands_by_a_variable(tmp_path, monkeypatch, given, words):
+    write_image(tmp_path / "a.png", np.zeros((3, 4), np.uint8))
+    monkeypatch.setenv("LIAAM_MAX_PIXELS", given)
+    with pytest.raises(ImageError, match=words):
+        read_image(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png", max_pixels=12).shape == (3, 4, 3)  # an argument comes first
+    monkeypatch.setenv("LIAAM_MAX_PIXELS", "12")
+    assert read_image(tmp_path / "a.png").shape == (3, 4, 3)
+
+
+# Colour profiles ----------------------------------------------------------------------------------
+
+ADOBE = ((0.60974, 0.31111, 0.01947), (0.20528, 0.62567, 0.06087), (0.14919, 0.06322, 0.74457))
+P3 = ((0.51512, 0.24120, -0.00105), (0.29198, 0.69225, 0.04189), (0.15710, 0.06657, 0.78407))
+PROPHOTO = ((0.79767, 0.28804, 0.0), (0.13519, 0.71188, 0.0), (0.03134, 0.00009, 0.82491))
+WHITE = (0.9642, 1.0, 0.8249)
+
+
+def make_profile(primaries: tuple[tuple[float, ...], ...], gamma: float) -> bytes:
+    """Build an ICC profile by hand: of RGB with these XYZ of its primaries, or of grey without any."""
+
+    def xyz(values: tuple[float, ...]) -> bytes:
+        return struct.pack(">3i", *(round(value * 65536) for value in values))
+
+    curve = b"curv" + struct.pack(">IIHxx", 0, 1, round(gamma * 256))
+    tags = {b"wtpt": b"XYZ \0\0\0\0" + xyz(WHITE)}
+    for letter, primary in zip((b"r", b"g", b"b"), primaries, strict=False):
+        tags |= {letter + b"XYZ": b"XYZ \0\0\0\0" + xyz(primary), letter + b"TRC": curve}
+    if not primaries:
+        tags[b"kTRC"] = curve
+    table, blob, start = b"", b"", 132 + 12 * len(tags)
+    for tag, data in tags.items():
+        table, blob = table + tag + struct.pack(">II", start + len(blob), len(data)), blob + data
+    space = b"RGB " if primaries else b"GRAY"
+    head = struct.pack(">I4xI4s4s4s12x4s28x", start + len(blob), 0x02100000, b"mntr", space, b"XYZ ", b"acsp")
+    return (head + xyz(WHITE)).ljust(128, b"\0") + struct.pack(">I", len(tags)) + table + blob
+
+
+def to_srgb(values: np.ndarray, primaries: tuple[tuple[float, ...], ...], gamma: float) -> np.ndarray:
+    """Convert 8-bit values (n, 3) by the definition of the colour spaces."""
+    matrix = np.array(
+        [[3.1338561, -1.6168667, -0.4906146], [-0.9787684, 1.9161415, 0.0334540], [0.0719453, -0.2289914, 1.4052427]]
+    )
+    linear = np.clip((values / 255) ** gamma @ np.array(primaries) @ np.transpose(matrix), 0, 1)
+    return 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize(("primaries", "gamma"), [(ADOBE, 2.19921875), (P3, 2.2), (PROPHOTO, 1.8)])
+@pytest.mark.parametrize("kind", ["PNG", "TIFF", "WEBP"])
+def test_a_colour_profile_is_converted_to_srgb(tmp_path, primaries, gamma, kind):
+    colours = np.array([[[90, 120, 80], [128, 128, 128], [150, 110, 100], [20, 18, 25]]], np.uint8)
+    options = {"lossless": True} if kind == "WEBP" else {}
+    Image.fromarray(colours).save(tmp_path / "a", kind, icc_profile=make_profile(primaries, gamma), **options)
+    seen = read_image(tmp_path / "a")
+    assert np.abs(seen[0] - to_srgb(colours[0], primaries, gamma)).max() <= 2
+    assert np.abs(seen[0].astype(int) - colours[0]).max() >= 4
+    assert np.ptp(seen[0, 1]) == 0  # grey stays grey
+
+
+def test_grey_and_cmyk_of_other_profiles(tmp_path):
+    ramp = np.arange(256, dtype=np.uint8)[None]
+    Image.fromarray(ramp).save(tmp_path / "grey.png", icc_profile=make_profile((), 1.8))
+    seen = read_image(tmp_path / "grey.png")
+    assert np.ptp(seen.astype(int), axis=2).max() == 0
+    assert np.abs(seen[0, :, 0] - to_srgb(np.repeat(ramp[0, :, None], 3, 1), ADOBE, 1.8)[:, 0]).max() <= 2
+    profile = make_profile(ADOBE, 2.2)  # of RGB, which is none of CMYK
+    Image.new("CMYK", (8, 8), (0, 255, 255, 0)).save(tmp_path / "c.jpg", quality=100, icc_profile=profile)
+    assert np.abs(read_image(tmp_path / "c.jpg")[4, 4].astype(int) - [255, 0, 0]).max() <= 3
+
+
+def test_values_are_as_stored_in_srgb_and_where_a_profile_is_damaged_or_the_file_deep(tmp_path, rng):
+    from PIL import ImageCms
+
+    array = colour(rng, np.uint8)
+    for profile in (ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(), b"junk", bytes(200)):
+        Image.fromarray(array).save(tmp_path / "a.png", icc_profile=profile)
+        np.testing.assert_array_equal(read_image(tmp_path / "a.png"), array)
+    profile = chunk(b"iCCP", b"x\0\0" + zlib.compress(make_profile(PROPHOTO, 1.8)))
+    deep = make_png(1, 1, 16, 2, b"\0" + struct.pack(">HHH", 1000, 2000, 3000), profile)
+    assert decode_image(deep).tolist() == [[[1000, 2000, 3000]]]

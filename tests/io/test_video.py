@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from liaam.errors import LiaamError, VideoError
 from liaam.io import VideoReader, video as io_video, video_writer, write_image
@@ -254,9 +255,45 @@ def test_an_mp4_without_its_index_is_no_video(tmp_path, video):
         read(tmp_path / "cut.mp4")
 
 
-def test_a_folder_is_no_video(tmp_path):
-    with pytest.raises(VideoError, match="is a folder"):
+def test_a_folder_without_images_is_no_video(tmp_path):
+    (tmp_path / ".1.png").write_bytes(b"hidden")
+    with pytest.raises(VideoError, match="is a folder without images; give a video, or a folder of frames"):
         VideoReader(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.bmp", "a.ppm", "a.gif", "a.webp"])
+def test_an_image_is_no_video(tmp_path, name):
+    Image.fromarray(picture(0)).save(tmp_path / name)
+    with pytest.raises(VideoError, match="is an image, not a video: use 'liaam fit', or give a folder of frames"):
+        VideoReader(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.png"])
+def test_an_animation_is_a_video(tmp_path, name):
+    first, *others = (Image.fromarray(picture(i)) for i in (0, 9, 18))
+    first.save(tmp_path / name, save_all=True, append_images=others, duration=100)
+    frames = read(tmp_path / name)
+    assert np.abs(frames[2].image.astype(int) - picture(18)).mean() < 4
+    np.testing.assert_allclose([frame.time for frame in frames], [0, 0.1, 0.2], atol=1e-6)
+
+
+def test_a_folder_of_frames_is_read_in_natural_order(tmp_path):
+    for i in (0, 1, 2, 10):
+        write_image(tmp_path / f"frame{i}.png", picture(i).astype(np.uint16) * 257 if i == 2 else picture(i))
+    (tmp_path / "frame3.jpg").write_bytes(b"\xff\xd8\xff and nothing else")
+    (tmp_path / "notes.txt").write_text("of frames")
+    with VideoReader(tmp_path) as reader:
+        assert (reader.n_frames, reader.rate, reader.announces, reader.live) == (5, 25, True, False)
+        frames = list(reader)
+    assert reader.ended and "frame3.jpg is damaged or cut short" in reader.fault
+    assert [frame.index for frame in frames] == [0, 1, 2, 4]
+    assert frames[3].time == pytest.approx(0.16)
+    for frame, i in zip(frames, (0, 1, 2, 10), strict=True):
+        np.testing.assert_array_equal(frame.image, picture(i))
+    assert [frame.index for frame in read(tmp_path, 1, 3)] == [1, 2]
+    assert can_enter(tmp_path, 4) and not can_enter(tmp_path, 5)
+    with pytest.raises(VideoError, match="has only 5 frames, so none from frame 200 on"):
+        read(tmp_path, 200)
 
 
 def test_sound_alone_is_no_video(tmp_path):
@@ -657,32 +694,6 @@ def test_the_log_of_opencv_is_quiet_only_while_a_camera_is_opened(camera):
     assert log.getLogLevel() == before
 
 
-def test_a_camera_of_linux_is_opened_by_pyav_or_else_by_opencv(camera, monkeypatch, video):
-    import av
-
-    capture, opened, real = camera(), [], av.open
-    exists = Path.exists
-    monkeypatch.setattr(Path, "exists", lambda self: str(self) == "/dev/video91" or exists(self))
-
-    def open_(path, **options):
-        opened.append((path, options))
-        return real(str(video))
-
-    monkeypatch.setattr(av, "open", open_)
-    with VideoReader(91) as reader:
-        assert (reader.n_frames, reader.live, reader.rate) == (None, True, 25)
-        assert next(iter(reader)).image.shape == (48, 64, 3)
-    assert opened == [("/dev/video91", {"format": "v4l2", "metadata_errors": "replace"})]
-
-    def refuse(*_, **__):
-        raise OSError("busy")
-
-    monkeypatch.setattr(av, "open", refuse)
-    with VideoReader(91) as reader:
-        assert next(iter(reader)).image.shape == (4, 6, 3)
-    assert capture.released
-
-
 # Odds and ends
 
 
@@ -826,8 +837,8 @@ def test_pieces_that_cannot_be_decoded_are_counted(video):
 def test_a_file_that_cannot_be_read_on_gives_what_comes_before(video, monkeypatch):
     begun = io_video._File._begin
 
-    def begin(self, av, stream):
-        begun(self, av, stream)
+    def begin(self):
+        begun(self)
         real = self.container
 
         def demux(stream):

@@ -158,7 +158,7 @@ class TestRefused:
             (file_of(Image.fromarray(colours()), "JPEG")[:300], "a.jpg", 422, "a.jpg is damaged"),
             (bomb(30_000, 30_000), "a.png", 413, "30000 x 30000 pixels"),
             (bomb(2**31 - 1, 2**31 - 1), "a.png", 413, "pixels"),
-            (bomb(0, 7), "a.png", 422, "a size of 0 x 7"),
+            (bomb(0, 7), "a.png", 422, "damaged"),
             (bomb(640, 480), "a.png", 422, "a.png is damaged"),
             (b"P6 99999 99999 255\n", "a.ppm", 413, "99999 x 99999"),
             (b"II*\0" + b"\xff" * 60, "a.tif", 422, "a.tif is damaged"),

@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 def track(
     model_file: ModelFile,
-    video: Annotated[str, typer.Argument(metavar="VIDEO", help="Video file, or a camera number such as 0.")],
+    video: Annotated[
+        str,
+        typer.Argument(metavar="VIDEO", help="Video file, folder of frames as images, or a camera number such as 0."),
+    ],
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", help="Landmarks of every frame, .csv or .npz. By default VIDEO_track.csv."),
@@ -172,7 +175,9 @@ def stop_of(start: int, end: int | None, frames: int | None) -> int | None:
 
 def default_output(source: Path | int) -> Path:
     """Return the default path of the track."""
-    return Path(f"camera{source}_track.csv" if isinstance(source, int) else f"{source.stem}_track.csv")
+    if isinstance(source, int):
+        return Path(f"camera{source}_track.csv")
+    return Path(f"{real_path(source).name if source.is_dir() else source.stem}_track.csv")
 
 
 def check_outputs(output: Path, annotated: Path | None, shading_free: Path | None, source: Path | int) -> None:

@@ -18,6 +18,9 @@ from liaam.errors import ImageError, LiaamError
 MAX_PIXELS = 200_000_000
 """Default limit on width x height. Larger images are rejected before decoding."""
 
+MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"
+"""Environment variable of another limit."""
+
 
 def natural_key(text: str) -> list[Any]:
     """Return a case-insensitive sort key that puts ``img2`` before ``img10``."""
@@ -127,15 +130,29 @@ def may_write_in(folder: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-def check_size(path: Path | str, width: int, height: int, max_pixels: int) -> None:
-    """Raise if an image has too many pixels."""
-    if width * height > max_pixels:
+def check_size(name: object, width: int, height: int, max_pixels: int | None = None) -> None:
+    """Raise if an image has too many pixels: by default more than the environment variable LIAAM_MAX_PIXELS allows."""
+    given = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
+    if max_pixels is None and not given.isdecimal():
         raise ImageError(
-            f"{path} has {width} x {height} pixels, more than the {max_pixels:,} allowed: "
-            "make the image smaller, or raise max_pixels."
+            f"{MAX_PIXELS_VARIABLE}={given} is not a number of pixels: set it to one such as {MAX_PIXELS}."
+        )
+    limit = int(given) if max_pixels is None else max_pixels
+    if width * height > limit:
+        raise ImageError(
+            f"{name} has {width} x {height} pixels, more than the {limit:,} allowed: make the image smaller, or raise "
+            f"max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})."
         )
 
 
 def as_three_channels(grey: np.ndarray) -> np.ndarray:
     """Stack a grey image (h, w) to three equal channels (h, w, 3)."""
     return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def as_8_bits(image: np.ndarray) -> np.ndarray:
+    """Convert values of integers up to their largest, or of floats up to 1, to uint8."""
+    if image.dtype == np.uint8:
+        return image
+    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
+    return np.clip(np.nan_to_num(image.astype(np.float32)) * (255.0 / top), 0, 255).astype(np.uint8)

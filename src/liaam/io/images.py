@@ -1,14 +1,16 @@
 """Read and write still images as RGB arrays with their stored values.
 
-Pillow decodes files with 8 bits per channel and detects truncated ones. OpenCV decodes 16-bit and float files, which
-Pillow would reduce to 8 bits. The size in the header is checked before decoding. The format is recognised by content,
-not by suffix, except for RAW files (:mod:`liaam.io.raw`).
+Pillow opens and decodes files, converts colour profiles to sRGB and detects truncated files. OpenCV decodes the 16-bit
+and float files that Pillow would reduce to 8 bits. The size in the header is checked before decoding. The format is
+recognised by content, not by suffix, except for RAW files (:mod:`liaam.io.raw`).
 """
 
+import importlib
 import io
+import mimetypes
 import os
-import re
-import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,24 +19,24 @@ import numpy as np
 
 from liaam.errors import ImageError, installing
 from liaam.io.atomic import write_bytes_atomically
-from liaam.io.files import MAX_PIXELS, as_three_channels, check_size, existing_file, read_bytes
+from liaam.io.files import as_three_channels, check_size, existing_file
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
 """Suffixes (lower case) of the image files that can be read and written, lossless ones first."""
 
-_PILLOW_SUFFIXES = (".jfif", ".jpe", ".webp", ".avif", ".heic", ".heif", ".gif")
-"""Suffixes of the image files that can only be read."""
+STILL_SUFFIXES = (*IMAGE_SUFFIXES, ".jfif", ".jpe", ".webp", ".avif", ".heic", ".heif", ".gif", ".jp2")
+"""Suffixes of the image files that can be read, without RAW files."""
 
-PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, *_PILLOW_SUFFIXES, *RAW_SUFFIXES)
+PICTURE_SUFFIXES = (*STILL_SUFFIXES, *RAW_SUFFIXES)
 """Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
 
-UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".jp2", ".exr")
+UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".exr")
 """Suffixes of images that are not supported, to name them in messages."""
 
-_VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
+"""Suffixes of the video files that can be written, in lower case."""
 
-_MAX_BYTES = 4_000_000_000
 _SIGNATURES = (
     (b"\x89PNG\r\n\x1a\n", "PNG"),
     (b"\xff\xd8\xff", "JPEG"),
@@ -42,128 +44,113 @@ _SIGNATURES = (
     (b"MM\0*", "TIFF"),
     (b"II+\0", "TIFF"),  # BigTIFF; Pillow cannot read that of the other byte order
     (b"BM", "BMP"),
-    *((b"P%d" % digit, "PNM") for digit in range(1, 7)),
+    *((b"P%d" % digit, "PPM") for digit in range(1, 7)),
     (b"GIF8", "GIF"),
+    (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG2000"),
+    (b"\xff\x4f\xff\x51", "JPEG2000"),
 )
 _BRANDS = {b"avif": "AVIF", b"avis": "AVIF", **dict.fromkeys((b"heic", b"heix", b"heim", b"hevc", b"mif1"), "HEIF")}
 """Formats of ISO media files, by the brand in bytes 8 to 11."""
 
-_KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC or GIF"
+_PLUGINS = {"PNG": "Png", "JPEG": "Jpeg", "TIFF": "Tiff", "BMP": "Bmp", "PPM": "Ppm", "GIF": "Gif"}
+_PLUGINS |= {"WEBP": "WebP", "AVIF": "Avif", "JPEG2000": "Jpeg2K"}
+"""Modules of Pillow by format: PIL.PngImagePlugin and so on."""
+
+_NEEDS = {
+    "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
+    "HEIF": f"HEIC image, which needs the extra heic: {installing('heic')}",
+}
+_MAX_BYTES = 4_000_000_000
+_KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000"
 _DEEP_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm")
 _FLOAT_SUFFIXES = (".tif", ".tiff")
 _EXIF_ORIENTATION = 0x0112
-_PNM_HEADER = re.compile(
-    rb"P(?P<kind>[1-6])(?:\s|#[^\n\r]*[\n\r])+(?P<width>\d{1,9})(?:\s|#[^\n\r]*[\n\r])+(?P<height>\d{1,9})"
-    rb"(?:(?:\s|#[^\n\r]*[\n\r])+(?P<maximum>\d{1,5}))?\s"
-)
 # Tags of the TIFF 6.0 specification.
 _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _PLANAR, _FORMAT = 256, 257, 258, 262, 277, 284, 339
 _EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
 
+ROWS_AT_ONCE = 256
+"""Rows converted at a time, because Pillow's conversions take several times the image's memory."""
+
+_PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
+"""Modes of Pillow's images that the colour profiles of each colour space are for."""
+
+_SAME = 2
+"""Largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding."""
+
 
 @dataclass(frozen=True)
-class _Header:
-    """Header of an image file; width and height are as stored, before the orientation is applied."""
+class _Opened:
+    """Header of an image file, whose pixels are not decoded yet."""
 
     kind: str
+    image: Any
+    """Pillow's image; None for a TIFF of more than 8 bits per channel."""
     width: int
+    """As stored, before the orientation is applied."""
     height: int
-    bits: int = 8
+    deep: bool = False
+    """Whether channels have more than 8 bits."""
     orientation: int = 1
     fault: str = ""
     """Why the pixels cannot be decoded, or empty."""
-    maximum: int = 255
-    """PNM only: the value of white."""
-    offset: int = 0
-    """PNM only: offset of the pixels in bytes."""
 
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) after the orientation is applied; orientations 5 to 8 swap them."""
-        if self.orientation >= 5:
-            return self.height, self.width
-        return self.width, self.height
+        return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
 
 
-def read_image(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS) -> np.ndarray:
-    """Read a colour image as it is stored.
+def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.ndarray:
+    """Read a colour image with its stored values, or those that its colour profile gives in sRGB.
 
     Parameters
     ----------
     path : path-like
-        A PNG, JPEG, TIFF (first page), BMP, PPM, PGM, WebP, AVIF, GIF or HEIC file of one still, or a RAW file,
-        recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear (see :func:`liaam.io.read_raw`).
+        A PNG, JPEG, TIFF (first page), BMP, PPM, PGM, WebP, AVIF, GIF, JPEG 2000 or HEIC file of one still, or a RAW
+        file, recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear (see
+        :func:`liaam.io.read_raw`).
     max_pixels : int, optional
-        Larger images are rejected before decoding.
+        Larger images are rejected before decoding. By default the environment variable ``LIAAM_MAX_PIXELS``, or 200
+        million.
 
     Returns
     -------
     np.ndarray
-        (height, width, 3) uint8, uint16 or float32, in RGB order. The response is not changed and colour
-        profiles are not applied. A grey image has three equal channels. Transparency is dropped, palettes and
-        CMYK are converted, and the EXIF orientation is applied. 64-bit floats become float32, and NaN is kept. PPM
-        and PGM values are scaled so that white is 255 or 65535.
+        (height, width, 3) uint8, uint16 or float32, in RGB order. A grey image has three equal channels. Transparency
+        is dropped, palettes and CMYK are converted, and the EXIF orientation is applied. 64-bit floats become float32,
+        and NaN is kept. PPM and PGM values are scaled so that white is 255 or 65535. 8-bit values with an ICC profile
+        of another colour space, such as Adobe RGB, are converted to sRGB; 16-bit and float values, and those with a
+        damaged profile, are returned as stored.
 
     Raises
     ------
     ImageError
         If the file is missing, a folder, empty, truncated, damaged or in another format, has more than `max_pixels`
-        pixels, or holds values of an unsupported type, such as 32-bit or signed integers.
+        pixels, or holds several pictures, or values of an unsupported type, such as 32-bit or signed integers.
     """
     return _read(path, max_pixels)
 
 
-def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int = MAX_PIXELS) -> np.ndarray:
-    """Read an image for display. A JPEG may be decoded faster at a half, a quarter or an eighth of its size.
+def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int | None = None) -> np.ndarray:
+    """Read an image for display, with sides of at least `size` pixels; see :func:`read_image`.
 
-    Parameters
-    ----------
-    path : path-like
-    size : int
-        Minimum length of both sides of the result, unless the image is smaller.
-    max_pixels : int, optional
-
-    Returns
-    -------
-    (h, w, 3) uint8, uint16 or float32
-        See :func:`read_image`.
-
-    Raises
-    ------
-    ImageError
-        See :func:`read_image`.
+    A JPEG may be decoded faster at a half, a quarter or an eighth of its size.
     """
     return _read(path, max_pixels, size)
 
 
-def decode_image(data: bytes, name: str = "image", max_pixels: int = MAX_PIXELS) -> np.ndarray:
-    """Decode the bytes of an image file, except RAW files; see :func:`read_image`.
-
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        Name of the image in errors.
-    max_pixels : int, optional
-        Larger images are rejected before decoding.
-
-    Returns
-    -------
-    (h, w, 3) uint8, uint16 or float32
-
-    Raises
-    ------
-    ImageError
-        See :func:`read_image`.
-    """
-    header = _header_of(io.BytesIO(data), name)
-    _check_header(name, header, max_pixels)
-    return _decode(name, data, header)
+def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None) -> np.ndarray:
+    """Decode the bytes of an image file, except RAW files. Errors call it `name`. See :func:`read_image`."""
+    file = io.BytesIO(data)
+    with _opened(file, name) as opened:
+        return _decode(file, name, opened, max_pixels)
 
 
 def encoded_size(data: bytes, name: str = "image") -> tuple[int, int]:
     """Return (width, height) of an image file given as bytes, as :func:`image_size` does for a path."""
-    return _header_of(io.BytesIO(data), name).size
+    with _opened(io.BytesIO(data), name) as opened:
+        return opened.size
 
 
 def is_image(data: bytes) -> bool:
@@ -186,24 +173,14 @@ def size_and_orientation(path: str | os.PathLike[str]) -> tuple[tuple[int, int],
     """Return (width, height) of an image as :func:`image_size` does, and its EXIF orientation, 1 to 8."""
     if is_raw(path):
         return raw_size(path), 1
-    header = _read_header(existing_file(path, ImageError, "image"))
-    return header.size, header.orientation
+    with _file(path) as file, _opened(file, path) as opened:
+        return opened.size, opened.orientation
 
 
-def _read(path: str | os.PathLike[str], max_pixels: int, preview: int | None = None) -> np.ndarray:
-    """Read an image; see :func:`read_preview` for the size."""
-    if is_raw(path):
-        return read_raw(path, max_pixels)
-    path = existing_file(path, ImageError, "image")
-    header = _read_header(path)
-    _check_header(path, header, max_pixels)
-    return _decode(path, read_bytes(path, ImageError, _MAX_BYTES), header, preview)
-
-
-def _check_header(path: Path | str, header: _Header, max_pixels: int) -> None:
-    check_size(path, header.width, header.height, max_pixels)
-    if header.fault:
-        raise ImageError(f"{path} {header.fault}")
+def image_kind(path: Path) -> str | None:
+    """Return the format of an image file by its first bytes, or None for other files."""
+    with path.open("rb") as file:
+        return _kind_of(file.read(16))
 
 
 def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
@@ -228,55 +205,53 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
     suffix = _check_writable(path, array)
     if suffix == ".ppm" and array.ndim == 2:
         array = as_three_channels(array)
-    data = _encode_shallow(array, suffix) if array.dtype == np.uint8 else _encode_deep(array, suffix)
-    write_bytes_atomically(path, data, ImageError)
+    write_bytes_atomically(path, _encode(array, suffix), ImageError)
 
 
 # Headers ------------------------------------------------------------------------------------------
 
 
-def _read_header(path: Path) -> _Header:
-    """Read kind, size and depth of a file without decoding pixels."""
+@contextmanager
+def _file(path: str | os.PathLike[str]) -> Iterator[Any]:
+    """Open an image file to read."""
+    path = existing_file(path, ImageError, "image")
     try:
-        with path.open("rb") as file:
-            return _header_of(file, path)
+        file = path.open("rb")
     except OSError as fault:
         raise ImageError(f"{path} cannot be read ({fault.strerror}): check its permissions.") from fault
+    with file:
+        yield file
 
 
-def _header_of(file: Any, path: Path | str) -> _Header:
-    """Read kind, size and depth from an open file without decoding pixels."""
-    kind: str | None = None
+@contextmanager
+def _opened(file: Any, name: str | os.PathLike[str]) -> Iterator[_Opened]:
+    """Yield the header of an open file. Raise what Pillow and OpenCV raise in the block as ImageError."""
+    kind = _kind_of(file.read(16))
+    if kind is None:
+        raise ImageError(f"{name} {_why_no_image(str(name))}")
+    file.seek(0)
     try:
-        kind = _kind_of(file.read(16))
-        if kind is None:
-            if str(path).endswith(".liaam"):
-                raise ImageError(f"{path} is a model, not an image: give one model first, and then images.")
-            if str(path).lower().endswith(_VIDEOS):
-                raise ImageError(f"{path} is a video, not an image: use 'liaam track', or save its frames as images.")
-            raise ImageError(f"{path} is not a {_KINDS} image: open it in an image program and save it as PNG.")
-        file.seek(0)
-        header = _HEADER_READERS[kind](file) if kind in _HEADER_READERS else _pillow_header(file, kind)
-    except ImageError:
+        opened = _open_tiff(file) if kind == "TIFF" else _open(file, kind)
+        if opened.width < 1 or opened.height < 1:
+            raise ValueError(f"a size of {opened.width} x {opened.height} pixels")
+        yield opened
+    except (ImageError, MemoryError):
         raise
     except ImportError as fault:
-        needs = _NEEDS.get(str(kind), f"image of a format that needs another Pillow ({kind})")
-        raise ImageError(f"{path} is an {needs}, or save the image as PNG.") from fault
-    except OSError as fault:
-        if fault.errno is not None:  # raised by the system, not by Pillow
-            raise
-        raise _damaged(path, fault) from fault
-    except Exception as fault:  # Pillow's parsers raise many classes on bad bytes
-        raise _damaged(path, fault) from fault
-    if header.width < 1 or header.height < 1:
-        raise _damaged(path, f"a size of {header.width} x {header.height} pixels")
-    return header
+        needs = _NEEDS.get(kind, f"image of a format that needs another Pillow ({kind})")
+        raise ImageError(f"{name} is an {needs}, or save the image as PNG.") from fault
+    except Exception as fault:  # Pillow's parsers and decoders raise many classes on bad bytes
+        raise ImageError(
+            f"{name} is damaged or cut short ({fault}): copy it again, or save it again from the program that made it."
+        ) from fault
 
 
-def image_kind(path: Path) -> str | None:
-    """Return the format of an image file by its first bytes, or None for other files."""
-    with path.open("rb") as file:
-        return _kind_of(file.read(16))
+def _why_no_image(name: str) -> str:
+    if name.endswith(".liaam"):
+        return "is a model, not an image: give one model first, and then images."
+    if name.lower().endswith(VIDEO_SUFFIXES) or (mimetypes.guess_type(name)[0] or "").startswith("video/"):
+        return "is a video, not an image: use 'liaam track', or save its frames as images."
+    return f"is not a {_KINDS} image: open it in an image program and save it as PNG."
 
 
 def _kind_of(start: bytes) -> str | None:
@@ -288,124 +263,69 @@ def _kind_of(start: bytes) -> str | None:
     return next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
 
 
-def _damaged(path: Path | str, fault: object) -> ImageError:
-    return ImageError(
-        f"{path} is damaged or cut short ({fault}): copy it again, or save it again from the program that made it."
-    )
-
-
-def _open_pillow(file: Any, kind: str) -> Any:
-    """Open with Pillow's reader of this kind. Image.open would try others and apply its own size limit."""
-    from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, PpmImagePlugin, TiffImagePlugin
-
-    if kind in _LATER:
-        return _LATER[kind](file)
-    readers = {
-        "PNG": PngImagePlugin.PngImageFile,
-        "JPEG": JpegImagePlugin.jpeg_factory,
-        "TIFF": TiffImagePlugin.TiffImageFile,
-        "BMP": BmpImagePlugin.BmpImageFile,
-        "PNM": PpmImagePlugin.PpmImageFile,
-    }
-    return readers[kind](file)
-
-
-def _open_webp(file: Any) -> Any:
-    from PIL import WebPImagePlugin
-
-    return WebPImagePlugin.WebPImageFile(file)
-
-
-def _open_gif(file: Any) -> Any:
-    from PIL import GifImagePlugin
-
-    return GifImagePlugin.GifImageFile(file)
-
-
-def _open_avif(file: Any) -> Any:
-    from PIL import AvifImagePlugin  # since Pillow 11.3
-
-    return AvifImagePlugin.AvifImageFile(file)
-
-
-def _open_heif(file: Any) -> Any:
-    from pillow_heif import HeifImageFile  # type: ignore
-
-    return HeifImageFile(file)
-
-
-_LATER = {"WEBP": _open_webp, "GIF": _open_gif, "AVIF": _open_avif, "HEIF": _open_heif}
-"""How the formats are opened that older versions of Pillow, or Pillow alone, may lack."""
-
-_NEEDS = {
-    "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
-    "HEIF": f"HEIC image, which needs the extra heic: {installing('heic')}",
-}
-
-
-def _pillow_header(file: Any, kind: str) -> _Header:
-    image = _open_pillow(file, kind)
-    frames = getattr(image, "n_frames", 1) if kind in _LATER else 1
-    fault = f"holds {frames} pictures, not one still: save one of them as PNG." if frames > 1 else ""
-    return _Header(kind, *image.size, orientation=_orientation(image.getexif()), fault=fault)
-
-
-def _orientation(tags: Any) -> int:
-    value = tags.get(_EXIF_ORIENTATION, 1)
-    return value if value in range(1, 9) else 1
-
-
-def _png_header(file: Any) -> _Header:
-    """Read the chunks directly, because Pillow decodes the pixels to find an eXIf chunk after them."""
+def _pillow(file: Any, kind: str) -> Any:
+    """Open with Pillow's reader of this kind. Image.open would apply its own size limit."""
+    if kind == "HEIF":
+        return importlib.import_module("pillow_heif").HeifImageFile(file)
     from PIL import Image
 
-    width, height, bits = struct.unpack(">IIB", file.read(25)[16:])  # IHDR always comes first
-    chunks = _png_chunks(file, file.seek(0, os.SEEK_END))
-    exif = Image.Exif()
-    if b"eXIf" in chunks:
-        offset, size = chunks[b"eXIf"]
-        file.seek(offset)
-        exif.load(file.read(size))
-    fault = "" if b"IEND" in chunks else "is cut short (it ends within a chunk): copy it again."
-    return _Header("PNG", width, height, bits=bits, orientation=_orientation(exif), fault=fault)
+    if kind == "JPEG2000":  # whose reader makes room for what the header promises, but not beyond the end of bytes
+        file = io.BytesIO(file.read())
+    importlib.import_module(f"PIL.{_PLUGINS[kind]}ImagePlugin")
+    return Image.OPEN[kind][0](file, "")
 
 
-def _png_chunks(file: Any, n_bytes: int) -> dict[bytes, tuple[int, int]]:
-    """Return the offset and size of the data of each kind of chunk that is complete."""
-    chunks: dict[bytes, tuple[int, int]] = {}
-    offset = 8
-    while offset + 12 <= n_bytes and b"IEND" not in chunks:
-        file.seek(offset)
-        size, tag = struct.unpack(">I4s", file.read(8))
-        if offset + 12 + size <= n_bytes:
-            chunks[tag] = (offset + 8, size)
-        offset += 12 + size
-    return chunks
+def _open(file: Any, kind: str) -> _Opened:
+    """Open a file of any kind but TIFF."""
+    from PIL import Image
+
+    image: Any = _pillow(file, kind)
+    width, height = image.size
+    fault, deep = "", image.mode.startswith("I")
+    if kind == "PNG":
+        deep, exif = "16" in image.tile[0][3], _png_exif(file)
+        fault = "is cut short (it ends within a chunk): copy it again." if exif is None else ""
+        image.info |= {"exif": exif} if exif else {}
+    elif kind == "PPM":
+        deep = _white_of(image) > 255
+        if deep and image.tile[0][0] == "ppm_plain":
+            fault = "holds more than 8 bits per channel as plain text: save it as binary PPM or as PNG."
+    frames = 1 if kind == "JPEG" else getattr(image, "n_frames", 1)  # a JPEG may hold previews of it
+    if frames > 1:
+        fault = f"holds {frames} pictures, not one still: save one as PNG, or give a GIF or PNG to 'liaam track'."
+    orientation = 1
+    with suppress(Exception):  # of damaged EXIF data, which programs that show the image ignore
+        orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
+    return _Opened(kind, image, width, height, deep, orientation, fault)
 
 
-def _pnm_header(file: Any) -> _Header:
-    match = _PNM_HEADER.match(file.read(10_000))
-    bilevel = match is not None and match["kind"] in b"14"
-    if match is None or (match["maximum"] is None and not bilevel):
-        raise ValueError("its header is incomplete")
-    maximum = 1 if bilevel else int(match["maximum"])
-    if not 1 <= maximum <= 65535:
-        raise ValueError(f"its header gives {maximum} as the largest value")
-    deep = maximum > 255
-    plain_text = "holds more than 8 bits per channel as plain text: save it as binary PPM or as PNG."
-    return _Header(
-        "PNM",
-        int(match["width"]),
-        int(match["height"]),
-        bits=16 if deep else 8,
-        fault=plain_text if deep and match["kind"] in b"23" else "",
-        maximum=maximum,
-        offset=match.end(),
-    )
+def _png_exif(file: Any) -> bytes | None:
+    """Return the eXIf chunk of a PNG, also from behind the pixels; None if the file is cut short."""
+    from PIL.PngImagePlugin import ChunkStream
+
+    n_bytes, exif, end, chunks = file.seek(0, os.SEEK_END), b"", 8, ChunkStream(file)
+    while end + 12 <= n_bytes:
+        file.seek(end)
+        tag, start, size = chunks.read()
+        end = start + size + 4
+        if end > n_bytes:
+            return None
+        if tag == b"IEND":
+            return exif
+        exif = file.read(size) if tag == b"eXIf" else exif
+    return None
 
 
-def _tiff_header(file: Any) -> _Header:
-    """Read the tags directly, because Pillow cannot open a float RGB file."""
+def _white_of(image: Any) -> int:
+    """Return the value of white of Pillow's PPM image."""
+    arguments = image.tile[0][3]
+    if isinstance(arguments, tuple):
+        return arguments[1]
+    return 65535 if arguments == "I;16B" else 255
+
+
+def _open_tiff(file: Any) -> _Opened:
+    """Read the tags before Pillow does, because it cannot open a float RGB file."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     start = file.read(8)
@@ -414,14 +334,15 @@ def _tiff_header(file: Any) -> _Header:
     tags = ImageFileDirectory_v2(start)
     file.seek(tags.next)
     tags.load(file)
-    return _Header(
-        "TIFF",
-        int(tags[_WIDTH]),
-        int(tags[_HEIGHT]),
-        bits=max(tags.get(_BITS, (1,))),
-        orientation=_orientation(tags),
-        fault=_tiff_fault(tags, file.seek(0, os.SEEK_END)),
-    )
+    fault, deep = _tiff_fault(tags, file.seek(0, os.SEEK_END)), max(tags.get(_BITS, (1,))) > 8
+    file.seek(0)
+    image = None if deep or fault else _pillow(file, "TIFF")
+    return _Opened("TIFF", image, int(tags[_WIDTH]), int(tags[_HEIGHT]), deep, _orientation(tags), fault)
+
+
+def _orientation(tags: Any) -> int:
+    value = tags.get(_EXIF_ORIENTATION, 1)
+    return value if value in range(1, 9) else 1
 
 
 def _tiff_fault(tags: Any, n_bytes: int) -> str:
@@ -444,98 +365,126 @@ def _tiff_fault(tags: Any, n_bytes: int) -> str:
     return ""
 
 
-_HEADER_READERS = {"PNG": _png_header, "TIFF": _tiff_header, "PNM": _pnm_header}
-
-
 # Decoding -----------------------------------------------------------------------------------------
 
 
-def _decode(path: Path | str, data: bytes, header: _Header, preview: int | None = None) -> np.ndarray:
-    """Decode a file's bytes; see :func:`read_preview` for the size."""
-    if header.bits <= 8:
-        return _decode_shallow(path, data, header, preview)
-    if header.kind == "PNM":
-        return _decode_deep_pnm(path, data, header)
-    return _decode_deep(path, data, header)
+def _read(path: str | os.PathLike[str], max_pixels: int | None, preview: int | None = None) -> np.ndarray:
+    """Read an image; see :func:`read_preview` for the size."""
+    if is_raw(path):
+        return read_raw(path, max_pixels)
+    with _file(path) as file, _opened(file, path) as opened:
+        return _decode(file, path, opened, max_pixels, preview)
 
 
-def _decode_shallow(path: Path | str, data: bytes, header: _Header, preview: int | None = None) -> np.ndarray:
-    """Decode an image with at most 8 bits per channel, and detect truncation."""
-    try:
-        image = _open_pillow(io.BytesIO(data), header.kind)
-        if image.size not in ((header.width, header.height), header.size):  # what was checked would not be decoded
-            raise ValueError("its size can be read in two ways")
-        if preview is not None:
-            image.draft(None, (preview, preview))  # affects JPEG only
-        image.load()
-        array = _rgb_of(image)
-    except MemoryError:
-        raise
-    except Exception as fault:  # Pillow's decoders raise many classes on bad bytes
-        raise _damaged(path, fault) from fault
-    return _upright(array, header)
-
-
-ROWS_AT_ONCE = 256
-"""Rows converted at a time, because Pillow's conversions take several times the image's memory."""
+def _decode(file: Any, name: object, opened: _Opened, max_pixels: int | None, preview: int | None = None) -> np.ndarray:
+    """Decode an opened file; see :func:`read_preview` for the size."""
+    check_size(name, opened.width, opened.height, max_pixels)
+    if opened.fault:
+        raise ImageError(f"{name} {opened.fault}")
+    if opened.kind != "PPM" or not opened.deep:
+        if opened.image is not None and preview is not None:
+            opened.image.draft(None, (preview, preview))  # affects JPEG only
+        return _upright(_decode_deep(file, opened) if opened.deep else _rgb_of(opened.image), opened)
+    return _decode_deep_ppm(file, opened.image)
 
 
 def _rgb_of(image: Any) -> np.ndarray:
-    """Convert a Pillow image to (h, w, 3) uint8."""
+    """Decode a Pillow image to (h, w, 3) uint8, in sRGB."""
+    image.load()
     width, height = image.size
-    array = np.empty((height, width, 3), np.uint8)
+    array, convert = np.empty((height, width, 3), np.uint8), _to_srgb(image) or _to_rgb
     for top in range(0, height, ROWS_AT_ONCE):
         strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
-        if "transparency" in image.info:  # a palette with transparency cannot be converted to RGB directly
-            strip = strip.convert("RGBA")
-        array[top : top + strip.height] = strip.convert("RGB")
+        array[top : top + strip.height] = convert(strip)
     return array
 
 
-def _decode_deep(path: Path | str, data: bytes, header: _Header) -> np.ndarray:
-    """Decode 16-bit PNG, and 16-bit and float TIFF."""
+def _to_rgb(image: Any) -> Any:
+    # A palette with transparency cannot be converted to RGB directly.
+    return (image.convert("RGBA") if "transparency" in image.info else image).convert("RGB")
+
+
+def _to_srgb(image: Any) -> Callable[[Any], Any] | None:
+    """Return a function that converts parts of an image to sRGB; None if its values are to be taken as stored."""
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return None
+    from PIL import Image, ImageCms
+
+    try:
+        source: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        space = source.profile.xcolor_space.strip()
+        if image.mode not in _PROFILE_MODES.get(space, ()):
+            return None
+        mode = _PROFILE_MODES[space][0]
+        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, "RGB")
+    except (ImageCms.PyCMSError, OSError):
+        return None
+    if mode == "L":  # as lcms gives channels that differ by rounding
+        return lambda part: Image.merge("RGB", [transform.apply(part.convert("L")).getchannel("G")] * 3)
+    if mode == "RGB" and _is_srgb(transform):
+        return None
+    return lambda part: transform.apply(_to_rgb(part) if mode == "RGB" else part)
+
+
+def _is_srgb(transform: Any) -> bool:
+    """Return whether a transform to sRGB changes no colour by more than rounding does."""
+    from PIL import Image
+
+    colours = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), axis=-1).reshape(-1, 18, 3)
+    changed = np.asarray(transform.apply(Image.fromarray(colours)), int)
+    return bool(np.abs(changed - colours).max() <= _SAME)
+
+
+def _decode_deep(file: Any, opened: _Opened) -> np.ndarray:
+    """Decode 16-bit PNG and JPEG 2000, and 16-bit and float TIFF."""
     import cv2
 
-    if header.kind == "PNG":  # detect truncation with Pillow, because OpenCV may fill missing pixels with zeros
-        _decode_shallow(path, data, header)
-    try:
-        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as fault:
-        raise _damaged(path, fault) from fault
+    if opened.image is not None:  # Pillow detects truncation, where OpenCV may fill missing pixels with zeros
+        opened.image.load()
+    if file.seek(0, os.SEEK_END) > _MAX_BYTES:
+        raise ValueError(f"more than {_MAX_BYTES:,} bytes")
+    file.seek(0)
+    array = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None:
-        raise _damaged(path, "its pixels cannot be decoded")
+        raise ValueError("its pixels cannot be decoded")
     if array.dtype == np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float32)
     if array.ndim == 2:
-        return _upright(as_three_channels(array), header)
+        return as_three_channels(array)
     # In place: the picture may be all that the memory holds.
     rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, array) if array.shape[2] == 3 else array[:, :, 2::-1]
-    return _upright(np.ascontiguousarray(rgb), header)
+    return np.ascontiguousarray(rgb)
 
 
-def _decode_deep_pnm(path: Path | str, data: bytes, header: _Header) -> np.ndarray:
-    n_channels = 3 if data[1:2] == b"6" else 1
-    n_values = header.width * header.height * n_channels
-    if len(data) - header.offset < 2 * n_values:
-        raise _damaged(path, f"{2 * n_values} bytes of pixels expected, {len(data) - header.offset} found")
-    values = np.frombuffer(data, ">u2", n_values, header.offset).astype(np.float64)
-    scaled = np.rint(np.minimum(values, header.maximum) * (65535 / header.maximum)).astype(np.uint16)
-    array = scaled.reshape(header.height, header.width, n_channels)
+def _decode_deep_ppm(file: Any, image: Any) -> np.ndarray:
+    """Decode 16-bit PPM and PGM, whose values Pillow would reduce and OpenCV would not scale."""
+    (width, height), n_channels, white = image.size, len(image.getbands()), _white_of(image)
+    file.seek(image.tile[0][2])
+    n_bytes = 2 * width * height * n_channels
+    data = file.read(n_bytes)
+    if len(data) < n_bytes:
+        raise ValueError(f"{n_bytes} bytes of pixels expected, {len(data)} found")
+    values = np.minimum(np.frombuffer(data, ">u2").astype(np.float64), white)
+    array = np.rint(values * (65535 / white)).astype(np.uint16).reshape(height, width, n_channels)
     return array if n_channels == 3 else as_three_channels(array[:, :, 0])
 
 
-def _upright(array: np.ndarray, header: _Header) -> np.ndarray:
+def _upright(array: np.ndarray, opened: _Opened) -> np.ndarray:
     """Apply the EXIF orientation, except to TIFF, where both decoders already did."""
-    if header.kind == "TIFF" or header.orientation == 1:
+    if opened.kind == "TIFF" or opened.orientation == 1:
         return array
-    if header.orientation >= 5:
+    if opened.orientation >= 5:
         array = array.transpose(1, 0, 2)
-    if header.orientation in (3, 4, 7, 8):
+    if opened.orientation in (3, 4, 7, 8):
         array = array[::-1]
-    if header.orientation in (2, 3, 6, 7):
+    if opened.orientation in (2, 3, 6, 7):
         array = array[:, ::-1]
     return np.ascontiguousarray(array)
+
+
+# Writing ------------------------------------------------------------------------------------------
 
 
 def _check_writable(path: Path, array: np.ndarray) -> str:
@@ -559,22 +508,15 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
     raise ImageError(f"{path} cannot be written: {fault}")
 
 
-def _encode_shallow(array: np.ndarray, suffix: str) -> bytes:
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    buffer.name = f"image{suffix}"  # Pillow takes the format from it, and loads further plugins only if it has to
-    options: dict[str, Any] = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
-    Image.fromarray(np.ascontiguousarray(array)).save(buffer, **options)
-    return buffer.getvalue()
-
-
-def _encode_deep(array: np.ndarray, suffix: str) -> bytes:
+def _encode(array: np.ndarray, suffix: str) -> bytes:
     import cv2
 
     if suffix == ".pnm":
         suffix = ".pgm" if array.ndim == 2 else ".ppm"
+    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # the quality is 95 by default
+    tiff = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none
+    png = [cv2.IMWRITE_PNG_COMPRESSION, 3]  # half the time of 6, for files larger by a twelfth
+    options = {".png": png, ".jpg": jpeg, ".jpeg": jpeg, ".tif": tiff, ".tiff": tiff}.get(suffix, [])
     bgr = array if array.ndim == 2 else array[:, :, ::-1]
-    options = [cv2.IMWRITE_TIFF_COMPRESSION, 1] if suffix in _FLOAT_SUFFIXES else []
     _, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), options)
     return data.tobytes()

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from liaam.errors import StartError, installing
+from liaam.io.files import as_8_bits
 
 _OWN = threading.local()
 """A face mesh for each thread, because it takes one image at a time."""
@@ -27,8 +28,6 @@ def face_mesh(image: np.ndarray) -> np.ndarray | None:
     (478, 2) float64 or None
         Image pixels; None if there is no face.
     """
-    top = np.iinfo(image.dtype).max if image.dtype.kind == "u" else 1.0
-    pixels = np.clip(np.nan_to_num(image.astype(np.float32)) * (255.0 / top), 0, 255).astype(np.uint8)
     if not hasattr(_OWN, "mesh"):
         try:
             from mediapipe.python.solutions.face_mesh import FaceMesh  # type: ignore
@@ -38,7 +37,7 @@ def face_mesh(image: np.ndarray) -> np.ndarray | None:
                 "(Python 3.11 or 3.12)"
             ) from error
         _OWN.mesh = FaceMesh(static_image_mode=True, max_num_faces=1, refine_landmarks=True)
-    faces = _OWN.mesh.process(np.ascontiguousarray(pixels)).multi_face_landmarks
+    faces = _OWN.mesh.process(np.ascontiguousarray(as_8_bits(image))).multi_face_landmarks
     if not faces:
         return None
     size = np.array(image.shape[1::-1])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.files import MAX_PIXELS, as_three_channels, check_size, existing_file
+from liaam.io.files import as_three_channels, check_size, existing_file
 
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 """Suffixes (lower case) of RAW files. They are recognised by name, because many are TIFF files whose first page is a
@@ -31,7 +31,7 @@ def is_raw(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in RAW_SUFFIXES
 
 
-def read_raw(path: str | os.PathLike[str], max_pixels: int = MAX_PIXELS, half_size: bool = False) -> np.ndarray:
+def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None, half_size: bool = False) -> np.ndarray:
     """Read a RAW file as linear light.
 
     The channels are the sensor's own. No colour matrix mixes them, because that would break the light invariance.

@@ -1,7 +1,7 @@
-"""Read and write videos, and read cameras, frame by frame.
+"""Read and write videos, and read cameras and folders of frames, frame by frame.
 
-The optional package PyAV (FFmpeg) decodes in a background thread, a few frames ahead. Frames are 8-bit RGB, upright.
-Files are written atomically.
+The optional package PyAV (FFmpeg) decodes videos in a background thread, a few frames ahead; OpenCV reads cameras.
+Frames are 8-bit RGB, upright. Files are written atomically.
 """
 
 import importlib
@@ -9,22 +9,22 @@ import os
 import queue
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from itertools import islice
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
 
-from liaam.errors import VideoError, installing
+from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
 from liaam.io.atomic import atomic_path
-from liaam.io.files import existing_file
-
-VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
-"""Suffixes (lower case) of the video files that can be written. Reading accepts all formats that FFmpeg decodes."""
+from liaam.io.files import as_8_bits, existing_file, natural_key
+from liaam.io.images import STILL_SUFFIXES, VIDEO_SUFFIXES, image_kind, read_image
 
 AHEAD = 16
 """Number of frames decoded ahead."""
@@ -45,7 +45,7 @@ _REORDERED = 32
 """Maximum number of frames by which common codecs store packets out of display order."""
 
 DEFAULT_RATE = Fraction(25)
-"""Frames per second of files that do not specify a rate."""
+"""Frames per second of files that do not specify a rate, and of folders of frames."""
 
 _ENCODERS = (("libx264", {"crf": "18", "preset": "veryfast"}), ("mpeg4", {"qscale": "3"}))
 _WEB_ENCODERS = (("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}),)
@@ -75,12 +75,13 @@ class VideoFrame:
 
 
 class VideoReader:
-    """Iterator over the frames of a video file or a camera, decoded a few frames ahead in a background thread.
+    """Iterator over the frames of a video, a folder or a camera, decoded a few frames ahead in a background thread.
 
     Parameters
     ----------
     source : path-like or int
-        A file, or a camera number (0 is the first).
+        A file; a folder of frames as images, in the natural order of their names (frame2 before frame10), at 25 frames
+        per second; or a camera number (0 is the first).
     start, stop : int, optional
         First frame, and the one after the last. By default all frames.
 
@@ -104,8 +105,8 @@ class VideoReader:
     Raises
     ------
     VideoError
-        If PyAV is not installed, if the source is missing, not a video, or has no frame in that range, or if frames are
-        requested outside a ``with`` block.
+        If PyAV is not installed, if the source is missing, an image, not a video, or has no frame in that range, or if
+        frames are requested outside a ``with`` block.
 
     Examples
     --------
@@ -121,20 +122,16 @@ class VideoReader:
         self.name = f"camera {source}" if self.live else str(source)
         self.fault = ""
         self._start, self._stop = start, stop
-        self._source = _open_camera(source) if isinstance(source, int) else _File(source)
+        self._source = _source_of(source)
         self.rate = self._source.rate
-        self.n_frames = self._expected()
-        self.announces, self.ended = bool(self._source.n_frames), False
+        known = self._source.n_frames
+        last = stop if not known else min(known, stop or known)
+        self.n_frames = None if last is None else max(0, last - start)
+        self.announces, self.ended = bool(known), False
         self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue()
         self._closed = threading.Event()
         self._n_given, self._all_given = 0, False
         self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
-
-    def _expected(self) -> int | None:
-        known = self._source.n_frames
-        if not known:
-            return None if self._stop is None else self._stop - self._start
-        return max(0, min(known, known if self._stop is None else self._stop) - self._start)
 
     def __enter__(self) -> "VideoReader":
         self._thread.start()
@@ -170,17 +167,15 @@ class VideoReader:
         seen = self._source.n_seen
         if seen > self._source.n_damaged:
             return f"{self.name} has only {seen} frames, so none from frame {self._start} on; choose an earlier start"
-        if not self._source.has_size:
-            return (
-                f"{self.name} has no frame of a size that can be decoded: its frames have more than "
-                f"{MAX_PIXELS:,} pixels, or it is damaged; make it smaller, or export it again"
-            )
-        return f"{self.name} has no frame that can be decoded: it is damaged or cut short; export it again"
+        return (
+            f"{self.name} has no frame that can be decoded: it is damaged or cut short, or its frames have more than "
+            f"{MAX_PIXELS:,} pixels; export it again"
+        )
 
     def _decode(self) -> None:
         """Put all frames into the queue, then None or the error raised."""
         try:
-            if self._start >= SOUGHT and isinstance(self._source, _File) and not self.live:
+            if self._start >= SOUGHT:
                 self._source.skip_to(self._start)
             for time, picture in self._source:
                 index = self._source.n_seen - 1
@@ -208,33 +203,130 @@ class VideoReader:
                         self._queue.get_nowait()
 
 
-class _File:
-    """A video file through PyAV. Iterates over (seconds, function that returns the image)."""
+class _Source:
+    """Where frames come from. Iterates over (seconds, function that returns the image)."""
+
+    rate = DEFAULT_RATE
+    n_frames: int | None = None
+    """Number of frames, if it is known."""
+    n_seen = 0
+    """Number of frames so far, with those before the start and damaged ones."""
+    n_damaged = 0
+    fault = damage = ""
+    """Why there are no further frames; what damaged frames are missing."""
+
+    def __iter__(self) -> Iterator[tuple[float, Any]]:
+        raise NotImplementedError
+
+    def skip_to(self, start: int) -> bool:
+        """Skip most of the frames before a frame. Return whether that is possible."""
+        return False
+
+    def close(self) -> None:
+        """Release the file or the camera."""
+
+
+class _Folder(_Source):
+    """A folder of images."""
+
+    def __init__(self, folder: Path):
+        files = (file for file in folder.iterdir() if file.suffix.lower() in STILL_SUFFIXES and file.name[0] != ".")
+        self.files = sorted(files, key=lambda file: natural_key(file.name))
+        if not self.files:
+            raise VideoError(f"{folder} is a folder without images; give a video, or a folder of frames such as 1.png")
+        self.n_frames = len(self.files)
+
+    def skip_to(self, start: int) -> bool:
+        self.n_seen = min(start, len(self.files))
+        return start < len(self.files)
+
+    def __iter__(self) -> Iterator[tuple[float, Any]]:
+        for i in range(self.n_seen, len(self.files)):
+            self.n_seen += 1
+            try:
+                image = as_8_bits(read_image(self.files[i], MAX_PIXELS))
+            except ImageError as fault:
+                self.n_damaged += 1
+                self.damage = self.damage or f"a frame is left out: {fault}"
+                continue
+            yield float(i / self.rate), lambda image=image: image
+
+
+class _Camera(_Source):
+    """A camera through OpenCV."""
+
+    def __init__(self, number: int):
+        import cv2
+
+        log = cv2.utils.logging
+        before = log.getLogLevel()
+        log.setLogLevel(log.LOG_LEVEL_SILENT)  # it warns about a missing camera
+        try:
+            self.capture = cv2.VideoCapture(number)
+            self.rate = Fraction(max(1, round(self.capture.get(cv2.CAP_PROP_FPS)) or 25))
+        finally:
+            log.setLogLevel(before)
+        if self.capture.isOpened():
+            return
+        self.close()
+        there = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))
+        others = f"available: {', '.join(there)}" if there else "no camera found"
+        raise VideoError(
+            f"camera {number} cannot be opened ({others}): connect it, close other programs that use it, and check its "
+            "permissions; or give a video file"
+        )
+
+    def __iter__(self) -> Iterator[tuple[float, Any]]:
+        begun = monotonic()
+        while True:
+            there, picture = self.capture.read()
+            if not there:
+                self.fault = "the camera sends no more images; check that it is still connected"
+                return
+            self.n_seen += 1
+            yield monotonic() - begun, lambda picture=picture: np.ascontiguousarray(picture[..., ::-1])
+
+    def close(self) -> None:
+        self.capture.release()
+
+
+class _File(_Source):
+    """A video file through PyAV."""
 
     def __init__(self, path: str | os.PathLike[str]):
-        av = _pyav(f"{path} is a video")
         self.path = existing_file(path, VideoError, "video")
+        self.av = _pyav(f"{path} is a video")
+        self.errors = self.av.error.FFmpegError
         try:
-            self.container = _open(av, self.path)
-        except av.error.FFmpegError as fault:
+            self.container = self._opened()
+        except self.errors as fault:
             raise VideoError(
                 f"{path} is not a video that FFmpeg can open ({fault.strerror}): it has another format or is cut short "
                 "before its index; export it again, for example as .mp4"
             ) from fault
-        streams = self.container.streams.video
         try:
-            if not streams or self.container.format.name == "tty":  # FFmpeg takes text for a terminal
-                raise VideoError(f"{path} has no video stream: give a video file")
-            if streams[0].codec_context is None:
-                raise VideoError(
-                    f"{path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264"
-                )
-            self._begin(av, streams[0])
-            self.has_size = bool(self.stream.width and self.stream.height)
+            self._check_stream()
+            self._begin()
             self._check_size(self.stream, "its frames have")
         except VideoError:
-            self.container.close()
+            self.close()
             raise
+
+    def _opened(self) -> Any:
+        """Open the file. FFmpeg decodes some frames for that, hence the options."""
+        return self.av.open(str(self.path), metadata_errors="replace", options=_decoding())
+
+    def _check_stream(self) -> None:
+        """Refuse sound, images and unknown codecs."""
+        streams, kind = self.container.streams.video, self.container.format.name
+        if kind == "image2" or kind.endswith("_pipe") or (streams and streams[0].frames == 1 and image_kind(self.path)):
+            raise VideoError(f"{self.path} is an image, not a video: use 'liaam fit', or give a folder of frames")
+        if not streams or kind == "tty":  # FFmpeg takes text for a terminal
+            raise VideoError(f"{self.path} has no video stream: give a video file")
+        if streams[0].codec_context is None:
+            raise VideoError(
+                f"{self.path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264"
+            )
 
     def _check_size(self, what: Any, whose: str) -> None:
         """Refuse a stream or a frame of too many pixels."""
@@ -244,15 +336,15 @@ class _File:
                 "make the video smaller"
             )
 
-    def _begin(self, av: Any, stream: Any) -> None:
+    def _begin(self) -> None:
+        self.stream = stream = self.container.streams.video[0]
         stream.thread_type = "AUTO"
         stream.codec_context.options = _decoding()
-        self.stream, self.errors = stream, av.error.FFmpegError
         self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         self.n_frames, self.n_packets = self._announced(stream)
-        self.n_seen, self.n_read, self.n_damaged, self.fault = 0, 0, 0, ""
+        self.n_seen = self.n_read = 0
         self.begun: float | None = None
-        self.reformatter = av.video.reformatter.VideoReformatter()
+        self.reformatter = self.av.video.reformatter.VideoReformatter()
 
     def _announced(self, stream: Any) -> tuple[int | None, int]:
         """Return the number of frames and of packets that the file announces. A trimmed .mp4 hides some frames."""
@@ -261,37 +353,33 @@ class _File:
             return stream.frames or None, stream.frames
         return sum(not entry.is_discard for entry in entries) or None, min(stream.frames, len(entries))
 
-    def skip_to(self, start: int) -> None:
-        """Seek to the last key frame well before a frame, if the file's packet times allow it."""
-        pieces, times = [], []
+    def skip_to(self, start: int) -> bool:
+        """Seek to the last key frame well before a frame, if the times of the packets tell its number."""
         try:
             pieces = self._pieces(start + 4 * _REORDERED)
-            times = sorted(time for time, shown in pieces if shown and time is not None)
-            if any(time is None for time, _ in pieces) or len(set(times)) < len(times):
-                return
-            _, first = self._next_times()
-            times = times[times.index(first) :] if first in times else []  # earlier ones cannot be decoded
-            if len(times) <= start:
-                self._reopen()
-                return
+            order, times = [time for time, _ in pieces], sorted(time for time, shown in pieces if shown)
+            if len(set(times)) < len(times):
+                return False
+            del times[: times.index(self._next_times()[1])]  # earlier ones cannot be decoded
             # Seek earlier: frames shown just before a key frame may be stored after it and not be decodable.
-            sooner = times[max(0, start - _REORDERED)]
+            sooner = times[max(0, min(start, len(times)) - _REORDERED)]
             self.container.seek(sooner, stream=self.stream)
             stored, shown = self._next_times()
             self.container.seek(sooner, stream=self.stream)
-        except self.errors:
-            stored = shown = None
-        order = [time for time, _ in pieces]
-        if stored not in order or shown not in times or times.index(shown) >= start:
-            self._reopen()  # the seek went elsewhere
-            return
-        self.n_seen, self.begun = times.index(shown), float(times[0] * self.stream.time_base)
-        self.n_read = order.index(stored)
+            seen, read = times.index(shown), order.index(stored)
+            if seen < start < len(times):
+                self.n_seen, self.n_read, self.begun = seen, read, float(times[0] * self.stream.time_base)
+                return True
+        except (self.errors, LookupError, TypeError, ValueError):
+            pass  # times are missing, or the seek went elsewhere
+        self.close()
+        self.container = self._opened()
+        self._begin()
+        return False
 
-    def _pieces(self, count: int) -> list[tuple[int | None, bool]]:
+    def _pieces(self, count: int) -> list[tuple[Any, bool]]:
         """Return the time of the first packets in stored order, and whether they are shown, without decoding."""
-        av = _pyav(f"{self.path} is a video")
-        with _open(av, self.path) as container:
+        with self._opened() as container:
             pieces = (piece for piece in container.demux(container.streams.video[0]) if piece.size)
             return [(piece.pts, not piece.is_discard) for piece in islice(pieces, count)]
 
@@ -303,12 +391,6 @@ class _File:
             for frame in packet.decode():
                 return stored, frame.pts
         return stored, None
-
-    def _reopen(self) -> None:
-        av = _pyav(f"{self.path} is a video")
-        self.container.close()
-        self.container = _open(av, self.path)
-        self._begin(av, self.container.streams.video[0])
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         first, last = self.begun, -1.0
@@ -323,16 +405,12 @@ class _File:
                     # Some files (.avi) have times in decoding order; keep times increasing.
                     last = seconds = seconds if seconds > last else last + float(1 / self.rate)
                     self.n_seen += 1
-                    yield seconds, lambda frame=frame: self._picture(frame)
+                    yield seconds, partial(self._picture, frame)
+            if not self.n_damaged and self.n_read < self.n_packets:
+                self.fault = f"{self.path} is cut short: it has {self.n_read} of its {self.n_packets} frames"
         except self.errors as fault:
-            self.fault = (
-                f"{self.path} is damaged after frame {self.n_seen} ({fault.strerror}); only earlier frames were read"
-            )
-            return
-        if not self.n_damaged and self.n_read < self.n_packets:
-            self.fault = (
-                f"{self.path} is cut short: it has {self.n_read} of the {self.n_packets} frames that it announces"
-            )
+            why = f"is damaged after frame {self.n_seen} ({fault.strerror})"
+            self.fault = f"{self.path} {why}; only earlier frames were read"
 
     def _frames_of(self, packet: Any) -> list[Any]:
         try:
@@ -340,14 +418,8 @@ class _File:
         except self.errors:
             self.n_damaged += 1
             self.n_seen += 1  # keep frame numbers independent of the start frame
+            self.damage = f"{self.path} is damaged: {self.n_damaged} packets could not be decoded and are missing"
             return []
-
-    @property
-    def damage(self) -> str:
-        """Describe the damaged packets so far; empty if there are none."""
-        if not self.n_damaged:
-            return ""
-        return f"{self.path} is damaged: {self.n_damaged} packets could not be decoded and are missing"
 
     def _picture(self, frame: Any) -> np.ndarray:
         picture = self.reformatter.reformat(frame, format="rgb24").to_ndarray()
@@ -358,90 +430,16 @@ class _File:
         self.container.close()
 
 
-class _Device(_File):
-    """A camera of Linux through PyAV."""
-
-    has_size = True
-
-    def __init__(self, number: int):
-        av = _pyav(f"camera {number}")
-        self.path = Path(f"/dev/video{number}")
-        self.container = av.open(str(self.path), format="v4l2", metadata_errors="replace")
-        self._begin(av, self.container.streams.video[0])
-        self.n_frames = None
-
-
-class _Capture:
-    """A camera through OpenCV."""
-
-    n_frames, n_damaged, damage, has_size = None, 0, "", True
-
-    def __init__(self, number: int):
-        import cv2
-
-        self.capture = cv2.VideoCapture(number)
-        self.rate = Fraction(max(1, round(self.capture.get(cv2.CAP_PROP_FPS)) or 25))
-        self.n_seen, self.fault = 0, ""
-
-    def __iter__(self) -> Iterator[tuple[float, Any]]:
-        from time import monotonic
-
-        begun = monotonic()
-        while True:
-            there, picture = self.capture.read()
-            if not there:
-                self.fault = "the camera sends no more images; check that it is still connected"
-                return
-            self.n_seen += 1
-            yield monotonic() - begun, lambda picture=picture: np.ascontiguousarray(picture[..., ::-1])
-
-    def close(self) -> None:
-        self.capture.release()
+def _source_of(source: str | os.PathLike[str] | int) -> _Source:
+    if isinstance(source, int):
+        return _Camera(source)
+    return _Folder(Path(source)) if Path(source).is_dir() else _File(source)
 
 
 def _decoding() -> dict[str, str]:
     """Options of decoders, which refuse frames of too many pixels."""
     # Some count what they pad frames with.
     return {"max_pixels": str(2 * MAX_PIXELS)}
-
-
-def _open(av: Any, path: Path) -> Any:
-    """Open a file. FFmpeg decodes some frames for that, hence the options."""
-    return av.open(str(path), metadata_errors="replace", options=_decoding())
-
-
-def _open_camera(number: int) -> _Device | _Capture:
-    """Open a camera through PyAV's v4l2 if that works, or else through OpenCV."""
-    if Path(f"/dev/video{number}").exists():
-        try:
-            return _Device(number)
-        except Exception:  # PyAV is missing or does not support the driver: try OpenCV
-            pass
-    capture = _quiet_capture(number)
-    if capture.capture.isOpened():
-        return capture
-    capture.close()
-    there = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))
-    others = f"available: {', '.join(there)}" if there else "no camera found"
-    raise VideoError(
-        f"camera {number} cannot be opened ({others}): connect it, close other programs that use it, and check its "
-        "permissions; or give a video file"
-    )
-
-
-def _quiet_capture(number: int) -> _Capture:
-    """Open a camera through OpenCV without its warnings about a missing camera."""
-    import cv2
-
-    log = getattr(getattr(cv2, "utils", None), "logging", None)
-    before = log.getLogLevel() if log else None
-    if log:
-        log.setLogLevel(log.LOG_LEVEL_SILENT)
-    try:
-        return _Capture(number)
-    finally:
-        if log:
-            log.setLogLevel(before)
 
 
 class VideoWriter:
@@ -556,33 +554,28 @@ def check_video_name(path: Path) -> None:
 
 
 def can_enter(path: str | os.PathLike[str], start: int) -> bool:
-    """Return whether a file can be read from a frame on without decoding all earlier frames."""
-    file = _File(path)
-    try:
-        file.skip_to(start)
-        return file.begun is not None
-    finally:
-        file.close()
+    """Return whether a file or a folder can be read from a frame on without decoding all earlier frames."""
+    with closing(_source_of(path)) as source:
+        return source.skip_to(start)
 
 
 def is_video(path: Path) -> bool:
     """Return whether a file can be opened as a video."""
     _pyav(f"{path} is a video")
-    try:
-        _File(path).close()
-    except VideoError:
-        return False
-    return True
+    with suppress(VideoError), closing(_File(path)):
+        return True
+    return False
 
 
 def _encoder(path: Path) -> tuple[str, dict[str, str]]:
     import av
 
-    choice = _WEB_ENCODERS if path.suffix.lower() == ".webm" else _ENCODERS
+    suffix = path.suffix.lower()
+    choice = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
     for name, options in choice:
         if name in av.codecs_available:
             # An .avi cannot store B-frames, which are shown in another order than decoded.
-            return name, {**options, "bf": "0"} if path.suffix.lower() == ".avi" else options
+            return name, {**options, "bf": "0"} if suffix == ".avi" else options
     raise VideoError(f"{path}: this PyAV lacks the encoder {choice[0][0]}; install PyAV from PyPI, or try .mp4")
 
 

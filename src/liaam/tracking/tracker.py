@@ -441,7 +441,7 @@ def track_video(
     ----------
     model : AAM
     video : path-like or int
-        A file, or a camera number.
+        A file, a folder of frames as images, or a camera number.
     init : shape, box, or point and size, optional
         Where the object is in the first frame. By default it is searched for.
     start, stop : int, optional
