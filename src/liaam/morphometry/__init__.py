@@ -2,6 +2,7 @@
 
 from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
+from liaam.morphometry.replicates import measurement_error
 from liaam.morphometry.specimens import Specimen, read_specimens
 from liaam.morphometry.table import alike, measure, write_measurements
 
@@ -11,6 +12,7 @@ __all__ = [
     "Specimen",
     "alike",
     "measure",
+    "measurement_error",
     "read_specimens",
     "with_even_curves",
     "write_measurements",
