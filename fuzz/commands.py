@@ -113,6 +113,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     ),
     "track": ("--init", "--camera", "--response", "-o"),
     "invariant": ("--camera", "--theta", "--response", "-o"),
+    "measure": ("--scale", "--replicates", "--resample", "--slide", "-o"),
     "lamps": ("--training-lamp", "--recursive", "-o"),
     "register": ("--camera", "--response", "-o"),
     "relight": ("--init", "--camera", "--like", "-o"),
@@ -147,7 +148,16 @@ def _value(rng: Random, option: str) -> str:
         return one_of(rng, _INPUTS)
     return one_of(
         rng,
-        (*(number.decode("utf-8", "replace") for number in NUMBERS), "1,2,30,40", "soft-li", "grey", "all", "a" * 300),
+        (
+            *(number.decode("utf-8", "replace") for number in NUMBERS),
+            "1,2,30,40",
+            "soft-li",
+            "grey",
+            "all",
+            "image",
+            "bending",
+            "a" * 300,
+        ),
     )
 
 

@@ -44,6 +44,30 @@ def test_scale_of_tps_is_used(run, tmp_path):
     assert not [name for name in read if name.endswith("_se")]
 
 
+def test_curves_are_resampled_and_slid(run, tmp_path):
+    def record(i, n):
+        line = "\n".join(f"{j} {(2 + i) * np.sin(np.pi * j / n)}" for j in range(n + 1))
+        return f"LM=1\n5 -{3 + i}\nCURVES=1\nPOINTS={n + 1}\n{line}\nIMAGE={i}.png\n"
+
+    (tmp_path / "a.tps").write_text("".join(record(i, 8 + 3 * i) for i in range(4)))
+    given = ("measure", tmp_path / "a.tps", "distance:1-2", "-o", tmp_path / "t.csv")
+    tables = []
+    for more in ((), ("--slide", "bending"), ("--slide", "procrustes")):
+        code, _, err = run(*given, "--resample", "7", *more)
+        assert (code, err) == (0, "")
+        tables.append(pd.read_csv(tmp_path / "t.csv"))
+    assert all(len(table) == 4 and "X8" in table and "X9" not in table for table in tables)
+    np.testing.assert_allclose(tables[1]["distance_1_2"], tables[0]["distance_1_2"])  # ends stay
+    assert not np.allclose(tables[1]["X5"], tables[0]["X5"])
+    assert not np.allclose(tables[2]["X5"], tables[1]["X5"])
+    for more, words in (
+        (("--resample", "x"), "curves of x points: give 3 to 1000"),
+        (("--slide", "x"), "slide by 'x'"),
+    ):
+        code, _, err = run(*given, *more)
+        assert code == 1 and words in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -20,6 +20,7 @@ from liaam.model.shape import (
     similarity_modes,
 )
 from liaam.model.shape_prior import SHARES, fit_freedom, smooth_covariance, spread_points
+from liaam.training.entries import placed_by_others
 
 
 def similarity(scale: float, angle: float, x: float, y: float) -> Similarity:
@@ -81,6 +82,20 @@ def test_the_mean_of_moved_copies_is_the_shape(rng):
     mean = procrustes_mean(copies)
     np.testing.assert_allclose(align(mean, shape)(mean), shape, atol=1e-8)
     assert np.linalg.norm(mean) == pytest.approx(1)
+
+
+def test_missing_points_are_placed_by_the_mean_of_moved_copies(rng):
+    shape = rng.normal(size=(9, 2))
+    copies = np.array([similarity(i + 1, i, 3 * i, -i)(shape) for i in range(6)])
+    holed = copies.copy()
+    for i, missing in enumerate(((0, 1), (2,), (3, 4), (5,), (6, 8), (0, 7))):
+        holed[i, list(missing)] = np.nan  # no copy is whole
+    np.testing.assert_allclose(placed_by_others(holed), copies, atol=1e-6)
+    holed[0, :7] = np.nan  # two points are too few
+    np.testing.assert_array_equal(placed_by_others(holed), holed)
+    holed[0] = copies[0]
+    holed[:, 4] = np.nan  # none has it
+    np.testing.assert_array_equal(placed_by_others(holed), holed)
 
 
 @given(seed=st.integers(0, 99))
@@ -216,7 +231,7 @@ def test_some_of_many_landmarks_tell_how_smooth_deformations_are(rng, monkeypatc
     every, some = recipes
     assert every.share > 0.0 and some.share > 0.0
     assert every.width == some.width == 0.2
-    assert abs(np.subtract(*[SHARES.index(recipe.share) for recipe in recipes])) <= 1
+    assert abs(SHARES.index(every.share) - SHARES.index(some.share)) <= 1
 
 
 def test_points_that_are_spread_leave_no_gap(rng):

@@ -9,7 +9,8 @@ import pytest
 from liaam.batch.tables import Table, write_table
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, write_collection, write_fit, write_landmarks
-from liaam.morphometry import Specimen, measure, read_specimens
+from liaam.io.landmarks import Contour
+from liaam.morphometry import Specimen, alike, measure, read_specimens
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22]])
 SPREAD = np.array([[1.0, 0.5, 2], [2, 0, 2], [3, 1, 4]])
@@ -64,6 +65,28 @@ def test_numbers_of_landmarks_count_from_1_whatever_their_names() -> None:
     specimen = Specimen("a", np.array([[0.0, 0], [1, 0], [3, 0], [7, 0]]), names=("0", "1", "2", "tip"))
     found = measure([specimen], ["distance:1-2", "distance:2-tip"])
     assert (found["distance_1_2"], found["distance_2_tip"]) == ([1.0], [6.0])
+
+
+@pytest.mark.parametrize("suffix", [".json", ".tps"])
+def test_curves_of_fits_are_read(tmp_path: Path, suffix: str) -> None:
+    lines = (Contour((1, 2)),)
+    write_fit(tmp_path, "a", Landmarks(POINTS, lines), {"status": "converged"}, (30, 40))
+    assert read_specimens(tmp_path / f"a{suffix}")[0].curves == lines
+    write_fit(tmp_path, "a", Landmarks(POINTS, lines), {"status": "converged", "contours": [[[1, 9], 0]]}, (30, 40))
+    assert read_specimens(tmp_path / "a.json")[0].curves == lines
+
+
+def test_a_curve_has_landmarks_that_exist() -> None:
+    with pytest.raises(LiaamError, match="specimen a: a curve has a landmark that does not exist"):
+        Specimen("a", POINTS, curves=(Contour((0, 3)),))
+
+
+def test_curves_follow_the_order_of_names() -> None:
+    names = ("a", "b", "c")
+    first = Specimen("1", POINTS, names=names)
+    other = Specimen("2", POINTS[::-1], names=names[::-1], curves=(Contour((0, 1)),))
+    kept, _ = alike([first, other])
+    assert (kept[1].names, kept[1].curves) == (names, (Contour((2, 1)),))
 
 
 def test_specimens_take_landmarks_and_lists() -> None:

@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from liaam.cli.inputs import CategoryOption, GroupOption, StrictOption
-from liaam.cli.terminal import complain, say
+from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, real_path
+from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks import Reading
 
 
@@ -37,35 +37,82 @@ def measure(
             "as 11-12=5. By default the SCALE of .tps, or else results are in pixels."
         ),
     ] = None,
+    replicates: Annotated[
+        str | None,
+        typer.Option(
+            help="Print and write the measurement error of replicates: 'image' if they are records of one image, also "
+            "in several files, or the text before their numbers in names, such as _ for wing1_1 and wing1_2."
+        ),
+    ] = None,
+    resample: Annotated[
+        str | None,
+        typer.Option(
+            help="Points to place evenly along each curve (CURVES of .tps), both ends included: 20, or 20,12 for two."
+        ),
+    ] = None,
+    slide: Annotated[
+        str | None,
+        typer.Option(
+            help="Slide the points of curves between their ends: bending (to the least bending energy), or procrustes "
+            "(to the least Procrustes distance)."
+        ),
+    ] = None,
     strict: StrictOption = False,
     category: CategoryOption = None,
     group: GroupOption = None,
 ) -> None:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
-    from liaam.morphometry import alike, measure as measured, read_specimens, write_measurements
+    from liaam import morphometry
 
     check_output(output)
     if real_path(output).is_relative_to(real_path(results)):
         raise LiaamError(f"{output} is the input, or a file in it; give a name elsewhere with -o")
-    specimens = read_specimens(results, complain, Reading(strict, category, group))
-    specimens, left_out = alike(specimens)
+    reading = Reading(strict, category, group)
+    specimens = morphometry.read_specimens(results, complain, reading, replicates is not None)
+    specimens = specimens if resample is None else morphometry.with_even_curves(specimens, resample)
+    specimens, left_out = morphometry.alike(specimens)
     if left_out and strict:
         raise LiaamError(f"{len(left_out)} specimens have other landmarks than most: {'; '.join(left_out)}")
     for line in left_out:
         complain(line)
-    columns = measured(specimens, measures or (), scale)
-    write_measurements(output, columns)
+    columns = morphometry.measure(specimens, measures or (), scale, slide)
+    error = None if replicates is None else morphometry.measurement_error(specimens, columns, replicates, bool(slide))
+    morphometry.write_measurements(output, columns)
     unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
     say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
+    if error is not None:
+        beside = output.with_name(f"{output.stem}_replicates.csv")
+        morphometry.write_measurements(beside, error)
+        _show(error)
+        say(f"{beside}: measurement error")
+    _complain_of_gaps(columns)
+
+
+def _show(error: dict[str, list]) -> None:
+    """Print the measurement error: the measures, and the landmarks that repeat worst."""
+    rows = [dict(zip(error, values, strict=True)) for values in zip(*error.values(), strict=True)]
+    table = table_of("measure", "specimens", "replicates", "df", "F", "P", "repeatability", "sd", "sd %")
+    for row in rows:
+        numbers = [f"{row[name]:.3g}" for name in ("F", "P", "repeatability", "sd", "sd_percent")]
+        counts = [f"{row['specimens']:g}", f"{row['replicates']:g}", f"{row['df_among']:g}, {row['df_within']:g}"]
+        if row["df_within"] == row["df_within"]:
+            table.add_row(cell(row["measure"]), *counts, *numbers)
+    show_table(table)
+    landmarks = (row for row in rows if row["df_within"] != row["df_within"] and row["sd"] == row["sd"])
+    worst = sorted(landmarks, key=lambda row: -row["sd"])[:5]
+    some = (f"{row['measure']} (sd {row['sd']:.3g} px, {row['sd_percent']:.2g} %)" for row in worst)
+    say(f"least repeatable, in % of centroid size: {', '.join(some) or 'none has replicates'}")
+
+
+def _complain_of_gaps(columns: dict[str, list]) -> None:
+    """Name specimens without a scale among others, and those without a shape."""
     names, sizes = columns["specimen"], columns["centroid_size"]
     unused = [name for name, size in zip(names, sizes, strict=True) if size != size]
     scales = zip(names, columns.get("scale", sizes), sizes, strict=True)
     pixels = [name for name, scale, size in scales if scale != scale and size == size]
+    have = f"of {len(names)} have no"
     if pixels:
-        some = ", ".join(pixels[:5]) + " …" * (len(pixels) > 5)
-        complain(f"{len(pixels)} of {len(specimens)} have no scale, so that they are in pixels: {some}")
+        complain(f"{len(pixels)} {have} scale, so that they are in pixels: {some_names(pixels)}")
     if unused:
-        complain(
-            f"{len(unused)} of {len(specimens)} have no shape, because landmarks are missing or the fit is not to be "
-            f"used (see 'status'): {', '.join(unused[:5])}{' …' if len(unused) > 5 else ''}"
-        )
+        why = "because landmarks are missing or the fit is not to be used (see 'status')"
+        complain(f"{len(unused)} {have} shape, {why}: {some_names(unused)}")

@@ -106,7 +106,8 @@ def _differ(points: np.ndarray, fitted: np.ndarray) -> bool:
 
 def fit_text(landmarks: Landmarks, facts: dict) -> str:
     """Return the text of a fit's .json file; see :func:`write_fit`."""
-    content = {**facts, "landmarks": landmarks.points}
+    lines = {"contours": [(line.indices, line.closed) for line in landmarks.contours]} if landmarks.contours else {}
+    content = {**facts, **lines, "landmarks": landmarks.points}
     return json.dumps(_plain(content), indent=1, allow_nan=False) + "\n"
 
 

@@ -101,10 +101,13 @@ def shifted_into(shape: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def procrustes_mean(shapes: np.ndarray) -> np.ndarray:
-    """Generalised Procrustes mean (n, 2) of shapes (n_shapes, n, 2): centred, unit norm, in their mean orientation."""
-    mean = _normalised(shapes[0])
+    """Generalised Procrustes mean (n, 2) of shapes (n_shapes, n, 2): centred, unit norm, in their mean orientation.
+
+    Some shapes may lack points (NaN).
+    """
+    mean = _normalised(shapes[np.isfinite(shapes).sum(axis=(1, 2)).argmax()])
     for _ in range(100):
-        new = _normalised(np.mean([align(shape, mean)(shape) for shape in shapes], axis=0))
+        new = _normalised(np.nanmean([align(shape, mean)(shape) for shape in shapes], axis=0))
         # Fix the gauge: the mean must not rotate between iterations.
         new = _normalised(align(new, mean)(new))
         moved = float(np.abs(new - mean).max())
@@ -118,8 +121,8 @@ def procrustes_mean(shapes: np.ndarray) -> np.ndarray:
 
 
 def _normalised(shape: np.ndarray) -> np.ndarray:
-    centred = shape - shape.mean(axis=0)
-    return centred / np.linalg.norm(centred)
+    centred = shape - np.nanmean(shape, axis=0)
+    return centred / np.linalg.norm(centred[np.isfinite(centred)])
 
 
 def similarity_modes(mean: np.ndarray) -> np.ndarray:

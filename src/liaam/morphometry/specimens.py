@@ -19,6 +19,7 @@ from liaam.io.files import existing_file, natural_key
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES,
     USUAL,
+    Contour,
     Landmarks,
     Notes,
     Reading,
@@ -53,6 +54,8 @@ class Specimen:
         Length of a pixel in the specimen's units; None if unknown.
     status : str
         How its fit ended (:class:`liaam.FitStatus`), or empty.
+    curves : tuple of liaam.io.landmarks.Contour
+        Lines through the landmarks.
 
     Raises
     ------
@@ -66,6 +69,7 @@ class Specimen:
     names: tuple[str, ...] = ()
     scale: float | None = None
     status: str = ""
+    curves: tuple[Contour, ...] = ()
 
     __repr__ = short_repr
 
@@ -82,12 +86,15 @@ class Specimen:
             or (np.linalg.eigvalsh(spread) < -_ROUNDING * np.abs(spread).max(initial=0)).any()
         ):
             raise LandmarkError(f"specimen {self.name}: a covariance is not positive definite: give square pixels")
+        if any(not 0 <= index < n for curve in self.curves for index in curve.indices):
+            raise LandmarkError(f"specimen {self.name}: a curve has a landmark that does not exist: correct the curve")
 
 
 def read_specimens(
     path: str | os.PathLike[str],
     on_fault: Callable[[str], object] | None = None,
     reading: Reading = USUAL,
+    replicates: bool = False,
 ) -> tuple[Specimen, ...]:
     """Read the specimens of a folder or a file.
 
@@ -102,6 +109,8 @@ def read_specimens(
         that are left out. Default: a warning.
     reading : Reading, optional
         How to read landmark files. If strict, a file or record that cannot be read is an error.
+    replicates : bool
+        Whether to keep an image's records in all files, named ``image#file`` from the second on, not only in the first.
 
     Returns
     -------
@@ -120,7 +129,9 @@ def read_specimens(
     for file in _chosen(path):
         try:
             for specimen in _of_file(file, complain, reading):
-                found.setdefault(specimen.name, specimen)
+                again = replicates and specimen.name in found
+                own = replace(specimen, name=f"{specimen.name}#{file.stem}") if again else specimen
+                found.setdefault(own.name, own)
         except LiaamError as fault:
             if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
                 continue
@@ -166,7 +177,8 @@ def _specimen(path: Path, name: str, facts: dict[str, Any], covariances: Any) ->
             spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
         scale = facts.get("scale")
         names = tuple(map(str, facts.get("landmark_names") or ()))
-        return Specimen(name, points, spread, names, scale and float(scale), str(facts["status"]))
+        curves = Contour.all_of(facts.get("contours") or ())
+        return Specimen(name, points, spread, names, scale and float(scale), str(facts["status"]), curves)
     except (TypeError, ValueError, OverflowError, LandmarkError) as fault:
         raise LandmarkError(f"{path}: the landmarks of {name} are damaged ({fault}): fit the image again") from fault
 
@@ -178,8 +190,8 @@ def _corrected(path: Path, fit: dict, fitted: Specimen, complain: Callable[[str]
         return fitted
     try:
         points = points_of_fit(file, fit)
-        names = fitted.names if len(points) == len(fitted.points) else ()
-        corrected = replace(fitted, points=points, covariances=None, names=names, status="")
+        names, curves = (fitted.names, fitted.curves) if len(points) == len(fitted.points) else ((), ())
+        corrected = replace(fitted, points=points, covariances=None, names=names, status="", curves=curves)
     except LandmarkError as fault:
         complain(f"{path.stem}: {fault}; the points of the fit are used")
         return fitted
@@ -203,7 +215,7 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
         placed = in_pixels(path, landmarks, size, reading=reading)
         try:
             for name, own in placed.objects(PureWindowsPath(entry).stem):
-                yield Specimen(name, own.points, names=own.names, scale=own.scale)
+                yield Specimen(name, own.points, names=own.names, scale=own.scale, curves=own.contours)
         except LandmarkError as fault:
             raise LandmarkError(f"{path}: {fault}") from fault
     for line in notes.lines():

@@ -17,7 +17,9 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io import write_text_atomically
+from liaam.io.landmarks import Contour
 from liaam.model.shape import procrustes_mean
+from liaam.morphometry.curves import slide as slid
 from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_size, distance, parse_scale, procrustes
 from liaam.morphometry.specimens import Specimen
 
@@ -42,6 +44,7 @@ def measure(
     specimens: Iterable[Specimen],
     measures: str | Iterable[str | Measure] = (),
     scale: str | float | ScaleBar | None = None,
+    slide: str | None = None,
 ) -> Columns:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors.
 
@@ -58,6 +61,8 @@ def measure(
     scale : str, float or ScaleBar, optional
         Length of a pixel, or a scale bar such as ``"11-12=5"``, whose ends are then not part of the shape. Default:
         each specimen's own. Specimens without any are in pixels, and their ``scale`` is NaN.
+    slide : {"bending", "procrustes"}, optional
+        Slide the points of curves between their ends first, to the least bending energy or Procrustes distance.
 
     Returns
     -------
@@ -71,7 +76,7 @@ def measure(
     Raises
     ------
     LiaamError
-        If there is no specimen with landmarks to use, or a measure names a landmark that does not exist.
+        If there is no specimen with landmarks or curves to use, or a measure names a landmark that does not exist.
     """
     specimens, left_out = alike(specimens)
     for line in left_out:
@@ -89,10 +94,27 @@ def measure(
     inside = [index for index in range(n) if index not in bar]
     items = [_Item(item.column, item, own, item.power) for item, own in zip(wanted, places, strict=True)]
     items.append(_Item("centroid_size", centroid_size, inside, 1))
-    shapes = [specimen.points[inside] for specimen in usable if _has_shape(specimen.points[inside])]
-    mean = procrustes_mean(np.array(shapes)) if shapes else None
+    whole = [i for i, own in enumerate(specimens) if own.status in _USABLE and _has_shape(own.points[inside])]
+    specimens = specimens if slide is None else _slid(specimens, whole, inside, slide)
+    mean = procrustes_mean(np.array([specimens[i].points[inside] for i in whole])) if whole else None
     with np.errstate(divide="ignore", invalid="ignore"):  # by points that are missing or coincide
         return _columns([_row(specimen, items, rule, bar, mean) for specimen in specimens])
+
+
+def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[int], how: str) -> tuple[Specimen, ...]:
+    """Slide the semilandmarks of the specimens that are whole along the curves of the first that has any."""
+    place = {index: i for i, index in enumerate(inside)}
+    curves = next((own.curves for own in specimens if own.curves and own.status in _USABLE), ())
+    chains = [Contour(tuple(place[i] for i in own.indices if i in place), own.closed) for own in curves]
+    if not curves:
+        raise LiaamError("no specimen has curves to slide along: give landmark files with curves, such as .tps")
+    shapes = np.array([specimens[i].points[inside] for i in whole]).reshape(-1, len(inside), 2)
+    moved = list(specimens)
+    for i, shape in zip(whole, slid(shapes, chains, how), strict=True):
+        points = specimens[i].points.copy()
+        points[inside] = shape
+        moved[i] = replace(specimens[i], points=points, covariances=None)
+    return tuple(moved)
 
 
 def write_measurements(path: str | os.PathLike[str], columns: Columns) -> None:
@@ -170,7 +192,9 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
         return specimen
     order = [specimen.names.index(name) for name in names]
     spread = None if specimen.covariances is None else np.asarray(specimen.covariances)[order]
-    return replace(specimen, points=specimen.points[order], covariances=spread, names=names)
+    place = {index: i for i, index in enumerate(order)}
+    curves = tuple(Contour(tuple(place[i] for i in own.indices), own.closed) for own in specimen.curves)
+    return replace(specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves)
 
 
 def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:

@@ -17,7 +17,7 @@ from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
-from liaam.model.shape import align
+from liaam.model.shape import align, procrustes_mean
 
 FLATTEST = 0.02
 """Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide. Measured on generated
@@ -106,32 +106,16 @@ def _complete(entries: list[Entry]) -> list[Entry]:
     return [replace(entry, points=own) for entry, own in zip(entries, points, strict=True)]
 
 
-def placed_by_others(shapes: np.ndarray, rounds: int = 10) -> np.ndarray:
+def placed_by_others(shapes: np.ndarray) -> np.ndarray:
     """Place the missing landmarks (NaN) of shapes (m, n, 2) where the mean of all, aligned by similarity, has them.
 
     NaN remains where fewer than three landmarks of a shape are known, or where none has the landmark.
     """
-    known = np.asarray(~np.isnan(shapes).any(axis=2))
-    z = np.where(known, shapes[..., 0] + 1j * shapes[..., 1], 0)
+    known = ~np.isnan(shapes).any(axis=2)
     if (known.sum(axis=1) < 3).any() or not known.any(axis=0).all():
         return shapes
-    mean = z[known.sum(axis=1).argmax()]
-    certain = known[known.sum(axis=1).argmax()]
-    for _ in range(rounds):
-        total, count = np.zeros_like(mean), np.zeros(len(mean))
-        fits = []
-        for own, present in zip(z, known, strict=True):
-            shared = present & certain
-            a, b = own[shared], mean[shared]
-            factor = np.vdot(b - b.mean(), a - a.mean()) / max(np.vdot(b - b.mean(), b - b.mean()).real, 1e-12)
-            fits.append((factor, a.mean() - factor * b.mean()))
-            total[present] += (own[present] - fits[-1][1]) / (factor or 1)
-            count += present
-        mean, certain = total / count, np.ones(len(mean), bool)
-    filled = np.array(
-        [np.where(present, own, f * mean + s) for own, present, (f, s) in zip(z, known, fits, strict=True)]
-    )
-    return np.stack([np.real(filled), np.imag(filled)], axis=2)
+    mean = procrustes_mean(shapes)
+    return np.where(np.isnan(shapes), [align(mean, shape)(mean) for shape in shapes], shapes)
 
 
 def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[str, ...]]:

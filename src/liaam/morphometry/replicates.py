@@ -1,0 +1,99 @@
+"""Measurement error from replicates: Procrustes analysis of variance and repeatability."""
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.fitting.result import USABLE
+from liaam.io.files import some_names
+from liaam.morphometry.curves import semilandmarks
+from liaam.morphometry.specimens import Specimen
+from liaam.morphometry.table import Columns
+
+_SQUARES = ("df_among", "df_within", "ms_among", "ms_within", "F", "P", "repeatability")
+
+
+def measurement_error(specimens: Sequence[Specimen], columns: Columns, by: str, slid: bool = False) -> Columns:
+    """Compare specimens with replicates within specimens (Klingenberg & McIntyre 1998; Fruciano 2016).
+
+    Parameters
+    ----------
+    specimens : sequence of Specimen
+        All replicates, as :func:`liaam.morphometry.alike` gives them. Specimens may differ in their number.
+    columns : dict of str to list
+        What :func:`liaam.measure` made of them.
+    by : str
+        ``"image"``: records of one image are replicates (``wing1``, ``wing1#2``). Otherwise the text before the number
+        of a replicate in names, such as ``"_"`` in ``wing1_1`` and ``wing1_2``.
+    slid : bool
+        Whether semilandmarks slid. Each then has one degree of freedom instead of two.
+
+    Returns
+    -------
+    dict of str to list
+        Rows: ``shape``, the measures, ``centroid_size``, and landmarks, without mean squares. ``sd`` is the standard
+        deviation of replicates from their specimen's mean (of landmarks in pixels, x and y together), ``sd_percent``
+        that in percent of the mean value or centroid size. NaN where there are too few replicates.
+
+    Raises
+    ------
+    LiaamError
+        If no specimen has replicates.
+    """
+    mark = "#" if by == "image" else by
+    groups = [(mark and name.rpartition(mark)[0]) or name for name in columns["specimen"]]
+    if len(set(groups)) == len(groups):
+        raise LiaamError(
+            f"no specimen has replicates, as all names differ ({some_names(groups, 3)}): give 'image' if records of an "
+            "image are replicates, or the text before the number of a replicate in names, such as _ in wing1_2"
+        )
+    sizes = np.array(columns["centroid_size"])
+    scales = np.array(columns.get("scale", [1.0] * len(sizes)))
+    pixels = sizes / np.where(scales > 0, scales, 1.0)
+    numbers = [int(name[1:]) for name in columns if re.fullmatch(r"X\d+", name)]
+    shapes = [np.array([columns[f"X{number}"], columns[f"Y{number}"]]).T for number in numbers]
+    sliding = len(semilandmarks(next((own.curves for own in specimens if own.curves), ()))[1]) if slid else 0
+    flat = np.concatenate([np.empty((len(sizes), 0)), *shapes], axis=1)
+    rows = [{"measure": "shape"} | anova(flat, groups, np.ones(1), 2 * len(shapes) - 4 - sliding)]
+    others = {"specimen", "status", "scale", *(f"{name}_se" for name in columns)}
+    for name in (name for name in columns if name not in others and not re.fullmatch(r"[XY]\d+", name)):
+        values = np.array(columns[name])
+        rows.append({"measure": name} | anova(values[:, None], groups, values))
+    names, known = next((own.names for own in specimens if own.names), ()), {"", *USABLE}
+    for number, shape in zip(numbers, shapes, strict=True):
+        points = shape * pixels[:, None]
+        if by == "image" and not slid:
+            points = np.array([own.points[number - 1] if own.status in known else [math.nan] * 2 for own in specimens])
+        row = {"measure": f"landmark {names[number - 1] if names else number}"} | anova(points, groups, pixels)
+        rows.append(row | dict.fromkeys(_SQUARES, math.nan))  # positions in different images do not compare
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def anova(values: np.ndarray, groups: Sequence[str], sizes: np.ndarray, freedom: float = 1) -> dict[str, float]:
+    """Analyse the variance of values (n, d) between and within groups (n,). Rows with NaN are left out.
+
+    A row has so many degrees of freedom. The standard deviation is also given in percent of the mean of the sizes (n,).
+    """
+    from scipy.stats import f as f_distribution
+
+    known = np.isfinite(values).all(axis=1)
+    values = values[known]
+    _, codes, counts = np.unique(np.asarray(groups)[known], return_inverse=True, return_counts=True)
+    n, total = np.float64(len(counts)), np.float64(len(values))
+    means = np.zeros((len(counts), values.shape[1]))
+    np.add.at(means, codes, values / counts[codes, None])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        centre = values.sum(axis=0) / total
+        df_among, df_within = (n - 1) * freedom, (total - n) * freedom
+        within = np.square(values - means[codes]).sum()
+        ms_among, ms_within = np.square(means[codes] - centre).sum() / df_among, within / df_within
+        each = (total - np.square(counts).sum() / total) / (n - 1)  # replicates of a specimen
+        ratio, repeatability = ms_among / ms_within, (ms_among - ms_within) / (ms_among + (each - 1) * ms_within)
+        chance = f_distribution.sf(ratio, df_among, df_within)
+        squares = (df_among, df_within, ms_among, ms_within, ratio, chance, repeatability)
+        sd, mean = np.sqrt(within / (total - n)), np.abs(np.nansum(sizes)) / np.isfinite(sizes).sum()
+        names = ("specimens", "replicates", *_SQUARES, "sd", "sd_percent")
+        return dict(zip(names, map(float, (n, total, *squares, sd, 100 * sd / mean)), strict=True))

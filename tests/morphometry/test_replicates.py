@@ -1,0 +1,158 @@
+"""Measurement error from replicates: published figures, known noise, and unbalanced replicates."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import f_oneway
+
+from liaam.errors import LiaamError
+from liaam.io import Landmarks, write_collection
+from liaam.morphometry import (
+    Specimen,
+    measure,
+    measurement_error,
+    read_specimens,
+    replicates as module,
+    write_measurements,
+)
+
+
+def anova(values: np.ndarray, groups: Sequence[str]) -> dict[str, float]:
+    return module.anova(values, groups, values)
+
+
+RATINGS = np.array([[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]], float)
+"""Six persons rated four times, of Shrout & Fleiss (1979), table 2."""
+
+
+def test_intraclass_correlation_is_that_of_shrout_and_fleiss_1979() -> None:
+    found = anova(RATINGS.reshape(-1, 1), [*"aaaabbbbccccddddeeeeffff"])
+    assert (found["df_among"], found["df_within"]) == (5, 18)
+    assert found["ms_among"] == pytest.approx(11.24, abs=0.005)
+    assert found["ms_within"] == pytest.approx(6.26, abs=0.005)
+    assert found["repeatability"] == pytest.approx(0.17, abs=0.005)  # ICC(1,1), table 4
+
+
+def test_unbalanced_replicates_have_the_f_of_scipy() -> None:
+    rng = np.random.default_rng(1)
+    parts = [rng.normal(mean, 1, count) for mean, count in ((0, 2), (1, 5), (3, 1), (4, 3))]
+    values, groups = np.concatenate(parts), [*"aabbbbbcddd"]
+    gap = np.concatenate([values, [np.nan]])
+    for found in (anova(values[:, None], groups), anova(gap[:, None], [*groups, "a"])):
+        assert (found["specimens"], found["replicates"]) == (4, 11)
+        np.testing.assert_allclose([found["F"], found["P"]], f_oneway(*parts))
+    each = (11 - (4 + 25 + 1 + 9) / 11) / 3
+    assert found["repeatability"] == pytest.approx((found["F"] - 1) / (found["F"] + each - 1))
+
+
+def test_extremes_have_a_defined_answer() -> None:
+    same = anova(np.array([[1.0], [1], [2], [2]]), list("aabb"))
+    assert (same["F"], same["P"], same["repeatability"], same["sd"]) == (np.inf, 0, 1, 0)
+    for values, groups in ((np.ones((2, 1)), "ab"), (np.ones((2, 1)), "aa"), (np.full((2, 1), np.nan), "aa")):
+        assert np.isnan(anova(values, list(groups))["repeatability"])
+    assert anova(1e9 + np.array([[0.0], [1], [2], [3]]), list("aabb"))["ms_within"] == pytest.approx(0.5)
+
+
+def replicates(name: str, counts=(3,) * 30, bad: int = 4) -> list[Specimen]:
+    """Give specimens with noise of 0.5 px, but 2 px at one landmark, along each axis."""
+    rng = np.random.default_rng(5)
+    mean = 100 * np.stack([np.cos(np.arange(9) * 0.7), np.sin(np.arange(9) * 0.7)], axis=1)
+    noise = np.where(np.arange(9) == bad, 2.0, 0.5)[:, None]
+    found = []
+    for i, count in enumerate(counts):
+        own = mean + rng.normal(0, 3, mean.shape) + 200
+        found += [
+            Specimen(name.format(i, j) if j else name.format(i, j).split("#")[0], own + noise * rng.normal(size=(9, 2)))
+            for j in range(count)
+        ]
+    return found
+
+
+def errors_of(specimens: list[Specimen], by: str) -> pd.DataFrame:
+    table = measure(specimens, "distance:1-5", 0.1)
+    return pd.DataFrame(measurement_error(specimens, table, by)).set_index("measure")
+
+
+@pytest.mark.parametrize(("name", "by"), [("w{}#{}", "image"), ("w{}_{}", "_"), ("w_{}_{}#2", "_")])
+def test_known_noise_is_found(name: str, by: str) -> None:
+    found = errors_of(replicates(name), by)
+    assert list(found.index) == ["shape", "distance_1_5", "centroid_size", *(f"landmark {i}" for i in range(1, 10))]
+    shape = found.loc["shape"]
+    assert (shape["df_among"], shape["df_within"]) == (29 * 14, 60 * 14)
+    noise = 8 / 9 * 0.25 + 4 / 9
+    assert shape["repeatability"] == pytest.approx(9 / (9 + noise), abs=0.03)
+    assert found.loc["distance_1_5", "sd"] == pytest.approx(0.1 * np.hypot(0.5, 2), rel=0.15)
+    landmarks = found.iloc[3:]
+    assert landmarks["sd"].idxmax() == "landmark 5"
+    expected = np.hypot(2, 2) if by == "image" else np.hypot(2, 2) * 0.9
+    assert landmarks.loc["landmark 5", "sd"] == pytest.approx(expected, rel=0.15)
+    assert landmarks.loc["landmark 5", "sd_percent"] == pytest.approx(landmarks.loc["landmark 5", "sd"] / 3, rel=0.02)
+
+
+def test_shapes_analysed_with_specimens_without_a_replicate_or_a_shape() -> None:
+    specimens = replicates("w{}#{}", (1, 2, 4, 3))
+    hole = specimens[2].points.copy()
+    hole[0] = np.nan
+    specimens[2] = Specimen(specimens[2].name, hole)
+    found = errors_of([*specimens, Specimen("lost", np.zeros((0, 2)), status="error")], "image")
+    assert tuple(found.loc["shape", ["specimens", "replicates"]]) == (4, 9)
+    assert tuple(found.loc["landmark 1", ["specimens", "replicates"]]) == (4, 9)
+    assert tuple(found.loc["landmark 2", ["specimens", "replicates"]]) == (4, 10)
+
+
+def test_fits_that_are_not_to_be_used_are_left_out() -> None:
+    specimens = replicates("w{}#{}", (2, 2, 2))
+    lost = Specimen("w1#3", specimens[0].points + 900, status="diverged")
+    expected, found = errors_of(specimens, "image"), errors_of([*specimens, lost], "image")
+    pd.testing.assert_frame_equal(found, expected)
+
+
+@pytest.mark.parametrize("by", ["image", "", "_", "w"])
+def test_without_replicates_a_message_says_how_they_are_named(by: str) -> None:
+    with pytest.raises(LiaamError, match=r"no specimen has replicates, as all names differ \(w0, w1\): give 'image'"):
+        errors_of(replicates("w{}#{}", (1, 1)), by)
+
+
+def test_two_observers_files_of_the_same_images(run, tmp_path) -> None:
+    folder, specimens = tmp_path / "both", replicates("w{}#{}", (2,) * 8)
+    folder.mkdir()
+    for observer, own in (("anna", specimens[::2]), ("bert", specimens[1::2])):
+        marks = {f"w{i}.png": Landmarks(each.points) for i, each in enumerate(own)}
+        write_collection(folder / f"{observer}.tps", marks, dict.fromkeys(marks, (400, 400)))
+    assert [each.name for each in read_specimens(folder, replicates=True)][:3] == ["w0", "w0#bert", "w1"]
+    table = tmp_path / "t.csv"
+    code, out, err = run("measure", folder, "distance:1-5", "-o", table, "--replicates", "image")
+    assert (code, err) == (0, "")
+    found = pd.read_csv(tmp_path / "t_replicates.csv", index_col="measure")
+    assert len(pd.read_csv(table)) == 16
+    assert found.loc["shape", "specimens"] == 8
+    expected = errors_of(specimens, "image")
+    np.testing.assert_allclose(found.loc["shape"].astype(float), expected.loc["shape"].astype(float), rtol=1e-6)
+    assert "repeatability" in out
+    assert "least repeatable, in % of centroid size: landmark 5 (sd" in out
+
+
+def test_a_table_with_a_column_for_the_observer(run, tmp_path) -> None:
+    specimens = replicates("w{}#{}", (2,) * 5)
+    rows = [
+        (f"w{i // 2}.png", "anna" if i % 2 == 0 else "bert", number, *point)
+        for i, each in enumerate(specimens)
+        for number, point in enumerate(each.points, 1)
+    ]
+    pd.DataFrame(rows, columns=["image", "observer", "landmark", "x", "y"]).to_csv(tmp_path / "a.csv", index=False)
+    code, out, err = run("measure", tmp_path / "a.csv", "-o", tmp_path / "t.csv", "--replicates", "image")
+    assert (code, err) == (0, "")
+    assert "landmark 5" in out
+    found = pd.read_csv(tmp_path / "t_replicates.csv", index_col="measure")
+    assert (found.loc["shape", "specimens"], found.loc["shape", "replicates"]) == (5, 10)
+
+
+def test_nothing_is_written_if_there_are_no_replicates(run, tmp_path) -> None:
+    write_measurements(tmp_path / "x.csv", measure(replicates("w{}#{}", (1, 1))))
+    marks = {f"{i}.png": Landmarks(each.points) for i, each in enumerate(replicates("w{}#{}", (1, 1)))}
+    write_collection(tmp_path / "a.csv", marks)
+    code, _, err = run("measure", tmp_path / "a.csv", "-o", tmp_path / "t.csv", "--replicates", "_")
+    assert code == 1 and "no specimen has replicates" in err
+    assert not (tmp_path / "t.csv").exists() and not (tmp_path / "t_replicates.csv").exists()
