@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         fit,
         fit_many,
     )
-    from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+    from liaam.io import Landmarks, read_image, read_landmarks, to_dataframe, write_image, write_landmarks
     from liaam.model import AAM, load_model
     from liaam.morphometry import Specimen, measure, read_specimens
     from liaam.photometry import CameraModel, invariant_image, load_camera
@@ -89,6 +89,7 @@ __all__ = [
     "register",
     "theta_from_chart",
     "theta_from_scene",
+    "to_dataframe",
     "track_video",
     "train",
     "write_image",
@@ -112,7 +113,7 @@ _HOMES = {
         "fit",
         "fit_many",
     ),
-    "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
+    "io": ("Landmarks", "read_image", "read_landmarks", "to_dataframe", "write_image", "write_landmarks"),
     "model": ("AAM", "load_model"),
     "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
