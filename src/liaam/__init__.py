@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam import (
+        accuracy as accuracy,
         batch as batch,
         calibration as calibration,
         datasets as datasets,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         tracking as tracking,
         training as training,
     )
+    from liaam.accuracy import Evaluation, cross_validate, evaluate
     from liaam.calibration import theta_from_chart, theta_from_scene
     from liaam.datasets import Dataset, Sample, load_folder
     from liaam.datasets.label_faults import LabelFault, find_label_faults
@@ -58,6 +60,7 @@ __all__ = [
     "CameraModel",
     "Candidate",
     "Dataset",
+    "Evaluation",
     "FitResult",
     "FitStatus",
     "Fitter",
@@ -74,6 +77,8 @@ __all__ = [
     "TrackingOptions",
     "TrainingOptions",
     "compact",
+    "cross_validate",
+    "evaluate",
     "find",
     "find_label_faults",
     "fit",
@@ -97,6 +102,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "accuracy": ("Evaluation", "cross_validate", "evaluate"),
     "calibration": ("theta_from_chart", "theta_from_scene"),
     "datasets": ("Dataset", "Sample", "load_folder"),
     "datasets.label_faults": ("LabelFault", "find_label_faults"),
@@ -122,8 +128,8 @@ _HOMES = {
     "training": ("TrainingOptions", "compact", "train"),
 }
 _SUBMODULES = (
-    *("batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model", "morphometry"),
-    *("photometry", "plotting", "registration", "relighting", "tracking", "training"),
+    *("accuracy", "batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model"),
+    *("morphometry", "photometry", "plotting", "registration", "relighting", "tracking", "training"),
 )
 
 
