@@ -49,6 +49,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam.morphometry import Specimen, measure, read_specimens
     from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
+    from liaam.relighting import relight
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
     from liaam.training import TrainingOptions, compact, train
 
@@ -92,6 +93,7 @@ __all__ = [
     "read_landmarks",
     "read_specimens",
     "register",
+    "relight",
     "theta_from_chart",
     "theta_from_scene",
     "to_dataframe",
@@ -124,6 +126,7 @@ _HOMES = {
     "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
+    "relighting": ("relight",),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("TrainingOptions", "compact", "train"),
 }
