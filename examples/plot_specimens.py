@@ -101,7 +101,7 @@ print(frame.head())
 base = frame[frame.landmark == 1].set_index("image")
 frame["width"] = SCALE * (frame.x - frame.image.map(base.x))
 frame["height"] = SCALE * (frame.image.map(base.y) - frame.y)
-print(frame.groupby("landmark")[["width", "height", "sd"]].mean().round(2))
+print(frame.pivot_table(["width", "height", "sd"], "landmark").round(2))
 
 figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained")
 frame.plot.scatter(
