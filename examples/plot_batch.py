@@ -69,7 +69,10 @@ with (folder / "table.csv").open(newline="", encoding="utf-8") as file:
     rows = list(csv.DictReader(file))
 found = [
     np.array(
-        [[float(row[f"x{i}"]), float(row[f"y{i}"])] for i in range(model.n_points)]
+        [
+            [float(row[f"x{i}"]), float(row[f"y{i}"])]
+            for i in range(1, model.n_points + 1)
+        ]
     )
     for row in rows
 ]

@@ -89,16 +89,45 @@ for axis, (image, _), result in zip(axes, new, results, strict=False):
     result.plot(image, ax=axis).set_title(result.status)
 
 # %%
+# A data frame
+# ------------
+# :func:`liaam.to_dataframe` makes a pandas data frame with one row per landmark, counted from 1, of any list of results.
+# Here, the positions relative to the base of each leaf, in millimetres, and how uncertain each landmark is.
+
+names = [f"leaf{i}" for i in range(len(results))]
+frame = liaam.to_dataframe(results, names)
+print(frame.head())
+
+base = frame[frame.landmark == 1].set_index("image")
+frame["width"] = SCALE * (frame.x - frame.image.map(base.x))
+frame["height"] = SCALE * (frame.image.map(base.y) - frame.y)
+print(frame.pivot_table(["width", "height", "sd"], "landmark").round(2))
+
+figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained")
+frame.plot.scatter(
+    x="width", y="height", c="landmark", colormap="tab10", s=12, ax=axes[0]
+)
+axes[0].set(aspect="equal", xlabel="from the base, mm", ylabel="above the base, mm")
+frame.boxplot(column="sd", by="landmark", ax=axes[1])
+axes[1].set(ylabel="standard deviation, pixels", title="")
+figure.suptitle("")
+
+# %%
+# :func:`liaam.evaluate` makes such a data frame of the errors on landmarked images.
+
+errors = liaam.evaluate(model, new)
+print(errors.report())
+print(errors.to_dataframe().groupby("landmark").error.median().round(2))
+
+# %%
 # Measure
 # -------
 # :func:`liaam.measure` takes distances, angles and areas by the numbers of the landmarks, counted from 1. The standard
-# errors come from the covariances of the landmarks. ``pandas.DataFrame(table)`` makes a data frame of the result.
+# errors come from the covariances of the landmarks. :func:`liaam.to_dataframe` takes the table, too.
 
 specimens = [
-    liaam.Specimen(
-        f"leaf{i}", result.landmarks, result.landmark_covariances, scale=SCALE
-    )
-    for i, result in enumerate(results)
+    liaam.Specimen(name, result.landmarks, result.landmark_covariances, scale=SCALE)
+    for name, result in zip(names, results, strict=True)
 ]
 MEASURES = ("distance:1-2", "distance:4-5", "angle:4-3-5", "area:1-4-6-2-7-5")
 table = liaam.measure(specimens, MEASURES)

@@ -18,7 +18,7 @@ from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.spot import CONVERGED, EYES
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme
+from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme, within_ellipses
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
@@ -244,16 +244,7 @@ def face_size(truth: np.ndarray) -> float:
 
 def held(result: FitResult, truth: np.ndarray, level: float) -> float:
     """Fraction of the landmarks (n, 2) inside the confidence ellipses of a result, at a level in per cent."""
-    distances = squared_distances(truth - result.landmarks, result.landmark_covariances)
-    return float(np.mean(distances < -2.0 * np.log(1.0 - level / 100)))
-
-
-def squared_distances(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
-    """Squared Mahalanobis distances (n,) of errors (n, 2) with covariances (n, 2, 2).
-
-    They are below -2 log(1 - s) with probability s.
-    """
-    return np.einsum("na,nab,nb->n", errors, np.linalg.pinv(covariances, hermitian=True), errors)
+    return float(np.mean(within_ellipses(result.landmarks, truth, result.landmark_covariances, level / 100)))
 
 
 def is_right(row: Row) -> bool:

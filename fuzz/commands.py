@@ -98,6 +98,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "show": ("--image", "-o"),
     "compact": ("--methods", "-o"),
     "check": ("--images", "--recursive"),
+    "evaluate": ("--folds", "--init", "--normalise", "--limit", "--method", "--rotations", "-o"),
     "batch": ("--init", "--camera", "--response", "--list", "--method", "--jobs", "-o"),
     "train": (
         "--camera",

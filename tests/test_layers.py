@@ -17,7 +17,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     ("cli", "studio"),
-    ("demo", "batch", "morphometry", "tracking"),
+    ("accuracy", "demo", "batch", "morphometry", "tracking"),
     ("plotting",),
     ("calibration",),
     ("registration", "relighting"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam import (
+        accuracy as accuracy,
         batch as batch,
         calibration as calibration,
         datasets as datasets,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         tracking as tracking,
         training as training,
     )
+    from liaam.accuracy import Evaluation, cross_validate, evaluate
     from liaam.calibration import theta_from_chart, theta_from_scene
     from liaam.datasets import Dataset, Sample, load_folder
     from liaam.datasets.label_faults import LabelFault, find_label_faults
@@ -42,11 +44,12 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         fit,
         fit_many,
     )
-    from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+    from liaam.io import Landmarks, read_image, read_landmarks, to_dataframe, write_image, write_landmarks
     from liaam.model import AAM, load_model
     from liaam.morphometry import Specimen, measure, read_specimens
     from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
+    from liaam.relighting import relight
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
     from liaam.training import TrainingOptions, compact, train
 
@@ -58,6 +61,7 @@ __all__ = [
     "CameraModel",
     "Candidate",
     "Dataset",
+    "Evaluation",
     "FitResult",
     "FitStatus",
     "Fitter",
@@ -74,6 +78,8 @@ __all__ = [
     "TrackingOptions",
     "TrainingOptions",
     "compact",
+    "cross_validate",
+    "evaluate",
     "find",
     "find_label_faults",
     "fit",
@@ -87,8 +93,10 @@ __all__ = [
     "read_landmarks",
     "read_specimens",
     "register",
+    "relight",
     "theta_from_chart",
     "theta_from_scene",
+    "to_dataframe",
     "track_video",
     "train",
     "write_image",
@@ -96,6 +104,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "accuracy": ("Evaluation", "cross_validate", "evaluate"),
     "calibration": ("theta_from_chart", "theta_from_scene"),
     "datasets": ("Dataset", "Sample", "load_folder"),
     "datasets.label_faults": ("LabelFault", "find_label_faults"),
@@ -112,17 +121,18 @@ _HOMES = {
         "fit",
         "fit_many",
     ),
-    "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
+    "io": ("Landmarks", "read_image", "read_landmarks", "to_dataframe", "write_image", "write_landmarks"),
     "model": ("AAM", "load_model"),
     "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
+    "relighting": ("relight",),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("TrainingOptions", "compact", "train"),
 }
 _SUBMODULES = (
-    *("batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model", "morphometry"),
-    *("photometry", "plotting", "registration", "relighting", "tracking", "training"),
+    *("accuracy", "batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model"),
+    *("morphometry", "photometry", "plotting", "registration", "relighting", "tracking", "training"),
 )
 
 

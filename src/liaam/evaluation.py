@@ -14,23 +14,53 @@ def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
 
     Landmarks missing in `truth` (NaN) are ignored. The error is infinite if `shape` is not finite.
     """
-    return float(np.mean(_distances(shape, truth)))
+    return float(np.mean(_known_errors(shape, truth)))
 
 
-def _distances(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    shape, truth = np.asarray(shape), np.asarray(truth)
+def landmark_errors(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Distance between corresponding landmarks, (..., n, 2), in pixels: (..., n) float64.
+
+    NaN where the landmark is missing in `truth`; infinite where `shape` is not finite.
+    """
+    shape, truth = np.asarray(shape, np.float64), np.asarray(truth, np.float64)
     if shape.shape != truth.shape:
         raise LiaamError(f"shapes of {shape.shape} and {truth.shape} cannot be compared; give (n, 2) points for both")
-    known = np.isfinite(truth).all(axis=1)
-    found = shape[known]
-    if not np.isfinite(found).all():
-        return np.full(len(found), np.inf)
-    return np.linalg.norm(found - truth[known], axis=1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        distances = np.hypot(*np.moveaxis(shape - truth, -1, 0))
+    distances = np.where(np.isfinite(shape).all(axis=-1), distances, np.inf)
+    return np.where(np.isfinite(truth).all(axis=-1), distances, np.nan)
+
+
+def _known_errors(shape: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    errors = landmark_errors(shape, truth)
+    return errors[~np.isnan(errors)]
+
+
+def within_ellipses(shape: np.ndarray, truth: np.ndarray, covariances: np.ndarray, level: float = 0.95) -> np.ndarray:
+    """Whether confidence ellipses hold the truth, (..., n) float64: 1, 0, or NaN if that is unknown.
+
+    Parameters
+    ----------
+    shape, truth : (..., n, 2) float
+        Fitted landmarks, the centres of the ellipses, and true ones.
+    covariances : (..., n, 2, 2) float
+    level : float
+        Probability that an ellipse holds the truth if the covariances are right, 0 to 1.
+    """
+    errors, covariances = landmark_errors(shape, truth), np.asarray(covariances, np.float64)
+    known = ~np.isnan(errors) & np.isfinite(covariances).all(axis=(-2, -1))
+    values, axes = np.linalg.eigh(np.where(known[..., None, None], covariances, 0.0))
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.where(np.isfinite(errors)[..., None], np.subtract(truth, shape), 0.0)
+        along = np.einsum("...ab,...a->...b", axes, apart)
+        squared = np.sum(along**2 / np.maximum(values, 1e-12), axis=-1)  # of a chi-squared distribution
+    inside = np.isfinite(errors) & (squared < -2.0 * np.log1p(-level))
+    return np.where(known, inside.astype(np.float64), np.nan)
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square distance between corresponding (n, 2) landmarks, in pixels. Compare it with covariances."""
-    return root_mean_square(_distances(shape, truth))
+    return root_mean_square(_known_errors(shape, truth))
 
 
 def inter_ocular_distance(shape: np.ndarray, left_eye: slice, right_eye: slice) -> float:

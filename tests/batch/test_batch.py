@@ -189,14 +189,15 @@ def test_each_picture_is_a_row(world, expected):
         fault = FAULTS.get(Path(row["path"]).name)
         if fault is None:
             assert row["status"] == "converged"
-            assert 0 < float(row["x0"]) < SIZE[0]
-            assert float(row["xx0"]) > 0
+            assert 0 < float(row["x1"]) < SIZE[0]
+            assert float(row["xx1"]) > 0
+            assert "x0" not in row
             assert row["quality"] == row["found"] == row["theta_deg"] == ""
         else:
             assert row["status"] == "error"
             assert fault[1] in row["message"]
             assert row["path"] in row["message"]
-            assert row["x0"] == row["cost"] == ""
+            assert row["x1"] == row["cost"] == ""
     assert json.loads((world.folder / "expected.csv.json").read_text())["statuses"] == {
         "converged": N_PICTURES,
         "error": len(FAULTS),
@@ -226,7 +227,7 @@ def test_formats_say_the_same(world, expected, tmp_path):
     assert table.column_names[-1] == "seconds"
     for row, line, flat in zip(table.to_pylist(), rows_of(tmp_path / "r.jsonl"), expected, strict=True):
         assert [row["path"], row["status"], row["message"]] == [line["path"], line["status"], line["message"]]
-        assert (row["landmarks"] is None) == (line["landmarks"] is None) == (flat["x0"] == "")
+        assert (row["landmarks"] is None) == (line["landmarks"] is None) == (flat["x1"] == "")
         if row["landmarks"] is not None:
             assert np.array_equal(row["landmarks"], np.array(line["landmarks"], np.float32))
             assert [str(v) for v in line["landmarks"]] == [

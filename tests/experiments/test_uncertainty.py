@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import cli, protocol, uncertainty
+from experiments import cli, uncertainty
 from experiments.measures import roc_area
 from experiments.runner import run_experiment
+from liaam.evaluation import within_ellipses
 
 pytestmark = pytest.mark.slow
 
@@ -69,9 +70,10 @@ def test_held_shares_rise_with_the_level_and_agree_with_the_rows(finished):
 def test_ellipses_of_the_true_covariance_hold_what_they_say(rng):
     covariance = np.array([[4.0, 1.5], [1.5, 1.0]])
     errors = rng.multivariate_normal(np.zeros(2), covariance, 20000)
-    distances = protocol.squared_distances(errors, np.broadcast_to(covariance, (20000, 2, 2)))
+    spread = np.broadcast_to(covariance, (20000, 2, 2))
     for level in uncertainty.LEVELS:
-        assert np.mean(distances < -2 * np.log(1 - level / 100)) == pytest.approx(level / 100, abs=0.01)
+        inside = within_ellipses(np.zeros_like(errors), errors, spread, level / 100)
+        assert np.mean(inside) == pytest.approx(level / 100, abs=0.01)
 
 
 def test_the_area_under_the_roc_curve_is_the_chance_of_the_right_order():

@@ -8,7 +8,7 @@ import pytest
 
 from liaam.batch.tables import Table, write_table
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, write_collection, write_fit, write_landmarks
+from liaam.io import Landmarks, read_collection, write_collection, write_fit, write_landmarks
 from liaam.io.landmarks import Contour
 from liaam.morphometry import Specimen, alike, measure, read_specimens
 
@@ -145,6 +145,29 @@ def test_damaged_fits_are_skipped(tmp_path: Path, landmarks: object) -> None:
     assert len(said) == 2
     assert said[0].startswith("skipped bad.json") and "damaged" in said[0]
     assert said[1].startswith("good: ") and said[1].endswith("the points of the fit are used")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])
+@pytest.mark.parametrize("names", [(), ("base", "left tip", "x"), ("2", "3", "1")])
+def test_tables_of_batches_keep_the_names_of_landmarks(tmp_path: Path, suffix: str, names: tuple[str, ...]) -> None:
+    path, row = tmp_path / f"t{suffix}", row_of("a.png")
+    write_table(path, Table([(json.dumps(row), row)], 3, True, {}, names=names))
+    (specimen,) = read_specimens(path)
+    assert_fit(specimen)
+    assert specimen.names == names
+    assert measure([specimen], ["distance:1-2"])["distance_1_2"][0] == pytest.approx(10)
+    if "base" in names:
+        assert measure([specimen], ["distance:base-x"])["distance_base_x"][0] == pytest.approx(np.hypot(10, 20))
+    if suffix == ".csv":
+        first = path.read_text().partition("\n")[0].split(",")
+        assert first[8:10] == ([f"x_{names[0]}", f"y_{names[0]}"] if names else ["x1", "y1"])
+        np.testing.assert_array_equal(read_collection(path)["a.png"].points, POINTS)  # as a start of other fits
+
+
+def test_tables_of_earlier_versions_count_from_0(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("path,status,message,x0,y0,x1,y1\na.png,converged,,1,2,4,6\n")
+    (specimen,) = read_specimens(tmp_path / "t.csv")
+    assert measure([specimen], ["distance:1-2"])["distance_1_2"] == [5.0]
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])

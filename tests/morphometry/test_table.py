@@ -119,5 +119,5 @@ def test_pandas_reads_the_table(tmp_path) -> None:
     read = pd.read_csv(tmp_path / "t.csv")
     pd.testing.assert_frame_equal(read, pd.DataFrame(table), rtol=1e-8)
     assert read["specimen"].tolist() == ["a,1", "b"]
-    with pytest.raises(LiaamError, match=r"t\.txt: a table of measurements is CSV; give a name that ends in \.csv"):
+    with pytest.raises(LiaamError, match=r"t\.txt: the table is written as CSV; give a name that ends in \.csv"):
         write_measurements(tmp_path / "t.txt", table)

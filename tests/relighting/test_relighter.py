@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import liaam
 from experiments.relit import LIGHTS, flat_error, lit_pairs, mesh_mask, seam, train_on_flat_light
 from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
@@ -12,6 +13,7 @@ from liaam.io import write_image
 from liaam.model.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Lamp, Relighter, extrapolation
 from liaam.relighting.extrapolation import around, continued
+from liaam.relighting.one_call import lamps_of
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
 from liaam.relighting.shading import piecewise_smooth
@@ -385,3 +387,36 @@ def test_nothing_inside_changes_nothing():
     own = np.full((9, 8, 3), -5.0, np.float32)  # one colour: nothing to tell by
     change = np.full((9, 8, 3), 0.4, np.float32)
     np.testing.assert_allclose(continued(change, ~none, own, 2.0), 0.4, atol=1e-5)
+
+
+def test_one_call_does_it_all(head, taken_apart):
+    model, pair = head
+    picture = liaam.relight(model, pair.lit.image, (1, 0, 0.5), ambient=0.1)
+    np.testing.assert_array_equal(picture, taken_apart.under((1, 0, 0.5), 0.1))
+    start = {"init": pair.lit.landmarks, "like_init": pair.lit.landmarks, "max_iterations": 0}
+    with pytest.warns(UserWarning) as said:
+        unlit = liaam.relight(model, pair.lit.image, like=pair.lit.image, **start)
+    assert [str(each.message).partition(": The fit")[0] for each in said] == [
+        "like: max iterations",
+        "image: max iterations",
+    ]
+    assert np.abs(unlit.astype(float) - pair.lit.image).mean() < 1  # in its own light
+
+
+def test_lights_are_directions_and_lamps():
+    lamp = Lamp((1, 0, 0.5), strength=0.5)
+    assert lamps_of(lamp) == lamps_of((lamp,)) == [lamp]
+    assert lamps_of(np.array([1.0, 0.0, 0.5])) == [Lamp([1.0, 0.0, 0.5])]
+
+
+def test_one_call_refuses_what_cannot_be(head):
+    model, pair = head
+    for wrong, words in (
+        ({"light": (0, 0, 1), "like": pair.lit.image}, "light and like cannot be combined"),
+        ({"light": (0, 0, 0)}, "direction"),
+        ({"ambient": 2.0}, "ambient"),
+    ):
+        with pytest.raises(LiaamError, match=words):
+            liaam.relight(model, pair.lit.image, **wrong)
+    with pytest.raises(LiaamError, match="trained on grey images, and estimating shading needs colour"):
+        liaam.relight(replace(model, is_colour=False), pair.lit.image)

@@ -96,7 +96,7 @@ def test_a_frame_without_the_object_is_lost_and_the_next_one_is_found(head_model
     answers = [update(video, nothing, frame(images)), update(video, images[0], frame(images, 1, fresh="1"))]
     rows = rows_of(video, answers)
     assert [row["status"] for row in rows] == ["lost", "found"]
-    assert rows[0]["x0"] == ""
+    assert rows[0]["x1"] == ""
 
 
 def test_landmarks_are_in_pixels_of_the_whole_video(head_model, images):

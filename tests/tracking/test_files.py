@@ -32,11 +32,11 @@ def test_a_table_holds_everything(tmp_path, frames):
         assert float(row["time"]) == pytest.approx(frame.time)
         assert float(row["quality"]) == pytest.approx(frame.quality, abs=1e-4)
         for i in (0, 57):
-            seen = [float(row[f"{name}{i}"]) for name in ("x", "y", "raw_x", "raw_y", "var_x", "cov_xy", "var_y")]
+            seen = [float(row[f"{name}{i + 1}"]) for name in ("x", "y", "raw_x", "raw_y", "var_x", "cov_xy", "var_y")]
             spread = frame.covariances[i]
             expected = [*frame.landmarks[i], *frame.raw[i], spread[0, 0], spread[0, 1], spread[1, 1]]
             np.testing.assert_allclose(seen, expected, rtol=1e-3, atol=1e-3)
-    assert rows[2]["x0"] == rows[2]["var_y57"] == ""
+    assert rows[2]["x1"] == rows[2]["var_y58"] == ""
     assert is_track(path)
 
 

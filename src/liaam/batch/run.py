@@ -211,8 +211,8 @@ class _Batch:
         summary = self._fit(journal)
         self.progress(summary.total, summary.total, f"writing {self.output.name}")
         model = self.job.model
-        contours = Contour.all_of(model.contours)
-        table = Table(self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours)
+        contours, names = Contour.all_of(model.contours), model.landmark_names
+        table = Table(self._rows(journal), model.n_points, self.job.settings.covariance, self.facts, contours, names)
         write_table(self.output, table)
         facts = {
             "settings": self.facts,

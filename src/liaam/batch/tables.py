@@ -3,10 +3,11 @@
 import csv
 import importlib
 import json
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import chain, count, islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,9 @@ COLUMNS = {
 }
 """Columns and their types. Only the last one differs between runs."""
 
+NAMES = "landmark_names"
+"""Entry of rows, and of the metadata of Parquet, with the names of the landmarks."""
+
 _PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
 
 
@@ -47,7 +51,8 @@ ParsedRow = tuple[str, dict[str, Any]]
 class Table:
     """Content of a table: its rows, the number of landmarks, and whether the rows have covariances.
 
-    ``facts`` are the settings, and ``contours`` lines through the landmarks, stored if the format supports them.
+    ``facts`` are the settings, ``contours`` lines through the landmarks, and ``names`` those of the landmarks or
+    empty; each is stored if the format supports it.
     """
 
     rows: Iterable[ParsedRow]
@@ -55,6 +60,7 @@ class Table:
     covariance: bool
     facts: dict[str, Any]
     contours: tuple[Contour, ...] = ()
+    names: tuple[str, ...] = ()
 
 
 def _columns(covariance: bool) -> list[str]:
@@ -101,7 +107,7 @@ def _write_parquet(path: Path, table: Table) -> None:
     types = {name: pa.type_for_alias(name) for name in ("string", "float32", "float64", "int32")}
     types["list<float32>"] = pa.list_(pa.float32())
     columns = [(name, types[COLUMNS[name]]) for name in _columns(table.covariance)]
-    schema = pa.schema(columns, {"liaam": json.dumps(table.facts)})
+    schema = pa.schema(columns, {"liaam": json.dumps(table.facts), NAMES: json.dumps(table.names)})
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         rows = iter(table.rows)
         while group := [row for _, row in islice(rows, GROUP)]:
@@ -109,8 +115,9 @@ def _write_parquet(path: Path, table: Table) -> None:
 
 
 def _write_csv(path: Path, table: Table) -> None:
-    """Write flat columns: x0, y0, x1 ... and covariances xx0, xy0, yy0, xx1 ..."""
-    headers = {name: _headers(name, table.n_points) for name in _columns(table.covariance)}
+    """Write flat columns: x1, y1, x2 ... and covariances xx1, xy1, yy1 ...; by names x_tip, y_tip, ..."""
+    marks = [f"_{name}" for name in table.names] or [str(number) for number in range(1, table.n_points + 1)]
+    headers = {name: _headers(name, marks) for name in _columns(table.covariance)}
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(chain.from_iterable(headers.values()))
@@ -121,7 +128,10 @@ def _write_csv(path: Path, table: Table) -> None:
 
 def _write_lines(path: Path, table: Table) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
-        file.writelines(f"{text}\n" for text, _ in table.rows)
+        if not table.names:
+            file.writelines(f"{text}\n" for text, _ in table.rows)
+        else:
+            file.writelines(json.dumps(row | {NAMES: table.names}) + "\n" for _, row in table.rows)
 
 
 def _write_tps(path: Path, table: Table) -> None:
@@ -147,7 +157,9 @@ def is_table(path: Path) -> bool:
 
 
 def read_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """Iterate over the rows of a table of :func:`write_table`: ``path``, ``status``, ``landmarks`` and ``covariance``.
+    """Iterate over the rows of a table of :func:`write_table`.
+
+    Each has ``path``, ``status``, ``landmarks`` and ``covariance``, and ``landmark_names`` if there are names.
 
     Raises
     ------
@@ -171,19 +183,21 @@ def read_rows(path: Path) -> Iterator[dict[str, Any]]:
 def _read_parquet(path: Path) -> Iterator[dict[str, Any]]:
     parquet = importlib.import_module("pyarrow.parquet")
     with parquet.ParquetFile(path) as file:
+        names = json.loads((file.schema_arrow.metadata or {}).get(NAMES.encode(), b"[]"))
         for group in file.iter_batches(GROUP):
-            yield from group.to_pylist()
+            yield from (row | {NAMES: names} for row in group.to_pylist())
 
 
 def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
     with path.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)
-        known = set(reader.fieldnames or ())
-        n_points = next(i for i in count() if f"x{i}" not in known)
-        headers = {name: _headers(name, n_points) for name in _PARTS}
+        marks = [name[1:] for name in reader.fieldnames or () if re.fullmatch(r"x(\d+|_.+)", name, re.DOTALL)]
+        headers = {name: _headers(name, marks) for name in _PARTS}
+        names = [mark[1:] for mark in marks if mark.startswith("_")]
         for row in reader:
             found = {name: [row.get(header) or "" for header in own] for name, own in headers.items()}
-            yield {**row, **{name: [float(cell) for cell in cells] for name, cells in found.items() if all(cells)}}
+            numbers = {name: [float(cell) for cell in cells] for name, cells in found.items() if all(cells)}
+            yield {**row, NAMES: names, **numbers}
 
 
 def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
@@ -194,8 +208,8 @@ def _read_lines(path: Path) -> Iterator[dict[str, Any]]:
 _READERS = {".parquet": _read_parquet, ".csv": _read_csv, ".jsonl": _read_lines}
 
 
-def _headers(name: str, n_points: int) -> list[str]:
-    return [f"{part}{i}" for i in range(n_points) for part in _PARTS[name]] if name in _PARTS else [name]
+def _headers(name: str, marks: Sequence[str]) -> list[str]:
+    return [f"{part}{mark}" for mark in marks for part in _PARTS[name]] if name in _PARTS else [name]
 
 
 _WRITERS = {".parquet": _write_parquet, ".csv": _write_csv, ".jsonl": _write_lines, ".tps": _write_tps}

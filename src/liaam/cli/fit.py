@@ -218,8 +218,8 @@ def refuse_to_overwrite(output: Path, stem: str) -> None:
 
 def write_history(path: Path, result: "FitResult") -> None:
     """Write one row per accepted iteration: level, cost, theta and all landmarks."""
-    n = len(result.landmarks)
-    lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in range(n) for a in "xy")])]
+    numbers = range(1, len(result.landmarks) + 1)
+    lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in numbers for a in "xy")])]
     for i, step in enumerate(result.history):
         theta = f"{np.rad2deg(step.theta):.4f}" if np.isfinite(step.theta) else ""
         coordinates = (f"{v:.3f}" for v in step.landmarks.ravel())

@@ -8,6 +8,7 @@ from liaam import __version__
 from liaam.cli.batch import batch
 from liaam.cli.check import check
 from liaam.cli.demo import demo
+from liaam.cli.evaluate import evaluate
 from liaam.cli.fit import fit
 from liaam.cli.lamps import lamps
 from liaam.cli.measure import measure
@@ -21,7 +22,7 @@ from liaam.cli.video import track
 
 app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
 for command in (
-    *(train, fit, batch, measure, track, relight, studio, check, lamps),
+    *(train, fit, evaluate, batch, measure, track, relight, studio, check, lamps),
     *(show, info, compact, methods, demo, invariant),
 ):
     app.command()(command)

@@ -26,8 +26,7 @@ from liaam.io import IMAGE_SUFFIXES, make_folder, write_image
 from liaam.io.atomic import check_output
 
 if TYPE_CHECKING:
-    from liaam.fitting import FitResult, Fitter
-    from liaam.relighting import Relighter
+    from liaam.fitting import FitResult
 
 
 def relight(
@@ -79,18 +78,15 @@ def relight(
 
     from liaam.fitting import Fitter
     from liaam.model import load_model
-    from liaam.relighting.lamp import AMBIENT, check_ambient, unit_direction
+    from liaam.relighting import Lamp
+    from liaam.relighting.lamp import AMBIENT, check_ambient
+    from liaam.relighting.one_call import check_colour, relit, separated
 
     ambient = AMBIENT if ambient is None else ambient
-    if direction is not None:
-        unit_direction(direction)  # raise before any work
-        check_ambient(ambient)
+    lamps = None if direction is None else [Lamp(direction)]  # raises before any work
+    check_ambient(ambient)
     model = load_model(model_file)
-    if not model.is_colour:
-        raise LiaamError(
-            f"{model_file}: the model was trained on grey images, and estimating shading needs colour; train on colour "
-            "images"
-        )
+    check_colour(model, str(model_file))
     fitter = Fitter(model, method, camera=camera_for(inputs, camera_file, response, model.camera))
     make_folder(outputs[0].parent)
     written, failed, other = [], False, None
@@ -98,16 +94,13 @@ def relight(
     with progress_bar() as progress:
         progress(0, len(inputs), inputs[-1].name)
         if like is not None:
-            other, result = fit_relighter(fitter, like, like_init)
+            other, result = separated(fitter, *read_with_start(like, like_init), str(like))
             failed = add_advice(advice, like, result, "its light was used")
         for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(inputs) - len(images)):
             progress(i, len(inputs), image.name)
             try:
-                relighter, result = fit_relighter(fitter, image, init)
-                if other is not None:
-                    picture = relighter.like(other)
-                else:
-                    picture = relighter.flat() if direction is None else relighter.under(direction, ambient)
+                pixels, start = read_with_start(image, init)
+                picture, result = relit(fitter, pixels, start, lamps, other, ambient, str(image))
                 write_image(path, picture)
             except LiaamError as error:
                 complain(f"error: {error}")
@@ -148,15 +141,6 @@ def output_paths(images: list[Path], output: Path | None, ending: str) -> list[P
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in IMAGE_SUFFIXES):
         raise LiaamError(f"{folder} is not a folder; for several images, give a folder with -o")
     return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
-
-
-def fit_relighter(fitter: "Fitter", path: Path, init: str | None) -> "tuple[Relighter, FitResult]":
-    """Fit an image and estimate its shading."""
-    from liaam.relighting import Relighter
-
-    pixels, start = read_with_start(path, init)
-    result = fitter.fit(pixels, start, path.name)
-    return Relighter.of(fitter, pixels, result, name=str(path)), result
 
 
 def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:

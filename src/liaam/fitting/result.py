@@ -16,9 +16,11 @@ from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
 from liaam.fitting.search import Candidate
 from liaam.io.files import count_of
+from liaam.io.tables import Columns, landmark_columns, to_dataframe
 from liaam.model.shape import Similarity
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.axes import Axes
 
 
@@ -287,6 +289,19 @@ class FitResult:
             "landmark_names": list(self.landmark_names),
             "landmarks": finite_list(self.landmarks),
         }
+
+    def to_columns(self, name: str | None = None) -> Columns:
+        """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`.
+
+        ``name`` is that of the image; by default its file name, or ``image``.
+        """
+        known = self.image.name if isinstance(self.image, Path) else "image"
+        more = {"names": self.landmark_names, "quality": self.quality, "status": str(self.status)}
+        return landmark_columns({"image": name or known}, self.landmarks, self.landmark_covariances, **more)
+
+    def to_dataframe(self, name: str | None = None) -> "pandas.DataFrame":
+        """Convert the result to a pandas data frame with one row per landmark; see :func:`liaam.to_dataframe`."""
+        return to_dataframe(self, None if name is None else [name])
 
     def plot(self, image=None, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
         """Draw the landmarks on the image with Matplotlib.

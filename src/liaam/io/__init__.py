@@ -25,6 +25,7 @@ from liaam.io.landmarks import (
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import fit_text, write_fit
 from liaam.io.starts import check_start, read_start, start_file
+from liaam.io.tables import to_dataframe, write_columns
 from liaam.io.video import VIDEO_SUFFIXES, VideoFrame, VideoReader, VideoWriter, video_writer
 
 __all__ = [
@@ -54,9 +55,11 @@ __all__ = [
     "read_raw",
     "read_start",
     "start_file",
+    "to_dataframe",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",
+    "write_columns",
     "write_fit",
     "write_image",
     "write_landmarks",

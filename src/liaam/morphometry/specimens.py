@@ -28,6 +28,7 @@ from liaam.io.landmarks import (
     parse_landmark_file,
 )
 from liaam.io.results import corrected_file, points_of_fit, read_fit
+from liaam.io.tables import Columns, landmark_columns
 
 _MOST = 1e9
 """Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""
@@ -88,6 +89,11 @@ class Specimen:
             raise LandmarkError(f"specimen {self.name}: a covariance is not positive definite: give square pixels")
         if any(not 0 <= index < n for curve in self.curves for index in curve.indices):
             raise LandmarkError(f"specimen {self.name}: a curve has a landmark that does not exist: correct the curve")
+
+    def to_columns(self, name: str | None = None) -> Columns:
+        """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""
+        labels, more = {"specimen": name or self.name}, {"names": self.names, "status": self.status}
+        return landmark_columns(labels, self.points, self.covariances, **more)
 
 
 def read_specimens(

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
-from liaam.io import write_text_atomically
+from liaam.io import write_columns
 from liaam.io.landmarks import Contour
+from liaam.io.tables import Columns
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
 from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_size, distance, parse_scale, procrustes
 from liaam.morphometry.specimens import Specimen
 
-Columns = dict[str, list]
 Row = dict[str, str | float]
 
 _USABLE = {"", *USABLE}
@@ -88,9 +85,9 @@ def measure(
     given = [measures] if isinstance(measures, str) else measures
     wanted = [Measure.parse(item) if isinstance(item, str) else item for item in given]
     names = next((specimen.names for specimen in usable if specimen.names), ())
-    places = [_indices(item.column, item.landmarks, names, n) for item in wanted]
+    places = [indices_of(item.column, item.landmarks, names, n) for item in wanted]
     rule = scale if scale is None or isinstance(scale, ScaleBar) else parse_scale(str(scale))
-    bar = _indices("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
+    bar = indices_of("scale bar", rule.ends, names, n) if isinstance(rule, ScaleBar) else []
     inside = [index for index in range(n) if index not in bar]
     items = [_Item(item.column, item, own, item.power) for item, own in zip(wanted, places, strict=True)]
     items.append(_Item("centroid_size", centroid_size, inside, 1))
@@ -118,21 +115,8 @@ def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[
 
 
 def write_measurements(path: str | os.PathLike[str], columns: Columns) -> None:
-    """Write the columns of :func:`measure` atomically as ``.csv``; NaN becomes an empty cell.
-
-    Raises
-    ------
-    LiaamError
-        If the suffix is another, or writing fails.
-    """
-    if Path(path).suffix.lower() != ".csv":
-        raise LiaamError(f"{path}: a table of measurements is CSV; give a name that ends in .csv")
-    buffer = io.StringIO(newline="")
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow(cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:.9g}" for cell in row)
-    write_text_atomically(path, buffer.getvalue())
+    """Write the columns of :func:`measure`; see :func:`liaam.io.write_columns`."""
+    write_columns(path, columns)
 
 
 def _has_shape(points: np.ndarray) -> bool:
@@ -197,7 +181,7 @@ def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
     return replace(specimen, points=specimen.points[order], covariances=spread, names=names, curves=curves)
 
 
-def _indices(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
+def indices_of(what: str, landmarks: Sequence[str], names: Sequence[str], n: int) -> list[int]:
     """Return the indices, from 0, of landmarks given by name or by number from 1."""
     numbers = {name: i for i, name in enumerate(names)} | {str(number): number - 1 for number in range(1, n + 1)}
     for landmark in landmarks:

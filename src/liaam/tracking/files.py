@@ -85,11 +85,14 @@ def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.nda
 
 
 class TrackRows:
-    """Header and rows of a .csv: frame, status and quality, then x, y, fitted x and y, and covariance of landmarks."""
+    """Header and rows of a .csv: frame, status and quality, then x, y, fitted x and y, and covariance of landmarks.
+
+    The landmarks are counted from 1.
+    """
 
     def __init__(self, n_points: int) -> None:
         names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "var_x{}", "cov_xy{}", "var_y{}")
-        columns = [name.format(i) for i in range(n_points) for name in names]
+        columns = [name.format(number) for number in range(1, n_points + 1) for name in names]
         self.header = ",".join(["frame", "time", "status", "fit_status", "quality", "theta_deg", *columns]) + "\n"
         self._numbers = ",".join([",".join(["%.3f"] * 4 + ["%.4g"] * 3)] * n_points)
         self._nothing = "," * (len(columns) - 1)

@@ -23,6 +23,7 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.fitting.result import LEAST_QUALITY
 from liaam.io import VideoReader
+from liaam.io.tables import Columns, landmark_columns
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
@@ -153,6 +154,12 @@ class TrackedFrame:
             "landmarks": finite_list(self.landmarks),
             "landmark_covariances": finite_list(self.covariances),
         }
+
+    def to_columns(self, name: str | None = None) -> Columns:
+        """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""
+        labels = {"frame": self.index if name is None else name, "time": self.time}
+        more = {"quality": self.quality, "status": str(self.status)}
+        return landmark_columns(labels, self.landmarks, self.covariances, **more)
 
     def plot(self, image: np.ndarray, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
         """Draw the landmarks on the frame's image with Matplotlib; parameters are those of ``FitResult.plot``."""

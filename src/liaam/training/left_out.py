@@ -80,10 +80,10 @@ def describe_objects(names: Sequence[str]) -> str:
     return f"images of one object, by their names, are left out together: {shown}"
 
 
-def folds_of(names: Sequence[str]) -> list[np.ndarray]:
-    """Folds of samples, by object if their names identify it (:func:`objects_of`)."""
+def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarray]:
+    """At most so many folds of samples, by object if their names identify it (:func:`objects_of`)."""
     members = list(objects_of(names).values()) or [[i] for i in range(len(names))]
-    parts = np.array_split(np.arange(len(members)), min(len(members), LEFT_OUT_FOLDS))
+    parts = np.array_split(np.arange(len(members)), min(len(members), most))
     return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
 
 

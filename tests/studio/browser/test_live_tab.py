@@ -91,7 +91,7 @@ def test_the_camera_is_tracked_and_exported(live, tmp_path):
     times = [float(row["time"]) for row in rows]
     assert times == sorted(times)
     assert int(rows[0]["frame"]) == 0 < int(rows[1]["frame"])
-    x = np.array([float(row["x0"]) for row in rows if row["x0"]])
+    x = np.array([float(row["x1"]) for row in rows if row["x1"]])
     assert np.ptp(x) > 1 and x.min() > 0 and x.max() < 640
 
 

@@ -1,0 +1,175 @@
+"""The command ``liaam evaluate``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from liaam.cli.inputs import (
+    CameraOption,
+    CategoryOption,
+    GroupOption,
+    ImagesOption,
+    RecursiveOption,
+    ResponseOption,
+    RotationsOption,
+    StoredOption,
+    StrictOption,
+    YDownOption,
+    camera_for,
+    read_folder,
+)
+from liaam.cli.terminal import cell, say, show_table, table_of
+from liaam.errors import LiaamError
+from liaam.io import image_size, make_folder, read_start, write_columns
+from liaam.io.atomic import check_output
+from liaam.io.files import real_path
+from liaam.io.landmarks import Reading
+
+if TYPE_CHECKING:
+    from liaam import Dataset, Evaluation
+
+SHOWN = 10
+"""Landmarks in the printed table, and images on the contact sheet: those with the largest errors."""
+
+
+def evaluate(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[MODEL] FOLDER",
+            readable=False,
+            help="Model file of 'liaam train', and a folder of images with landmarks that it was not trained on. With "
+            "--folds, the folder only.",
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for tables and pictures; or a .csv for all errors only.")
+    ] = Path("liaam-evaluation"),
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            help="Instead of a given model, train without one of so many parts of the folder and evaluate on it, for "
+            "each part. Images of one person or object, by their names, are left out together. As many as there are "
+            "images: leave one out.",
+            min=2,
+        ),
+    ] = None,
+    init: Annotated[
+        str | None,
+        typer.Option(
+            help="Where to start: a box x0,y0,x1,y1 or x,y,size for all images; or a folder with a landmark or .box "
+            "file for each image. By default the object is searched for."
+        ),
+    ] = None,
+    normalise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A-B",
+            help="Give errors in % of the distance between two landmarks, by numbers from 1 or by names. By default of "
+            "the diagonal of the landmarks' box.",
+        ),
+    ] = None,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest mean error of a right fit, in %. By default 3 % of the diagonal, up to which training counts "
+            "fits as right, or 8 % with --normalise.",
+            min=0.01,
+        ),
+    ] = None,
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
+    rotations: RotationsOption = "upright",
+    camera_file: CameraOption = None,
+    response: ResponseOption = None,
+    images: ImagesOption = None,
+    recursive: RecursiveOption = False,
+    strict: StrictOption = False,
+    category: CategoryOption = None,
+    group: GroupOption = None,
+    y_down: YDownOption = False,
+    stored_orientation: StoredOption = False,
+) -> None:
+    """Fit landmarked images and compare: errors, lost fits, and coverage of the 95 % ellipses.
+
+    Writes the errors of each landmark and image as tables, their cumulative distribution, and the worst ten fits.
+    """
+    from liaam.accuracy import cross_validate, evaluate as evaluated
+    from liaam.model import load_model
+    from liaam.training.left_out import describe_objects
+
+    model_file, folder = model_and_folder(sources, folds, init)
+    check_outputs(output, folder)
+    model = None if model_file is None else load_model(model_file)
+    reading = Reading(strict, category, group, y_down, stored_orientation)
+    data = read_folder(folder, images, recursive, reading)
+    paths = [sample.image for sample in data if isinstance(sample.image, Path)]
+    camera = camera_for(paths, camera_file, response, None if model is None else model.camera)
+    options: dict[str, Any] = {"method": method, "normalise": normalise, "rotations": rotations, "camera": camera}
+    options["limit"] = None if limit is None else limit / 100
+    if model is None:
+        if together := describe_objects([sample.name for sample in data]):
+            say(together)
+        found = cross_validate(data, folds or 2, training={"camera": camera}, **options)
+    else:
+        found = evaluated(model, data, None if init is None else starts_of(data, init), **options)
+    write(output, found)
+    show_landmarks(found)
+    say(found.report())
+    say(f"written to {output}")
+
+
+def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -> tuple[Path | None, Path]:
+    """Return the model file, if any, and the folder. Raise unless there is a model or --folds, and not both."""
+    if folds is None and len(sources) == 2:
+        return sources[0], sources[1]
+    if folds is None:
+        raise LiaamError("give a model and a folder of landmarked images, or one folder and --folds 5 to train on it")
+    if len(sources) != 1:
+        raise LiaamError("--folds trains models on the folder itself; give the folder only, or leave --folds out")
+    if init is not None:
+        raise LiaamError("--folds evaluates fits that search for the object; leave --init or --folds out")
+    return None, sources[0]
+
+
+def check_outputs(output: Path, folder: Path) -> None:
+    """Raise, before any work, if the output cannot be written, or would be read as landmarks later."""
+    if real_path(output).is_relative_to(real_path(folder)):
+        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
+    if output.suffix.lower() == ".csv":
+        check_output(output)
+    else:
+        make_folder(output)
+
+
+def starts_of(data: "Dataset", init: str) -> list[Any]:
+    """Return the start of each image; of several objects in an image there is one."""
+    unique = dict.fromkeys(sample.image for sample in data if isinstance(sample.image, Path))
+    return [read_start(init, image, image_size(image)) for image in unique]
+
+
+def write(output: Path, found: "Evaluation") -> None:
+    """Write all errors as a table; into a folder also those by image and by landmark, and pictures."""
+    from liaam.plotting import save_figure
+
+    if output.suffix.lower() == ".csv":
+        write_columns(output, found.to_columns())
+        return
+    write_columns(output / "errors.csv", found.to_columns())
+    write_columns(output / "images.csv", found.by_image())
+    write_columns(output / "landmarks.csv", found.by_landmark())
+    save_figure(found.plot().figure, output / "errors.png")  # type: ignore[arg-type]
+    save_figure(found.plot_worst(SHOWN), output / "worst.png")
+
+
+def show_landmarks(found: "Evaluation") -> None:
+    """Print the landmarks with the largest errors."""
+    columns = found.by_landmark()
+    order = sorted(range(len(columns["landmark"])), key=lambda i: -columns["median"][i])[:SHOWN]
+    table = table_of("landmark", "median", "90th percentile", "in 95 % ellipse")
+    for i in sorted(order):
+        name = f" {columns['name'][i]}" if columns["name"][i] else ""
+        errors = (f"{columns[f'{q}_percent'][i]:.2f} % ({columns[q][i]:.1f} px)" for q in ("median", "p90"))
+        inside = columns["inside_percent"][i]
+        table.add_row(cell(f"{i + 1}{name}"), *errors, "–" if inside != inside else f"{inside:.0f} %")
+    show_table(table)

@@ -1,0 +1,148 @@
+"""Tables of results: columns by name, written as .csv or handed to pandas."""
+
+import csv
+import io
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.errors import LiaamError, installing
+from liaam.io.atomic import write_text_atomically
+
+if TYPE_CHECKING:
+    import pandas
+
+Columns = dict[str, list]
+"""Columns by name, of one length."""
+
+
+def landmark_columns(
+    labels: Mapping[str, Any],
+    points: np.ndarray,
+    covariances: np.ndarray | None = None,
+    names: Sequence[str] = (),
+    **more: Any,
+) -> Columns:
+    """Return a table with one row per landmark of one image.
+
+    Parameters
+    ----------
+    labels : mapping of str to object
+        First columns, such as the image, the same in all rows.
+    points : (n, 2) float
+        Landmarks, pixels.
+    covariances : (n, 2, 2) float, optional
+        Square pixels.
+    names : sequence of str
+        Names of the landmarks, or empty.
+    **more
+        Last columns, the same in all rows.
+
+    Returns
+    -------
+    dict of str to list
+        ``labels``, ``landmark`` (from 1), ``name`` (empty if unknown), ``x``, ``y``, ``sd`` (standard deviation in
+        pixels, from the mean variance of x and y; NaN if unknown), and ``more``.
+    """
+    n = len(points)
+    spread = np.full((n, 2, 2), np.nan) if covariances is None else np.asarray(covariances)
+    return {
+        **{key: [value] * n for key, value in labels.items()},
+        "landmark": list(range(1, n + 1)),
+        "name": list(names) if len(names) == n else [""] * n,
+        "x": points[:, 0].tolist(),
+        "y": points[:, 1].tolist(),
+        "sd": np.sqrt(0.5 * np.trace(spread, axis1=1, axis2=2)).tolist(),
+        **{key: [value] * n for key, value in more.items()},
+    }
+
+
+def to_dataframe(results: Any, names: Iterable[str] | None = None) -> "pandas.DataFrame":
+    """Convert results to a pandas data frame with one row per landmark.
+
+    Parameters
+    ----------
+    results : FitResult, TrackedFrame or Specimen, or iterable of these, or Evaluation, or dict
+        Also the list of :func:`liaam.fit_many` with ``errors="return"``. A dictionary is a table of
+        :func:`liaam.measure`, which has one row per specimen.
+    names : iterable of str, optional
+        Name of each result, instead of the image's file name or ``image 1``, ``image 2``, ...
+
+    Returns
+    -------
+    pandas.DataFrame
+        For fits the columns ``image``, ``landmark`` (from 1), ``name``, ``x``, ``y``, ``sd`` (standard deviation),
+        ``quality`` and ``status``; positions in image pixels. Frames of a track have ``frame`` and ``time`` instead of
+        ``image``, and specimens have ``specimen``. An image that could not be fitted has the status ``error`` and NaN
+        for as many landmarks as the others. Results of one list must be of one kind.
+
+    Raises
+    ------
+    LiaamError
+        If pandas is missing, there is another number of names, or something else is given.
+
+    Examples
+    --------
+    >>> table = liaam.to_dataframe(liaam.fit_many(model, paths))                           # doctest: +SKIP
+    >>> table[table.status == "converged"].groupby("landmark")[["x", "y"]].mean()          # doctest: +SKIP
+    """
+    try:
+        import pandas
+    except ImportError as fault:
+        raise LiaamError(f"data frames need pandas; run {installing('pandas')}") from fault
+    if isinstance(results, Mapping):
+        return pandas.DataFrame(results)
+    single = hasattr(results, "to_columns")
+    return pandas.DataFrame(joined([results] if single else list(results), None if names is None else list(names)))
+
+
+def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Columns:
+    """Join the tables of several results; see :func:`to_dataframe`."""
+    if names is not None and len(names) != len(results):
+        raise LiaamError(f"{len(results)} results but {len(names)} names; give one name for each")
+    tables = [_columns_of(result, i, None if names is None else names[i]) for i, result in enumerate(results)]
+    known = [table for table in tables if "landmark" in table]
+    if not known:
+        return {}
+    first, unknown = known[0], np.full((len(known[0]["landmark"]), 2), np.nan)
+    more = {"names": first["name"], "quality": math.nan, "status": "error"}
+    tables = [table if "landmark" in table else landmark_columns(table, unknown, **more) for table in tables]
+    other = next((table for table in tables if table.keys() != first.keys()), None)
+    if other is not None:
+        raise LiaamError(
+            f"results of different kinds, by {next(iter(first))} and by {next(iter(other))}; convert each kind alone"
+        )
+    return {column: list(chain.from_iterable(table[column] for table in tables)) for column in first}
+
+
+def _columns_of(result: Any, i: int, name: str | None) -> dict[str, Any]:
+    """Return the table of one result; of an image that could not be fitted, only its name."""
+    if isinstance(result, LiaamError):
+        return {"image": name or f"image {i + 1}"}
+    if not hasattr(result, "to_columns"):
+        raise LiaamError(f"result {i + 1} is {type(result).__name__}; give fits, tracked frames or specimens")
+    unnamed = hasattr(result, "image") and not isinstance(result.image, Path)
+    return result.to_columns(name or f"image {i + 1}") if name or unnamed else result.to_columns()
+
+
+def write_columns(path: str | os.PathLike[str], columns: Columns) -> None:
+    """Write columns atomically as ``.csv``; NaN becomes an empty cell.
+
+    Raises
+    ------
+    LiaamError
+        If the suffix is another, or writing fails.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        raise LiaamError(f"{path}: the table is written as CSV; give a name that ends in .csv")
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    for row in zip(*columns.values(), strict=True):
+        writer.writerow(cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:.9g}" for cell in row)
+    write_text_atomically(path, buffer.getvalue())

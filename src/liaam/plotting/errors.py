@@ -1,0 +1,64 @@
+"""Figures of errors: their cumulative distribution, and the images with the largest ones."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from liaam.drawing import LANDMARK, new_axes, zoom_to
+from liaam.evaluation import cumulative_errors
+from liaam.fitting.picture import load_picture
+from liaam.plotting.figures import LINE_WIDTH, show_picture, subplots
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ACROSS = 5
+"""Images in a row."""
+
+TRUTH = "#ff4060"
+"""Colour of given landmarks beside fitted ones."""
+
+
+def plot_cumulative(errors: np.ndarray, limit: float, label: str, ax: "Axes | None" = None) -> "Axes":
+    """Draw the cumulative distribution of errors (k,), fractions, up to twice the limit, in per cent."""
+    ax = ax or new_axes()[1]
+    grid = np.linspace(0, 2 * limit, 401)
+    shares = cumulative_errors(errors, grid)
+    ax.plot(100 * grid, 100 * shares, lw=LINE_WIDTH)
+    ax.axvline(100 * limit, color="0.8", lw=1, zorder=0)
+    ax.set(xlabel=label, ylabel="images at or below, %", xlim=(0, 200 * limit), ylim=(0, 101))
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax
+
+
+def figure_of_worst(
+    images: Sequence[Any], truths: np.ndarray, landmarks: np.ndarray, titles: Sequence[str]
+) -> "Figure":
+    """Draw given and fitted landmarks on images.
+
+    Parameters
+    ----------
+    images : sequence of (h, w, 3) array or path
+        One or more.
+    truths, landmarks : (k, n, 2) float
+        Image pixels; points that are not finite are left out.
+    titles : sequence of str
+    """
+    rows = -(-len(images) // ACROSS)
+    columns = min(len(images), ACROSS)
+    figure, axes = subplots(rows, columns, (2.6 * columns, 2.9 * rows))
+    for axis in axes.ravel():
+        axis.axis("off")
+    for axis, image, truth, fit, title in zip(axes.ravel(), images, truths, landmarks, titles, strict=False):
+        pixels = load_picture(image, "image")[0]
+        show_picture(axis, pixels, title)
+        axis.set_autoscale_on(False)
+        for start, end in zip(truth, fit, strict=True):
+            axis.plot(*np.stack([start, end]).T, color="white", lw=0.7)
+        axis.plot(*truth.T, ".", color=TRUTH, ms=4, label="given")
+        axis.plot(*fit.T, ".", color=LANDMARK, ms=4, label="fitted")
+        zoom_to(axis, np.concatenate([truth, fit]), (pixels.shape[1], pixels.shape[0]))
+    axes[0, 0].legend(loc="lower right", fontsize=7, framealpha=0.6)
+    return figure
