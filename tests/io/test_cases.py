@@ -30,7 +30,7 @@ def cases(shared_data: Path) -> Path:
 
 
 RIGHT = [
-    ("03-tps-empty-scale", 10, "have no scale.*: img04.png"),
+    ("03-tps-empty-scale", 10, "there is no scale.*: img04.png"),
     ("07-tps-curves", 10, ""),
     ("10-tps-other-extension", 10, "named with another extension in the landmark file: img00.jpg"),
     ("12-tps-cp1251-names", 10, "named in another spelling"),

@@ -16,16 +16,8 @@ from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import existing_file, natural_key
-from liaam.io.landmarks import (
-    LANDMARK_SUFFIXES,
-    USUAL,
-    Landmarks,
-    Notes,
-    Reading,
-    UnrecognisedError,
-    in_pixels,
-    parse_landmark_file,
-)
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
+from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.results import corrected_file, points_of_fit, read_fit
 
 _MOST = 1e9

@@ -9,19 +9,8 @@ from urllib.parse import unquote
 from liaam.io.files import name_key
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
-ENCODINGS = (
-    "cp1251",
-    "cp1252",
-    "cp1250",
-    "cp932",
-    "gb18030",
-    "big5",
-    "euc_kr",
-    "koi8_r",
-    "cp866",
-    "cp437",
-    "mac_roman",
-)
+ENCODINGS = ("cp1251", "cp1252", "cp1250", "cp932", "gb18030", "big5", "euc_kr")
+ENCODINGS += ("koi8_r", "cp866", "cp437", "mac_roman")
 """Encodings of names that are tried, because text that is not UTF-8 is read as Latin-1."""
 
 CASE = "images are named in another case in the landmark file"

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, Placing, Reading
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.reading import Reading
 
 Size = tuple[float, float]
 
