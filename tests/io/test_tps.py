@@ -183,7 +183,7 @@ BAD = [
     ("LM=-1\nID=0\n", r"line 1 \('LM=-1'\) has no number of points"),
     ("LM=two\n", "has no number of points after '=': correct it, such as LM=12"),
     ("LM=1\n1 2 3\nID=0\n", "line 2 holds 3 values"),
-    ("LM=1\n1 NA\nID=0\n", "line 2 has only one of x and y: give both, or NA NA"),
+    ("LM=1\n1 NA\nID=0\n", "line 2 has only one of x and y: give both, or neither"),
     ("LM=1\n1,5 2\nID=0\n", r"'1,5' in line 2 is not a number: correct it \(decimal points"),
     ("LM=1\n1 1e999\nID=0\n", "in line 2 is not a number"),
     ("LM=1\n1 2\nCURVES=1\nPOINTS=2\n1 2\nID=0\n", r"line 4 \('POINTS=2'\) promises 2 points but 1 follow"),

@@ -19,6 +19,11 @@ from liaam.io.landmarks.reading import MISSING, Labelled, Source, area_of, of_ca
 from liaam.io.landmarks.text import check_number
 
 
+def is_it(source: Source) -> bool:
+    """Whether it is an object with images or annotations."""
+    return isinstance(source.json, dict) and bool({"images", "annotations"} & source.json.keys())
+
+
 def parse(source: Source) -> list[Landmarks]:
     """Parse the annotations of images."""
     content = source.json

@@ -5,17 +5,16 @@ of the landmarks; numbered ones are sorted. Empty x and y mean a missing landmar
 semicolon or a tab. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
 """
 
-import math
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any
 
-from liaam.errors import LandmarkError
+import numpy as np
+
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import Columns, columns_of, has_points, without_title
 from liaam.io.landmarks.reading import Source, named_points
 from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
-from liaam.io.landmarks.text import parse_number
+from liaam.io.landmarks.text import parse_point
 
 
 def is_it(source: Source) -> bool:
@@ -40,7 +39,8 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
 
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
-        points: Any = [_point(row, number, columns, shift) for number, row in own]
+        cells = [((row[columns.x], row[columns.y]), f"line {number}") for number, row in own]
+        points = np.array([parse_point(*each) for each in cells]) - shift
         names = [row[columns.landmark] for _, row in own] if columns.landmark is not None else []
         return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen)
 
@@ -63,13 +63,6 @@ def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator
         return
     for i, part in parts.items():
         yield (key if i == 1 else (key[0], f"{key[1]}{i}")), part
-
-
-def _point(row: list[str], number: int, columns: Columns, shift: float) -> tuple[float, float]:
-    x, y = (parse_number(row[i], f"line {number}") - shift for i in (columns.x, columns.y))
-    if math.isnan(x) != math.isnan(y):
-        raise LandmarkError(f"line {number} has only one of x and y: fill in both, or leave both empty.")
-    return x, y
 
 
 def _is_imagej(header: list[str]) -> bool:

@@ -2,16 +2,17 @@
 
 One file holds many images. The landmarks are the ``part`` elements of a box. Each box with parts is an object. Parts
 are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is missing.
-Boxes that are marked ``ignore`` are left out.
+Boxes that are marked ``ignore`` are left out. Of labels with other parts, that with more is the object.
 """
 
+from collections import defaultdict
 from collections.abc import Iterator
 from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.reading import MISSING, Source, area_of, size_of_file
+from liaam.io.landmarks.reading import MISSING, Labelled, Source, area_of, of_category, size_of_file
 from liaam.io.landmarks.text import parse_number
 
 _MOST_MISSING = 20
@@ -21,7 +22,16 @@ _MOST_MISSING = 20
 def parse(source: Source) -> list[Landmarks]:
     """Parse the boxes of images."""
     boxes = ((f"box {n} of {image.get('file', '')}", (image, box)) for image, n, box in _boxes(source.xml))
-    found = [(image, parts) for image, parts in source.each(boxes, _parts) if parts]
+    every = [each for each in source.each(boxes, _parts) if each[2]]
+    of_label: dict[str, set[str]] = defaultdict(set)
+    for _, label, parts in every:
+        of_label[label] |= parts.keys()
+    kinds = {label: tuple(sorted(names)) for label, names in of_label.items()}
+    objects = [
+        Labelled(label, label, kinds[label], len(parts), image.get("file", ""), (image, parts))
+        for image, label, parts in every
+    ]
+    found = of_category(source, objects)
     names = sorted({name for _, parts in found for name in parts}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(len(parts) for _, parts in found):
         raise LandmarkError(
@@ -40,7 +50,7 @@ def _boxes(root: Any) -> Iterator[tuple[Any, int, Any]]:
                 yield image, number, box
 
 
-def _parts(pair: tuple[Any, Any]) -> tuple[Any, dict[str, tuple[float, float]]]:
+def _parts(pair: tuple[Any, Any]) -> tuple[Any, str, dict[str, tuple[float, float]]]:
     image, box = pair
     parts: dict[str, tuple[float, float]] = {}
     for part in box.iterfind("part"):
@@ -49,7 +59,7 @@ def _parts(pair: tuple[Any, Any]) -> tuple[Any, dict[str, tuple[float, float]]]:
             raise LandmarkError(f"{where} occurs twice: remove one of them.")
         x, y = (parse_number(part.get(axis, ""), where) for axis in "xy")
         parts[part.get("name", "")] = x, y
-    return image, parts
+    return image, (box.findtext("label") or "").strip(), parts
 
 
 def _landmarks(image: Any, points: Any, names: list[str]) -> Landmarks:

@@ -89,24 +89,23 @@ LANDMARK_SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in
 """Suffixes (lower case) of the landmark files that can be read, in order of preference."""
 
 
-def formats_of(path: Path) -> list[Format]:
-    """Return the formats of a file's suffix. Raise if there are none."""
-    found = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
-    if not found:
-        known = ", ".join(f"{suffix} ({titles_of(suffix)})" for suffix in LANDMARK_SUFFIXES)
-        raise LandmarkError(f"{path} has the extension '{path.suffix}', not that of a landmark format: use {known}.")
-    return found
-
-
 def titles_of(suffix: str) -> str:
     """Return the names of the formats of a suffix."""
     return ", ".join(form.title for form in FORMATS if suffix in form.suffixes)
 
 
-def formats_text() -> str:
-    """Return all formats in one line, for help."""
-    kinds = ((form.title, ", ".join(form.suffixes), " (many images)" * form.many) for form in FORMATS)
-    return "; ".join(f"{title} {suffixes}{many}" for title, suffixes, many in kinds)
+_GROUPS = {form.suffixes: [own.title for own in FORMATS if own.suffixes == form.suffixes] for form in FORMATS}
+KNOWN_FILES = "; ".join(f"{', '.join(suffixes)} ({', '.join(titles)})" for suffixes, titles in _GROUPS.items())
+"""All formats by suffix, for help and messages."""
+
+
+def formats_of(path: Path) -> list[Format]:
+    """Return the formats of a file's suffix. Raise if there are none."""
+    found = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
+    if not found:
+        fault = f"has the extension '{path.suffix}', not that of a landmark format"
+        raise LandmarkError(f"{path} {fault}: use {KNOWN_FILES}.")
+    return found
 
 
 def may_hold_many(path: Path) -> bool:
@@ -131,13 +130,13 @@ def writer_of(path: Path, many: bool = False) -> Format:
 
 def parse_source(source: Source) -> Parsed:
     """Parse a file in the format that it has, of those of its suffix. Errors name the file."""
-    form: Format | None = None
+    form, suffix = None, source.path.suffix.lower()
     try:
         form = next((form for form in formats_of(source.path) if _is_in(source, form)), None)
         if form is None:
-            raise UnrecognisedError(
-                "there are no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
-            )
+            unknown = f"this is none of {titles_of(suffix)}: export it as one of these."
+            untitled = "there are no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
+            raise UnrecognisedError(unknown if suffix == ".json" else untitled)
         parsed = form.reader.parse(source)
         if isinstance(parsed, Landmarks):
             return replace(parsed, format=form.title)
@@ -148,7 +147,7 @@ def parse_source(source: Source) -> Parsed:
     except LandmarkError as fault:
         raise type(fault)(f"{source.path}: {fault}") from fault
     except LACKING as fault:
-        if "json" not in source.path.suffix.lower() or form is None:
+        if "json" not in suffix or form is None:
             raise
         raise LandmarkError(f"{source.path} lacks the parts of a {form.title} file: export it again.") from fault
     return {image: replace(own, format=form.title) for image, own in in_objects(parsed).items()}

@@ -10,6 +10,7 @@ from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.matching import names_picture
 from liaam.io.landmarks.reading import Source, named_points, names_of
 from liaam.io.landmarks.text import check_number
 
@@ -36,12 +37,13 @@ def _objects(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     if len(done) > 1:
         source.notes.say("of several annotations the first is read", str(task.get("id", "")))
     marks = [{**each, **each["value"]} for each in done[0]["result"] if each.get("value")] if done else _lists(task)
-    texts = [str(value) for value in task.get("data", task).values() if isinstance(value, str) and "." in value]
+    texts = [value for value in task.get("data", task).values() if isinstance(value, str) and "." in value]
+    image = next(filter(names_picture, texts), texts[0] if texts else "")
     groups: dict[Any, _Keypoints] = defaultdict(list)
     for mark in marks:
         if "keypointlabels" in mark:
             groups[mark.get("parentID")].append(mark)
-    return [_landmarks(texts[0] if texts else "", own) for own in groups.values()]
+    return [_landmarks(image, own) for own in groups.values()]
 
 
 def _lists(task: dict[str, Any]) -> _Keypoints:
@@ -55,5 +57,7 @@ def _landmarks(image: str, marks: _Keypoints) -> Landmarks:
     sizes = {(float(mark["original_width"]), float(mark["original_height"])) for mark in marks}
     if len(sizes) != 1 or not all(math.isfinite(side) and side > 0 for side in next(iter(sizes))):
         raise LandmarkError(f"'{image}' has keypoints for several sizes: label it again.")
+    if any(mark.get("image_rotation") for mark in marks):
+        raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
     names = names_of([str(mark["keypointlabels"][0]) for mark in marks])
     return Landmarks(points, names=names, image_name=image, placing=Placing(next(iter(sizes)), fractions=True))

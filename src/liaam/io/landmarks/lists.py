@@ -23,7 +23,9 @@ def is_it(source: Source) -> bool:
 
 
 def _words(line: str) -> list[str]:
-    return [word for word in re.split(r"[\s,;]+", line) if word]
+    """Split a line; a name may hold blanks if commas, semicolons or tabs separate."""
+    cells, words = ([word.strip() for word in re.split(by, line) if word.strip()] for by in (r"[\t,;]", r"[\s,;]"))
+    return words if _name_at(cells) is None else cells
 
 
 def _name_at(words: list[str]) -> int | None:

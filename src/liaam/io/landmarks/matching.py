@@ -93,11 +93,23 @@ def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:
     return ranked[0] if shared(ranked[0]) > shared(ranked[1]) else None
 
 
+def names_picture(entry: str) -> bool:
+    """Whether a text, perhaps an address, ends as the name of a picture."""
+    return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
+
+
+def _path_of(entry: str) -> str:
+    """Return the path of an address, without what is asked for behind it."""
+    path = entry.partition("?d=")[2] or (entry.partition("?")[0] if "://" in entry else entry)
+    return unquote(path)
+
+
 def _spellings(entry: str) -> Iterator[tuple[str, str]]:
     """Yield an entry as it is, and as it may have been meant."""
-    yield entry, ""
+    if "://" not in entry:  # else its end may be that of a query
+        yield entry, ""
     entry = entry.strip()
-    entry = unquote(entry.partition("?d=")[2] or entry)
+    entry = _path_of(entry)
     yield entry, SPELLING
     folder, _, name = entry.replace("\\", "/").rpartition("/")
     if re.match(r"[0-9a-f]{8}-.", name):  # Label Studio puts it before the names of images that are uploaded

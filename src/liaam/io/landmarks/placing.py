@@ -15,6 +15,9 @@ from liaam.io.landmarks.reading import Reading
 
 Size = tuple[float, float]
 
+_SMALL = 16
+"""Width and height in pixels up to which all landmarks may lie within one pixel."""
+
 SCALED = "positions are for another size of the image, and are scaled along"
 TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
 UNDECIDED = (
@@ -52,6 +55,9 @@ def place(
     ):
         say(UNDECIDED)
     frame, target = declared or (stored if turned else size), stored if turned else size
+    known = landmarks.points[~landmarks.missing]
+    if not placing.fractions and len(known) > 2 and 0 <= known.min() <= known.max() <= 1 and min(frame) > _SMALL:
+        raise LandmarkError("all positions lie between 0 and 1, as fractions of the image's size do: give pixels.")
     points = landmarks.points * frame if placing.fractions else landmarks.points
     if placing.upwards and not reading.y_down:
         points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)

@@ -37,7 +37,7 @@ class Reading:
     strict : bool
         Whether to refuse a file for one bad record, instead of leaving the record out.
     category : str, optional
-        Name or number of the COCO category, or the label of CVAT's skeletons, that is the object.
+        Name or number of the COCO category, or the label of CVAT's skeletons or dlib's boxes, that is the object.
     group : str, optional
         Group of landmarks of a menpo ``.ljson``.
     y_down : bool

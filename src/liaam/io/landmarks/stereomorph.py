@@ -9,7 +9,7 @@ from typing import Any
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source
-from liaam.io.landmarks.text import parse_number
+from liaam.io.landmarks.text import parse_point
 
 _MATRIX = re.compile(r"<landmarks\.pixel\b[^>]*>(.*?)</landmarks\.pixel\s*>", re.DOTALL)
 _IMAGE = re.compile(r"<image\.name\b[^>]*>([^<]*)</image\.name\s*>")
@@ -28,6 +28,6 @@ def parse(source: Source) -> Landmarks:
     lines = [line.strip() for line in matrix[1].splitlines() if line.strip()]
     rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line) for line in lines]
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
-    points: Any = [[parse_number(cell, f"'{row[0]}'") for cell in row[-2:]] for row in rows]
+    points: Any = [parse_point(row[-2:], f"'{row[0]}'") for row in rows]
     names = tuple(row[0] for row in rows if len(row) == 3)
     return Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)

@@ -12,8 +12,11 @@ from liaam.io.files import read_bytes
 MAX_BYTES = 500_000_000
 """Size limit of landmark files, in bytes."""
 
-_COMMAS = re.compile(r"\s*[^\s,]+\s*,\s*[^\s,]+\s*")
-"""A line of x and y with a comma between them."""
+_SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
+"""A line of x and y with a comma or semicolon between them."""
+
+_ABSENT = (-999.0, -9999.0)
+"""Numbers that programs write for x and y of a missing landmark."""
 
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
 
@@ -75,15 +78,21 @@ def parse_number(token: str, where: str) -> float:
     return value
 
 
-def parse_pair(line: str, where: str) -> tuple[float, float]:
-    """Parse a line that holds x and y, both or neither of them missing."""
-    tokens = line.split() if not _COMMAS.fullmatch(line) else line.replace(",", " ", 1).split()
-    if len(tokens) != 2:
-        raise LandmarkError(f"{where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
+def parse_point(tokens: Sequence[str], where: str) -> tuple[float, float]:
+    """Parse x and y, both or neither of them missing."""
     x, y = (parse_number(token, where) for token in tokens)
     if math.isnan(x) != math.isnan(y):
-        raise LandmarkError(f"{where} has only one of x and y: give both, or NA NA if missing.")
-    return x, y
+        raise LandmarkError(f"{where} has only one of x and y: give both, or neither if the landmark is missing.")
+    return (math.nan, math.nan) if x == y and x in _ABSENT else (x, y)
+
+
+def parse_pair(line: str, where: str) -> tuple[float, float]:
+    """Parse a line that holds x and y, both or neither of them missing."""
+    match = _SEPARATED.fullmatch(line)
+    tokens = match.groups() if match is not None else line.split()
+    if len(tokens) != 2:
+        raise LandmarkError(f"{where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
+    return parse_point(tokens, where)
 
 
 def check_number(value: Any, where: str) -> float:

@@ -12,7 +12,7 @@ from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import IMAGES, SPECIMENS, UNCLEAR
 from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.tables import Row, check_widths, header_of, plain, rows_of
-from liaam.io.landmarks.text import parse_number
+from liaam.io.landmarks.text import parse_point
 
 _COLUMN = re.compile(
     r"(?:raw|coord|lm)?[ ._-]?(?P<a>[xyz])[ ._-]?(?P<key>\d+)"
@@ -21,7 +21,9 @@ _COLUMN = re.compile(
     r"|(?P<key4>\w*\d)(?P<a4>[xyz])",
     re.IGNORECASE,
 )
-_BOXES = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
+"""Words beside x and y that name no landmark."""
 
 
 def is_it(source: Source) -> bool:
@@ -38,10 +40,11 @@ def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
         if match is None:
             continue
         key = match["key"] or match["key2"] or match["key3"] or match["key4"]
-        if plain(key) not in _BOXES:
+        if plain(key) not in _OTHERS:
             axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
             found.setdefault(key, {})[axis.lower()] = i
-    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+    whole = {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+    return dict(sorted(whole.items(), key=lambda each: int(each[0]))) if all(map(str.isdigit, whole)) else whole
 
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
@@ -57,7 +60,7 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
 
     def make(numbered: Row) -> Landmarks:
         number, row = numbered
-        points: Any = [[parse_number(row[axes[axis]], f"line {number}") for axis in "xy"] for axes in pairs.values()]
+        points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
         return Landmarks(points, names=names, image_name=None if name is None else row[name].strip())
 
     found = list(source.each(((f"line {number}", (number, row)) for number, row in rows), make))
@@ -68,6 +71,11 @@ def _name_column(source: Source, header: list[str], rows: list[Row], used: set[i
     others = [i for i in range(len(header)) if i not in used]
     for known in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
         found = [i for i in others if header[i] in known and all(row[i].strip() for _, row in rows)]
+        pixels = [header[i] for i in found if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for _, row in rows)]
+        if pixels:
+            raise LandmarkError(
+                f"the column '{pixels[0]}' holds the images' pixels: put the images' names in its place."
+            )
         if found:
             return found[0]
     texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for _, row in rows)]
