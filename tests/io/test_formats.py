@@ -10,7 +10,7 @@ from liaam.errors import LandmarkError
 from liaam.io.landmarks import parse_landmark_data
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.formats import FORMATS, KNOWN_FILES
-from liaam.io.landmarks.matching import ImageNames
+from liaam.io.landmarks.matching import ImageNames, stem_of
 from liaam.io.landmarks.reading import Notes, Reading
 
 SIZE = (200.0, 160.0)
@@ -60,6 +60,7 @@ REFUSED = [
     ),
     ("a.json", json.dumps({"_via_img_metadata": {}}), "this is none of LabelMe, Label Studio, COCO keypoints: export"),
     ("a.json", label_studio({"image": "a.png"}, image_rotation=90), "was labelled on a turned picture"),
+    ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
     ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),
 ]
 
@@ -80,6 +81,7 @@ def test_images_are_found_by_addresses() -> None:
     names = ImageNames([Path("a b.png"), Path("c.png")])
     assert names.find("https://host/x/a%20b.png?sig=1.2&b=/c.png")[0] == Path("a b.png")
     assert names.find("s3://bucket/c.png")[0] == Path("c.png")
+    assert stem_of("/data/upload/1/0a1b2c3d-wing.one.png") == stem_of("https://host/wing.one.png?x=1.5") == "wing.one"
 
 
 def test_help_and_messages_name_every_format() -> None:

@@ -3,7 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from urllib.parse import unquote
 
 from liaam.io.files import name_key
@@ -16,6 +16,9 @@ ENCODINGS += ("koi8_r", "cp866", "cp437", "mac_roman")
 CASE = "images are named in another case in the landmark file"
 EXTENSION = "images are named with another extension in the landmark file"
 SPELLING = "images are named in another spelling in the landmark file"
+
+_UPLOADED = r"^[0-9a-f]{8}-(?=.)"
+"""What Label Studio puts before the names of images that are uploaded."""
 
 _SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
 
@@ -98,6 +101,11 @@ def names_picture(entry: str) -> bool:
     return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
 
 
+def stem_of(entry: str) -> str:
+    """Return an image's name without folders, its suffix, and what Label Studio puts before it."""
+    return re.sub(_UPLOADED, "", PureWindowsPath(_path_of(entry)).stem)
+
+
 def _path_of(entry: str) -> str:
     """Return the path of an address, without what is asked for behind it."""
     path = entry.partition("?d=")[2] or (entry.partition("?")[0] if "://" in entry else entry)
@@ -112,7 +120,7 @@ def _spellings(entry: str) -> Iterator[tuple[str, str]]:
     entry = _path_of(entry)
     yield entry, SPELLING
     folder, _, name = entry.replace("\\", "/").rpartition("/")
-    if re.match(r"[0-9a-f]{8}-.", name):  # Label Studio puts it before the names of images that are uploaded
+    if re.match(_UPLOADED, name):
         yield f"{folder}/{name[9:]}", SPELLING
     if entry.isascii():
         return

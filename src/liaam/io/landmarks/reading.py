@@ -18,7 +18,7 @@ from liaam.io.landmarks.text import short
 T = TypeVar("T")
 R = TypeVar("R")
 
-LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError)
+LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
 """Errors of a reader where parts of a file are absent, or are of another type."""
 
 MISSING = (math.nan, math.nan)
