@@ -49,7 +49,7 @@ _XML = (
     b"<image file='01.png'><box top='1' left='2' width='30' height='40'><label>face</label>"
     b"<part name='00' x='5' y='6'/><part name='01' x='7' y='8'/></box></image>\n"
     b"<image file='02.png'><box top='1' left='2' width='3' height='4'/>"
-    b"<box top='1' left='2' width='9' height='9'>"
+    b"<box top='1' left='2' width='9' height='9'><label>face</label>"
     b"<part name='10' x='5' y='6'/><part name='2' x='7' y='8'/></box></image>"
     b"</images></dataset>",
     b"<annotations><image id='0' name='01.png' width='32' height='24'><skeleton label='s'>"
