@@ -31,6 +31,11 @@ def label_studio(data: dict, **more: object) -> str:
 
 
 READ = [
+    (
+        "a.csv",
+        f"image,x_1,y_1,x_²,y_²,x_{'9' * 5000},y_{'9' * 5000}\na.png,10,20,30,40,50,60\n",
+        [POINTS[i] for i in (0, 2, 1)],
+    ),
     ("a.csv", "id,X2,Y2,X1,Y1,X10,Y10\na.png,30,40,10,20,50,60\n", POINTS),
     ("a.csv", "image,name,x_px,y_px,x_mm,y_mm\na,p,10,20,1,2\na,q,30,40,3,4\na,r,50,60,5,6\n", POINTS),
     ("a.csv", "image,name,x,y\na,p,10,20\na,q,30,40\na,r,-999,-999\n", HOLE),
@@ -82,6 +87,15 @@ def test_images_are_found_by_addresses() -> None:
     assert names.find("https://host/x/a%20b.png?sig=1.2&b=/c.png")[0] == Path("a b.png")
     assert names.find("s3://bucket/c.png")[0] == Path("c.png")
     assert stem_of("/data/upload/1/0a1b2c3d-wing.one.png") == stem_of("https://host/wing.one.png?x=1.5") == "wing.one"
+
+
+def test_names_are_the_same_in_another_case_with_blanks_or_in_another_unicode_form() -> None:
+    other = Landmarks(np.array(POINTS), names=("Tip ", "a\u0308", "EYE"))
+    assert other.in_order_of(("eye", "tip", "\u00e4")).points.tolist() == [POINTS[2], POINTS[0], POINTS[1]]
+    apart = Landmarks(np.array(POINTS), names=("a", "A", "b"))
+    assert apart.in_order_of(("A", "a", "b")).points.tolist() == [POINTS[1], POINTS[0], POINTS[2]]
+    with pytest.raises(LandmarkError, match="its names lack b2"):
+        apart.in_order_of(("A", "a", "b2"))
 
 
 def test_help_and_messages_name_every_format() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.files import count_of, some_names
+from liaam.io.files import count_of, name_key, some_names
 from liaam.io.landmarks.contours import Contour
 
 
@@ -131,17 +131,22 @@ class Landmarks:
     def in_order_of(self, names: Sequence[str]) -> "Landmarks":
         """Return the landmarks with these names, in this order; unchanged if either has no names, or none in common.
 
+        Case, blanks around a name and the form of its Unicode do not matter where they tell no landmarks apart.
+
         Raises
         ------
         LandmarkError
             If some of the names are missing, or name several landmarks.
         """
-        if not names or self.names == tuple(names) or not set(names) & set(self.names):
+        wanted, own = _keys(names), _keys(self.names)
+        if min(len(set(wanted)) - len(names), len(set(own)) - len(self.names)) < 0:
+            wanted, own = list(names), list(self.names)
+        if self.names == tuple(names) or not set(wanted) & set(own):
             return self
-        lacking = [name for name in names if self.names.count(name) != 1]
+        lacking = [name for name, key in zip(names, wanted, strict=True) if own.count(key) != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
-        order = [self.names.index(name) for name in names]
+        order = [own.index(key) for key in wanted]
         at = {old: new for new, old in enumerate(order)}
         contours = (Contour(tuple(at.get(i, -1) for i in each.indices), each.closed) for each in self.contours)
         return replace(
@@ -151,6 +156,10 @@ class Landmarks:
             contours=tuple(contour for contour in contours if -1 not in contour.indices),
             invisible=tuple(at[i] for i in self.invisible if i in at),
         )
+
+
+def _keys(names: Sequence[str]) -> list[str]:
+    return [name_key(name.strip()) for name in names]
 
 
 def _checked_points(points: Any) -> np.ndarray:

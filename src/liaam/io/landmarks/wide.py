@@ -8,6 +8,7 @@ import re
 from typing import Any
 
 from liaam.errors import LandmarkError
+from liaam.io.files import natural_key
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import IMAGES, SPECIMENS, UNCLEAR
 from liaam.io.landmarks.reading import Source
@@ -44,7 +45,7 @@ def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
             axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
             found.setdefault(key, {})[axis.lower()] = i
     whole = {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
-    return dict(sorted(whole.items(), key=lambda each: int(each[0]))) if all(map(str.isdigit, whole)) else whole
+    return {key: whole[key] for key in sorted(whole, key=natural_key)} if all(map(str.isdigit, whole)) else whole
 
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
