@@ -78,15 +78,12 @@ def _lines(source: Source, categories: Any, category: str, n: int) -> tuple[tupl
     if names and len(names) != n:
         source.notes.repair("keypoints are read without names, because a category has", f"{len(names)} names for {n}")
         names = ()
-    sound = [edge for edge in edges if isinstance(edge, list) and len(edge) == 2 and all(map(_is_count, edge))]
-    numbers = [int(number) for edge in sound for number in edge]
-    first = 0 if 0 in numbers else 1  # COCO counts from 1, some programs from 0
-    kept = [edge for edge in sound if all(0 <= number - first < n for number in edge)]
+    pairs = [edge for edge in edges if isinstance(edge, list) and len(edge) == 2]
+    sound = [edge for edge in pairs if all(type(number) in (int, float) for number in edge)]
+    places = set(range(n))
+    first = 0 if any(0 in edge for edge in sound) else 1  # COCO counts from 1, some programs from 0
+    kept = [(start - first, end - first) for start, end in sound if {start - first, end - first} <= places]
     if len(kept) < len(edges):
         source.notes.repair("edges of the skeleton are left out, because there are no such keypoints", str(len(edges)))
         kept = []
-    return names, chain_edges((int(start) - first, int(end) - first) for start, end in kept)
-
-
-def _is_count(number: Any) -> bool:
-    return type(number) is int or (isinstance(number, float) and number.is_integer())
+    return names, chain_edges((int(start), int(end)) for start, end in kept)
