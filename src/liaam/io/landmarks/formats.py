@@ -60,26 +60,25 @@ _TPS = "(0, 0) is the centre of the bottom-left pixel, y upwards; needs the imag
 _IMAGEJ = f"{_CENTRES}; ImageJ's results: corners"
 _TABLES = (".csv", ".tsv", ".txt")
 _CSV = (writers.csv_text, writers.csv_collection)
-_F = Format
 
 FORMATS: tuple[Format, ...] = (
-    _F("300-W points", (".pts",), pts, "(1, 1) is the centre of the top-left pixel", text=writers.pts_text),
-    _F("menpo landmarks", (".ljson",), ljson, f"[y, x], {_CENTRES}", False, True, True, writers.ljson_text),
-    _F("WebMorph template", (".tem",), tem, _TAKEN, contours=True),
-    _F("AAM-API shape", (".asf",), asf, "fractions of width and height; needs the image", contours=True),
-    _F("LabelMe", (".json",), labelme, _TAKEN, names=True),
-    _F("CVAT for images", (".xml",), cvat, _TAKEN, many=True, names=True),
-    _F("dlib imglab", (".xml",), dlib_xml, _CENTRES, many=True, names=True),
-    _F("Label Studio", (".json",), label_studio, "percent of width and height", many=True, names=True),
-    _F("COCO keypoints", (".json",), coco, _TAKEN, True, True, True, text_of_many=writers.coco_collection),
-    _F("tpsDig points", (".tps",), tps, _TPS, True, True, False, writers.tps_text, writers.tps_collection),
-    _F("NTSYS matrix", (".nts",), nts, "as .tps", many=True),
-    _F("StereoMorph shapes", (".txt",), stereomorph, _CENTRES, names=True),
-    _F("DeepLabCut table", _TABLES, deeplabcut, _CENTRES, many=True, names=True),
-    _F("table of one row an image", _TABLES, wide, _CENTRES, many=True, names=True),
-    _F("table", _TABLES, csv_points, _IMAGEJ, True, False, True, *_CSV),
-    _F("list of lines with an image's name", (".txt", ".csv"), lists, _CENTRES, many=True),
-    _F("lines of x and y, HELEN's", (".txt",), text_points, _CENTRES, names=True),
+    Format("300-W points", (".pts",), pts, "(1, 1) is the centre of the top-left pixel", text=writers.pts_text),
+    Format("menpo landmarks", (".ljson",), ljson, f"[y, x], {_CENTRES}", False, True, True, writers.ljson_text),
+    Format("WebMorph template", (".tem",), tem, _TAKEN, contours=True),
+    Format("AAM-API shape", (".asf",), asf, "fractions of width and height; needs the image", contours=True),
+    Format("LabelMe", (".json",), labelme, _TAKEN, names=True),
+    Format("CVAT for images", (".xml",), cvat, _TAKEN, many=True, names=True),
+    Format("dlib imglab", (".xml",), dlib_xml, _CENTRES, many=True, names=True),
+    Format("Label Studio", (".json",), label_studio, "percent of width and height", many=True, names=True),
+    Format("COCO keypoints", (".json",), coco, _TAKEN, True, True, True, text_of_many=writers.coco_collection),
+    Format("tpsDig points", (".tps",), tps, _TPS, True, True, False, writers.tps_text, writers.tps_collection),
+    Format("NTSYS matrix", (".nts",), nts, "as .tps", many=True),
+    Format("StereoMorph shapes", (".txt",), stereomorph, _CENTRES, names=True),
+    Format("DeepLabCut table", _TABLES, deeplabcut, _CENTRES, many=True, names=True),
+    Format("table of one row an image", _TABLES, wide, _CENTRES, many=True, names=True),
+    Format("table", _TABLES, csv_points, _IMAGEJ, True, False, True, *_CSV),
+    Format("list of lines with an image's name", (".txt", ".csv"), lists, _CENTRES, many=True),
+    Format("lines of x and y, HELEN's", (".txt",), text_points, _CENTRES, names=True),
 )
 """Formats, in order of preference where an image has several files, and in the order that they are tried for a suffix.
 

@@ -55,9 +55,8 @@ def place(
     ):
         say(UNDECIDED)
     frame, target = declared or (stored if turned else size), stored if turned else size
-    known = landmarks.points[~landmarks.missing]
-    if not placing.fractions and len(known) > 2 and 0 <= known.min() <= known.max() <= 1 and min(frame) > _SMALL:
-        raise LandmarkError("all positions lie between 0 and 1, as fractions of the image's size do: give pixels.")
+    if not placing.fractions:
+        _check_pixels(landmarks, frame)
     points = landmarks.points * frame if placing.fractions else landmarks.points
     if placing.upwards and not reading.y_down:
         points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)
@@ -69,6 +68,13 @@ def place(
         points = turn(points, size, orientation)
     others = tuple(place(other, size, orientation, reading, say) for other in landmarks.others)
     return replace(landmarks, points=points, others=others, placing=Placing())
+
+
+def _check_pixels(landmarks: Landmarks, size: Size) -> None:
+    """Raise if positions in an image seem to be fractions of its size."""
+    known = landmarks.points[~landmarks.missing]
+    if len(known) > 2 and 0 <= known.min() <= known.max() <= 1 and min(size) > _SMALL:
+        raise LandmarkError("all positions lie between 0 and 1, as fractions of the image's size do: give pixels.")
 
 
 def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
