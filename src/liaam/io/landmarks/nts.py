@@ -17,7 +17,7 @@ from liaam.io.landmarks.text import parse_number
 
 _HEADER = re.compile(
     r"1\s+(?P<rows>\d{1,9})(?P<named>[lbe]?)\s+(?P<columns>\d{1,9})(?P<columns_named>l?)"
-    r"(?:\s+(?P<missing>[01])(?:\s+(?P<value>-?[\d.]+))?)?(?:\s+dim\s*=\s*(?P<dim>\d))?\s*",
+    r"(?:\s+(?P<missing>[01])(?:\s+(?P<value>-?(?:\d+\.?\d*|\.\d+)))?)?(?:\s+dim\s*=\s*(?P<dim>\d))?\s*",
     re.IGNORECASE,
 )
 
@@ -34,7 +34,8 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
     n, width, dim = int(header["rows"]), int(header["columns"]), int(header["dim"] or 2)
     if dim != 2 or width % 2:
         raise LandmarkError(f"it holds {width} columns of {dim} dimensions: export x and y only.")
-    names, values = _labels_and_values(header, " ".join(lines[1:]).split(), n, width)
+    words = " ".join(lines[1:]).split()
+    names, values = _labels_and_values(header, words, n, width) if n <= len(words) else ([], words)
     if len(values) != n * width or not n:
         raise LandmarkError(f"{n} x {width} numbers are promised but {len(values)} are there: export it again.")
     numbers = np.array([parse_number(value, "a row") for value in values])
