@@ -49,7 +49,7 @@ _XML = (
     b"<image file='01.png'><box top='1' left='2' width='30' height='40'><label>face</label>"
     b"<part name='00' x='5' y='6'/><part name='01' x='7' y='8'/></box></image>\n"
     b"<image file='02.png'><box top='1' left='2' width='3' height='4'/>"
-    b"<box top='1' left='2' width='9' height='9'>"
+    b"<box top='1' left='2' width='9' height='9'><label>face</label>"
     b"<part name='10' x='5' y='6'/><part name='2' x='7' y='8'/></box></image>"
     b"</images></dataset>",
     b"<annotations><image id='0' name='01.png' width='32' height='24'><skeleton label='s'>"
@@ -185,7 +185,9 @@ def _attribute(rng: Random) -> str:
 
 def check(suffix: str, data: bytes) -> None:
     """Parse it. If accepted, its points must be finite, and writing and reading them must work."""
-    from liaam.io.landmarks import Landmarks, parse_landmark_data, tps, writer_of
+    from liaam.io.landmarks import Landmarks, parse_landmark_data
+    from liaam.io.landmarks.formats import writer_of
+    from liaam.io.landmarks.writers import upwards
 
     path, size = Path(f"x{suffix}"), (640.0, 480.0)
     parsed = parse_landmark_data(path.name, data, size)
@@ -194,12 +196,12 @@ def check(suffix: str, data: bytes) -> None:
         assert not np.isinf(landmarks.points).any()
     if suffix not in (".pts", ".ljson", ".tps", ".csv"):
         return
-    dump = writer_of(path).dump
-    assert dump is not None
+    text_of = writer_of(path).text
+    assert text_of is not None
     for landmarks in every[:20]:
         if len(landmarks) < 1000 and len(set(landmarks.names)) in (0, len(landmarks)):
-            placed = tps.upwards(landmarks, size) if suffix == ".tps" else landmarks
-            text = dump(placed).encode("utf-8", "surrogatepass")
+            placed = upwards(landmarks, size) if suffix == ".tps" else landmarks
+            text = text_of(placed).encode("utf-8", "surrogatepass")
             again = parse_landmark_data(path.name, text, size)
             again = again if isinstance(again, Landmarks) else next(iter(again.values()))
             np.testing.assert_allclose(again.points, landmarks.points, rtol=1e-12, atol=1e-12 * size[1])

@@ -172,3 +172,13 @@ def test_every_object_of_an_image_is_trained_on(run, scenes, tmp_path):
     assert "left out 1: one of several objects in an image lacks landmarks (party1#2)" in out
     assert "first: 8 of 58; place them or delete the object, in all.xml" in out
     assert "trained on 5 images" in out
+
+
+def test_strict_training_refuses_a_missing_landmark_before_any_work(run, folder, scenes, tmp_path):
+    points = scenes[2].landmarks.copy()
+    points[3] = np.nan
+    write_landmarks(folder / "face2.pts", points)
+    code, _, err = run("train", folder, "-o", tmp_path / "m.liaam", "--strict", *FAST)
+    assert code == 1
+    assert "landmarks are missing in 1 image (face2): place them, or train without --strict" in err
+    assert not (tmp_path / "m.liaam").exists()

@@ -253,10 +253,12 @@ def test_missing_folder_no_images_no_pairs(tmp_path: Path) -> None:
     with pytest.raises(LandmarkError, match=r"its only image has no landmarks \(a\.png\)\. Add a file such as a\.pts"):
         load_folder(tmp_path)
     (tmp_path / "a.pts").write_text("junk")
-    with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts has no '\{'"):
+    with pytest.raises(LandmarkError, match=r"The first fault: .*a\.pts: there is no '\{'"):
         load_folder(tmp_path)
     (tmp_path / "a.csv").write_text("id,X1,Y1\n")
-    with pytest.raises(LandmarkError, match=r"The first faults: .*a\.csv has no columns.*a\.pts has no '\{'"):
+    with pytest.raises(
+        LandmarkError, match=r"The first faults: .*a\.csv: there are no columns.*a\.pts: there is no '\{'"
+    ):
         load_folder(tmp_path)
 
 

@@ -10,6 +10,7 @@ from liaam.datasets import Dataset, load_folder
 from liaam.errors import LandmarkError, LiaamError
 from liaam.io import read_landmarks
 from liaam.io.landmarks import FORMATS, Reading
+from liaam.io.landmarks.formats import Format
 from liaam.morphometry import read_specimens
 from liaam.training.entries import read_entries
 
@@ -30,7 +31,7 @@ def cases(shared_data: Path) -> Path:
 
 
 RIGHT = [
-    ("03-tps-empty-scale", 10, "have no scale.*: img04.png"),
+    ("03-tps-empty-scale", 10, "there is no scale.*: img04.png"),
     ("07-tps-curves", 10, ""),
     ("10-tps-other-extension", 10, "named with another extension in the landmark file: img00.jpg"),
     ("12-tps-cp1251-names", 10, "named in another spelling"),
@@ -197,6 +198,12 @@ def test_heic_names_the_extra(cases: Path) -> None:
 def test_the_documentation_lists_the_formats() -> None:
     text = (Path(__file__).parents[2] / "docs/reference/formats.md").read_text()
     table = text.partition("<!-- formats")[2].partition("<!-- end of formats")[0].splitlines()
-    rows = [line.split(" | ")[:2] for line in table if line.startswith("| ")][1:]
-    expected = [[f"| {form.title}", ", ".join(f"`{suffix}`" for suffix in form.suffixes)] for form in FORMATS]
-    assert rows == expected
+    assert [line for line in table if line.startswith("| ")][1:] == [row_of(form) for form in FORMATS]
+
+
+def row_of(form: Format) -> str:
+    suffixes = ", ".join(f"`{suffix}`" for suffix in form.suffixes)
+    also = "yes, also of many images" if form.text_of_many else "yes"
+    written = also if form.text else "yes, of many images" if form.text_of_many else "–"
+    cells = form.title, suffixes, "yes, of many images" if form.many else "yes", written, form.origin
+    return f"| {' | '.join(cells)} | {'yes' if form.contours else '–'} | {'yes' if form.names else '–'} |"

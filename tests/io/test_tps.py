@@ -183,27 +183,27 @@ BAD = [
     ("LM=-1\nID=0\n", r"line 1 \('LM=-1'\) has no number of points"),
     ("LM=two\n", "has no number of points after '=': correct it, such as LM=12"),
     ("LM=1\n1 2 3\nID=0\n", "line 2 holds 3 values"),
-    ("LM=1\n1 NA\nID=0\n", "line 2 has only one of x and y: give both, or NA NA"),
+    ("LM=1\n1 NA\nID=0\n", "line 2 has only one of x and y: give both, or neither"),
     ("LM=1\n1,5 2\nID=0\n", r"'1,5' in line 2 is not a number: correct it \(decimal points"),
     ("LM=1\n1 1e999\nID=0\n", "in line 2 is not a number"),
     ("LM=1\n1 2\nCURVES=1\nPOINTS=2\n1 2\nID=0\n", r"line 4 \('POINTS=2'\) promises 2 points but 1 follow"),
-    ("LM=0\nIMAGE=a.jpg\n", "has no points: place the landmarks of at least one image first"),
-    ("nothing of the kind\n", r"line 1 \('nothing of the kind'\) is not expected here"),
+    ("LM=0\nIMAGE=a.jpg\n", r"no landmarks in it \(tpsDig points\): place those of at least one image"),
+    ("nothing of the kind\n", r"'nothing of the kind' is not expected here, before any LM="),
 ]
 
 ONE_RECORD = [
-    ("LM=1\n1 2\nSCALE=-0.5\n", r"line 3 \('SCALE=-0.5'\) is not the length of a pixel: give a positive number"),
-    ("LM=1\n1 2\nSCALE=0\n", "is not the length of a pixel"),
-    ("LM=1\n1 2\nSCALE=inf\n", "is not the length of a pixel"),
-    ("LM=1\n1 2\nSCALE=big\n", "is not the length of a pixel"),
-    ("LM=1\n1 2\nIMAGE=a.jpg\nLM=1\n3 4\nSCALE=1\n", "the record of line 4 names no image: add a line IMAGE="),
+    *(
+        (f"LM=1\n1 2\nSCALE={scale}\n", "SCALE= is not a positive number: a.tps")
+        for scale in ("-0.5", "0", "inf", "big", "")
+    ),
+    ("LM=1\n1 2\nIMAGE=a.jpg\nLM=1\n3 4\nSCALE=1\n", "the record of line 4 .* names no image: add a line IMAGE="),
 ]
 
 
 @pytest.mark.parametrize(("text", "words"), ONE_RECORD, ids=[words[:40] for _, words in ONE_RECORD])
 def test_one_bad_record_stops_only_strict_reading(tmp_path: Path, text: str, words: str) -> None:
     path = save(tmp_path, text)
-    with pytest.warns(UserWarning, match=r"a\.tps: (specimens have no scale|left out the record of line 4)"):
+    with pytest.warns(UserWarning, match=r"a\.tps: (there is no scale|left out line 4)"):
         assert read_landmarks(path, (100, 100)).scale is None
     with pytest.raises(LandmarkError, match=words):
         read_landmarks(path, (100, 100), reading=Reading(strict=True))

@@ -202,7 +202,7 @@ def test_landmark_files(tmp_path: Path) -> None:
 def test_files_of_a_folder_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     write_landmarks(tmp_path / "a.pts", POINTS)
     (tmp_path / "other.csv").write_text("id,X1,Y1\n1,2,3\n")
-    with pytest.warns(UserWarning, match=r"skipped other\.csv: .*has no columns x and y"):
+    with pytest.warns(UserWarning, match=r"skipped other\.csv: .*there are no columns x and y"):
         assert len(read_specimens(tmp_path)) == 1
 
 

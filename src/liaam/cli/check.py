@@ -22,7 +22,7 @@ from liaam.datasets import Dataset, Sample
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, is_raw, make_folder, write_image, write_landmarks
 from liaam.io.files import count_of, real_path
-from liaam.io.landmarks import Reading
+from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault

@@ -24,7 +24,7 @@ from liaam.errors import LiaamError
 from liaam.io import image_size, make_folder, read_start, write_columns
 from liaam.io.atomic import check_output
 from liaam.io.files import real_path
-from liaam.io.landmarks import Reading
+from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
     from liaam import Dataset, Evaluation

@@ -12,7 +12,8 @@ from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
-from liaam.io.landmarks import USUAL, Reading
+from liaam.io.landmarks.formats import KNOWN_FILES
+from liaam.io.landmarks.reading import USUAL, Reading
 
 if TYPE_CHECKING:
     from liaam.photometry import CameraModel
@@ -28,7 +29,12 @@ TURNED = "; if the object is rotated against the training images, add --rotation
 
 
 LandmarkedFolder = Annotated[
-    Path, typer.Argument(metavar="FOLDER", readable=False, help="Folder of images with landmarks beside them.")
+    Path,
+    typer.Argument(
+        metavar="FOLDER",
+        readable=False,
+        help=f"Folder of images with landmarks beside them, in a file for each image or for many: {KNOWN_FILES}.",
+    ),
 ]
 """Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
 ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")]
@@ -41,7 +47,8 @@ StrictOption = Annotated[
     bool, typer.Option("--strict", help="Refuse landmarks with a fault, instead of leaving these out with a line.")
 ]
 CategoryOption = Annotated[
-    str | None, typer.Option(help="Category of COCO, or label of CVAT's skeletons, that is the object.")
+    str | None,
+    typer.Option(help="Category of COCO, or label of CVAT's skeletons or dlib's boxes, that is the object."),
 ]
 GroupOption = Annotated[str | None, typer.Option(help="Group of landmarks of a menpo .ljson.")]
 YDownOption = Annotated[bool, typer.Option("--y-down", help="y of .tps and .nts counts from the top.")]

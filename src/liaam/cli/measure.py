@@ -10,7 +10,8 @@ from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path, some_names
-from liaam.io.landmarks import Reading
+from liaam.io.landmarks.formats import KNOWN_FILES
+from liaam.io.landmarks.reading import Reading
 
 
 def measure(
@@ -18,7 +19,7 @@ def measure(
         Path,
         typer.Argument(
             metavar="RESULTS",
-            help="Folder of 'liaam fit', table of 'liaam batch', or landmark files, also .tps: a file or a folder.",
+            help=f"Folder of 'liaam fit', table of 'liaam batch', or landmarks, a file or a folder: {KNOWN_FILES}.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Table to write: .csv.")],

@@ -27,9 +27,11 @@ from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
 from liaam.io.atomic import check_output
-from liaam.io.landmarks import Reading
+from liaam.io.files import count_of, some_names
+from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
+    from liaam.datasets import Dataset
     from liaam.lamps import Lamps
     from liaam.model import AAM
     from liaam.photometry import CameraModel
@@ -123,10 +125,7 @@ def train(
     y_down: YDownOption = False,
     stored_orientation: StoredOption = False,
 ) -> None:
-    """Train a model on a folder of landmarked images.
-
-    Landmarks: .pts, .asf, .tem, .ljson or .csv beside each image, or one .tps, dlib .xml, COCO .json or .csv for all.
-    """
+    """Train a model on a folder of landmarked images."""
     from liaam.training import train as train_model
     from liaam.training.left_out import describe_objects
 
@@ -149,6 +148,8 @@ def train(
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     light = parse_lamps(lamps, training_lamp, recursive, camera)
     warn_of_faults(data, folder)
+    if strict:
+        refuse_missing(data)
     if leave_out and (together := describe_objects([sample.name for sample in data])):
         say(together)
     with progress_bar(counted=False) as progress:
@@ -194,6 +195,16 @@ def parse_methods(text: str) -> list[str] | Literal["all"]:
     """Parse methods, separated by commas, or ``all``."""
     names = [name for part in text.split(",") if (name := part.strip())]
     return "all" if names == ["all"] else names
+
+
+def refuse_missing(data: "Dataset") -> None:
+    """Raise if a landmark is missing in an image, which training would leave out, or place by the other images."""
+    lacking = [sample.name for sample in data if sample.landmarks.missing.any()]
+    if lacking:
+        raise LiaamError(
+            f"landmarks are missing in {count_of(len(lacking), 'image')} ({some_names(lacking)}): place them, or train "
+            "without --strict"
+        )
 
 
 def check_model_name(output: Path, folder: Path) -> None:

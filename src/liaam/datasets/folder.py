@@ -31,21 +31,11 @@ from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import read_image, size_and_orientation
-from liaam.io.landmarks import (
-    LANDMARK_SUFFIXES,
-    USUAL,
-    ImageNames,
-    Landmarks,
-    Notes,
-    Reading,
-    UnrecognisedError,
-    in_pixels,
-    may_hold_many,
-    parse_landmark_file,
-    rank_of,
-    titles_of,
-)
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
 from liaam.io.landmarks.base import Placing
+from liaam.io.landmarks.formats import may_hold_many, rank_of, titles_of
+from liaam.io.landmarks.matching import ImageNames
+from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 
 _BARE = "the image has no landmarks"
 _UNREAD = "the landmarks cannot be read"

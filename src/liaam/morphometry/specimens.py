@@ -16,17 +16,9 @@ from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.io.files import existing_file, natural_key
-from liaam.io.landmarks import (
-    LANDMARK_SUFFIXES,
-    USUAL,
-    Contour,
-    Landmarks,
-    Notes,
-    Reading,
-    UnrecognisedError,
-    in_pixels,
-    parse_landmark_file,
-)
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, Landmarks, in_pixels, parse_landmark_file
+from liaam.io.landmarks.matching import stem_of
+from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 from liaam.io.results import corrected_file, points_of_fit, read_fit
 from liaam.io.tables import Columns, landmark_columns
 
@@ -143,7 +135,7 @@ def read_specimens(
                 continue
             if reading.strict:
                 raise
-            complain(f"skipped {file.name}: {fault}")
+            complain(f"skipped {file.name}: {str(fault).removeprefix(f'{file}: ')}")
     if not found:
         raise LiaamError(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
@@ -220,7 +212,7 @@ def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object
         size = placing.size or (None if placing.fractions else (1, 1))
         placed = in_pixels(path, landmarks, size, reading=reading)
         try:
-            for name, own in placed.objects(PureWindowsPath(entry).stem):
+            for name, own in placed.objects(stem_of(entry)):
                 yield Specimen(name, own.points, names=own.names, scale=own.scale, curves=own.contours)
         except LandmarkError as fault:
             raise LandmarkError(f"{path}: {fault}") from fault

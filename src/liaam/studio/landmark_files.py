@@ -18,7 +18,8 @@ from liaam.datasets.folder import pair_files
 from liaam.errors import LandmarkError
 from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
-from liaam.io.landmarks import Landmarks, parse_landmark_data, writer_of
+from liaam.io.landmarks import Landmarks, parse_landmark_data
+from liaam.io.landmarks.formats import writer_of
 from liaam.studio.folder import remove, revision_of
 from liaam.studio.listing import File, Listing, Signature
 from liaam.studio.safety import Refusal
@@ -255,9 +256,9 @@ class LandmarkFiles:
 
 def text_of(landmarks: Landmarks, suffix: str) -> str:
     """Return the text of a landmark file in a format that can be written."""
-    dump = writer_of(Path(f"x{suffix}")).dump
-    assert dump is not None
-    return dump(landmarks)
+    text = writer_of(Path(f"x{suffix}")).text
+    assert text is not None
+    return text(landmarks)
 
 
 def _is_invisible(data: Any) -> bool:

@@ -17,57 +17,31 @@ from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
-from liaam.io.landmarks import coco, placing, tps
-from liaam.io.landmarks.base import (
-    USUAL,
-    Contour,
-    Landmarks,
-    Notes,
-    Placing,
-    Reading,
-    Source,
-    UnrecognisedError,
-    decode_text,
-    read_text,
-)
-from liaam.io.landmarks.formats import (
-    FORMATS,
-    LANDMARK_SUFFIXES,
-    Format,
-    Parsed,
-    formats_of,
-    may_hold_many,
-    parse_source,
-    rank_of,
-    titles_of,
-    writer_of,
-)
+from liaam.io.landmarks import placing, writers
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.contours import Contour
+from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES, Parsed, formats_of, parse_source, writer_of
 from liaam.io.landmarks.matching import ImageNames
+from liaam.io.landmarks.reading import USUAL, Notes, Reading, Source
+from liaam.io.landmarks.text import decode_text, read_text
 
 __all__ = [
     "FORMATS",
     "LANDMARK_SUFFIXES",
     "USUAL",
     "Contour",
-    "Format",
     "ImageNames",
     "Landmarks",
     "Notes",
-    "Parsed",
     "Reading",
-    "UnrecognisedError",
     "collection_text",
     "in_pixels",
-    "may_hold_many",
     "parse_landmark_data",
     "parse_landmark_file",
-    "rank_of",
     "read_collection",
     "read_landmarks",
-    "titles_of",
     "write_collection",
     "write_landmarks",
-    "writer_of",
 ]
 
 Size = tuple[float, float]
@@ -268,9 +242,9 @@ def write_landmarks(
         If the format cannot be written, the points are invalid, or writing fails.
     """
     path = Path(path)
-    dump = writer_of(path).dump
-    assert dump is not None
-    write_text_atomically(path, dump(_to_write(path, _as_landmarks(landmarks), image_size)), LandmarkError)
+    text = writer_of(path).text
+    assert text is not None
+    write_text_atomically(path, text(_to_write(path, _as_landmarks(landmarks), image_size)), LandmarkError)
 
 
 def _to_write(
@@ -280,7 +254,7 @@ def _to_write(
     if path.suffix.lower() != ".tps":
         return landmarks
     try:
-        return tps.upwards(landmarks, size or _size_beside(path.parent, landmarks.image_name, beside)[0])
+        return writers.upwards(landmarks, size or _size_beside(path.parent, landmarks.image_name, beside)[0])
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
 
@@ -314,8 +288,8 @@ def collection_text(
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
     path = Path(path)
-    dump = writer_of(path, many=True).dump_collection
-    assert dump is not None
+    text = writer_of(path, many=True).text_of_many
+    assert text is not None
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
     sizes, beside = image_sizes or {}, cache(partial(_images_in, path.parent))
@@ -323,4 +297,4 @@ def collection_text(
         name: _to_write(path, replace(_as_landmarks(own), image_name=name), sizes.get(name), beside)
         for name, own in collection.items()
     }
-    return coco.dump_collection(placed, sizes) if path.suffix.lower() == ".json" else dump(placed)
+    return text(placed, sizes)

@@ -5,24 +5,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from pathlib import Path, PureWindowsPath
+from pathlib import PureWindowsPath
 
 from liaam.errors import LandmarkError
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
-IMAGES = {
-    "image",
-    "image_name",
-    "image_file",
-    "image_id",
-    "image_path",
-    "img",
-    "file",
-    "filename",
-    "file_name",
-    "photo",
-}
-IMAGES |= {"picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
+IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
+IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
@@ -55,20 +44,20 @@ def _axes(header: Sequence[str]) -> Iterator[tuple[str, int]]:
             yield match[1], i
 
 
-def columns_of(path: Path, header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
+def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
     axes: dict[str, int] = {}
     for axis, i in _axes(header):
         if axis in axes and header[axes[axis]] == axis:
             continue
         if axis in axes and header[i] != axis:
-            raise _ambiguous(path, header, f"and '{header[axes[axis]]}' both may be {axis}: name one of them {axis}", i)
+            raise _ambiguous(header, f"and '{header[axes[axis]]}' both may be {axis}: name one of them {axis}", i)
         axes[axis] = i
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
     texts = [i for i in range(len(header)) if i not in axes.values()]
-    image = _one(path, header, values, [i for i in texts if header[i] in IMAGES])
-    specimen = _one(path, header, values, [i for i in texts if header[i] in SPECIMENS])
-    landmark = _one(path, header, values, [i for i in texts if header[i] in LANDMARKS])
+    image = _one(header, values, [i for i in texts if header[i] in IMAGES])
+    specimen = _one(header, values, [i for i in texts if header[i] in SPECIMENS])
+    landmark = _one(header, values, [i for i in texts if header[i] in LANDMARKS])
     if image is None:
         image = next((i for i in texts if i not in (specimen, landmark) and _are_files(values[i])), None)
     if image is None:
@@ -80,35 +69,31 @@ def columns_of(path: Path, header: list[str], rows: Sequence[Sequence[str]]) -> 
         elif landmark is None and (header[i] in ("name", "label") or _repeats(values[i])):
             landmark = i
     if image is None:
-        _check_one_image(path, header, values, texts, landmark)
+        _check_one_image(header, values, texts, landmark)
     return Columns(axes["x"], axes["y"], image, specimen, landmark)
 
 
-def _check_one_image(
-    path: Path, header: list[str], values: list[list[str]], texts: list[int], landmark: int | None
-) -> None:
+def _check_one_image(header: list[str], values: list[list[str]], texts: list[int], landmark: int | None) -> None:
     """Raise if a table without a column for images seems to hold several."""
     counts = Counter(values[landmark]) if landmark is not None else Counter[str]()
     if landmark is not None and len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
-        raise _ambiguous(
-            path, header, "repeats its names, but no column names the images: add a column 'image'", landmark
-        )
+        raise _ambiguous(header, "repeats its names, but no column names the images: add a column 'image'", landmark)
     for i in texts if landmark is None else ():
         if header[i] and _in_blocks(values[i]) and not all(map(_is_number, values[i])):
-            raise _ambiguous(path, header, "may name the images: name it 'image' if so, or else remove it", i)
+            raise _ambiguous(header, "may name the images: name it 'image' if so, or else remove it", i)
 
 
-def _one(path: Path, header: list[str], values: list[list[str]], found: list[int]) -> int | None:
+def _one(header: list[str], values: list[list[str]], found: list[int]) -> int | None:
     """Return one of the columns of a meaning; raise if they divide the rows differently."""
     first = next((i for i in found if _are_files(values[i])), found[0] if found else None)
     for i in found:
         if first is not None and len(set(zip(values[first], values[i], strict=True))) != len(set(values[first])):
-            raise _ambiguous(path, header, f"and '{header[first]}' both may name the same: remove one of them", i)
+            raise _ambiguous(header, f"and '{header[first]}' both may name the same: remove one of them", i)
     return first
 
 
-def _ambiguous(path: Path, header: list[str], why: str, column: int) -> LandmarkError:
-    return LandmarkError(f"{path}: the column '{header[column]}' {why}.")
+def _ambiguous(header: list[str], why: str, column: int) -> LandmarkError:
+    return LandmarkError(f"the column '{header[column]}' {why}.")
 
 
 def without_title(name: str) -> str:

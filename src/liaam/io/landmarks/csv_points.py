@@ -5,17 +5,16 @@ of the landmarks; numbered ones are sorted. Empty x and y mean a missing landmar
 semicolon or a tab. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
 """
 
-import csv
-import io
-import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 
-from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, named_points, parse_number
+import numpy as np
+
+from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import Columns, columns_of, has_points, without_title
+from liaam.io.landmarks.reading import Source, named_points
 from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
+from liaam.io.landmarks.text import parse_point
 
 
 def is_it(source: Source) -> bool:
@@ -23,39 +22,32 @@ def is_it(source: Source) -> bool:
     return has_points(header_of(source))
 
 
-def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
+def parse(source: Source) -> Landmarks | list[Landmarks]:
     """Parse landmarks of one image, or of many images if a column names the image."""
-    path, header, lines = source.path, header_of(source), rows_of(source)
+    header, lines = header_of(source), rows_of(source)
     rows = [(number, row) for number, row in lines[1:] if any(row) or len(row) == len(header)]
-    if not rows:
-        raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
-    check_widths(path, header, rows)
-    columns = columns_of(path, header, [row for _, row in rows])
+    check_widths(header, rows)
+    columns = columns_of(header, [row for _, row in rows])
     shift = 0.5 if _is_imagej(lines[0][1]) else 0.0
     groups: dict[tuple[str, str], list[Row]] = {}
     for number, row in rows:
         image = "" if columns.image is None else without_title(row[columns.image])
         specimen = "" if columns.specimen is None else row[columns.specimen].strip()
         groups.setdefault((image, specimen), []).append((number, row))
-
     if columns.image is not None:
         groups = {key: part for key, own in groups.items() for key, part in _parted(key, own, columns)}
 
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
-        points = [_point(source, row, number, columns, shift) for number, row in own]
+        cells = [((row[columns.x], row[columns.y]), f"line {number}") for number, row in own]
+        points = np.array([parse_point(*each) for each in cells]) - shift
         names = [row[columns.landmark] for _, row in own] if columns.landmark is not None else []
-        named = make_landmarks(path, points, names=names if any(names) else (), image_name=image or None)
-        return replace(named, label=specimen)
+        return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen)
 
-    made = list(
-        source.each(((image or f"line {own[0][0]}", ((image, s), own)) for (image, s), own in groups.items()), make)
-    )
+    made = list(source.each(((image or "its table", ((image, s), own)) for (image, s), own in groups.items()), make))
     numbers = columns.landmark is not None and header[columns.landmark] != "name"
-    if columns.image is None and not numbers:
-        return made[0]
-    placed = named_points(source, made, numbers)
-    return placed[0] if columns.image is None else in_objects(placed)
+    placed = named_points(source, made, numbers) if columns.image is not None or numbers else made
+    return placed[0] if columns.image is None and placed else placed
 
 
 def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
@@ -73,40 +65,6 @@ def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator
         yield (key if i == 1 else (key[0], f"{key[1]}{i}")), part
 
 
-def _point(source: Source, row: list[str], number: int, columns: Columns, shift: float) -> tuple[float, float]:
-    x, y = (parse_number(source.path, row[i], f"line {number}") - shift for i in (columns.x, columns.y))
-    if math.isnan(x) != math.isnan(y):
-        raise LandmarkError(f"{source.path}: line {number} has only one of x and y: fill in both, or leave both empty.")
-    return x, y
-
-
 def _is_imagej(header: list[str]) -> bool:
     cells = [cell.strip() for cell in header]
     return {"X", "Y"} <= set(cells) and (header[0] == " " or "Label" in cells[:2])
-
-
-def dump(landmarks: Landmarks) -> str:
-    """Return the text of a CSV file with one image's landmarks."""
-    names = ["name"] if landmarks.names else []
-    return _join([["x", "y", *names], *_cells(landmarks, bool(names))])
-
-
-def dump_collection(collection: Mapping[str, Landmarks]) -> str:
-    """Return the text of a CSV file with the landmarks of many images, by file name."""
-    named = any(landmarks.names for landmarks in collection.values())
-    rows = [[image, *cells] for image, landmarks in collection.items() for cells in _cells(landmarks, named)]
-    return _join([["image", "x", "y", *(["name"] if named else [])], *rows])
-
-
-def _cells(landmarks: Landmarks, named: bool) -> list[list[str]]:
-    points = [["", ""] if x != x else [repr(x), repr(y)] for x, y in landmarks.points.tolist()]
-    if not named:
-        return points
-    names = landmarks.names or [""] * len(points)
-    return [[*point, name] for point, name in zip(points, names, strict=True)]
-
-
-def _join(rows: Iterable[list[str]]) -> str:
-    buffer = io.StringIO(newline="")
-    csv.writer(buffer).writerows(rows)  # lines end in \r\n, so that a \r in a name is quoted
-    return buffer.getvalue()

@@ -4,25 +4,16 @@ One file holds many images. Each skeleton is an object, and its points are named
 points of an image are its landmarks: one ``points`` with all of them, or one each with its own label.
 """
 
-import math
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import (
-    Landmarks,
-    Source,
-    in_objects,
-    make_landmarks,
-    named_points,
-    parse_number,
-    size_of_file,
-)
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.reading import MISSING, Labelled, Source, named_points, names_of, of_category, size_of_file
+from liaam.io.landmarks.text import parse_number
 
-_Object = tuple[Any, str, list[Any]]
-"""The element of an image, a label, and elements of points."""
+_Object = tuple[Any, list[Any]]
+"""The element of an image, and elements of points."""
 
 
 def is_it(source: Source) -> bool:
@@ -30,48 +21,36 @@ def is_it(source: Source) -> bool:
     return source.xml.tag == "annotations"
 
 
-def parse(source: Source) -> dict[str, Landmarks]:
-    """Parse the text of a CVAT file into landmarks by the image's file name."""
+def parse(source: Source) -> list[Landmarks]:
+    """Parse the skeletons or points of images."""
     if source.xml.find("track") is not None:
-        raise LandmarkError(f"{source.path} is CVAT's for a video: export it as 'CVAT for images'.")
-    objects = [each for image in source.xml.iter("image") for each in _objects(image)]
-    wanted = source.reading.category
-    labels = Counter(label for _, label, _ in objects)
-    if wanted is not None and wanted not in labels:
-        raise LandmarkError(f"{source.path} has no points of the label '{wanted}': it has {', '.join(labels)}.")
-    sizes = {label: (max(len(own) for _, of, own in objects if of == label), n) for label, n in labels.items()}
-    chosen = wanted if wanted is not None else max(sizes, key=lambda label: sizes[label], default="")
-    for image, label, _ in objects:
-        if label != chosen:
-            what = f"left out the label '{label}', because '{chosen}' has more (--category chooses)"
-            source.notes.say(what, image.get("name", ""))
-    records = ((each[0].get("name", ""), each) for each in objects if each[1] == chosen)
-    found = list(source.each(records, lambda each: _landmarks(source, *each)))
-    if not found:
-        raise LandmarkError(f"{source.path} has no image with points: annotate skeletons or points.")
-    return in_objects(named_points(source, found))
+        raise LandmarkError("this is CVAT's for a video: export it as 'CVAT for images'.")
+    chosen = of_category(source, [each for image in source.xml.iter("image") for each in _objects(image)])
+    records = ((each[0].get("name", ""), each) for each in chosen)
+    return named_points(source, list(source.each(records, _landmarks)))
 
 
-def _objects(image: Any) -> Iterator[_Object]:
-    skeletons = image.findall("skeleton")
-    for skeleton in skeletons:
-        yield image, skeleton.get("label", ""), skeleton.findall("points")
-    points = image.findall("points") if not skeletons else []
+def _objects(image: Any) -> Iterator[Labelled[_Object]]:
+    skeletons, points = image.findall("skeleton"), image.findall("points")
     several = [each for each in points if ";" in each.get("points", "")]
-    for each in several:
-        yield image, each.get("label", ""), [each]
-    if points and not several:
-        yield image, "", points
+    parts = [(each.get("label", ""), each.findall("points")) for each in skeletons]
+    if not skeletons:
+        parts = [(each.get("label", ""), [each]) for each in several] or ([("", points)] if points else [])
+    for label, own in parts:
+        n = sum(each.get("points", "").count(";") + 1 for each in own)
+        yield Labelled(label, label, (label,), n, image.get("name", ""), (image, own))
 
 
-def _landmarks(source: Source, image: Any, label: str, elements: list[Any]) -> Landmarks:
-    points, names, invisible = [], [], []
+def _landmarks(found: _Object) -> Landmarks:
+    image, elements = found
+    points: Any = []
+    names, invisible = [], []
     for element in elements:
         for pair in element.get("points", "").split(";"):
-            x, y = (parse_number(source.path, value, f"'{image.get('name')}'") for value in pair.split(","))
+            x, y = (parse_number(value, f"'{image.get('name')}'") for value in pair.split(","))
             invisible += [len(points)] if element.get("occluded") == "1" else []
-            points.append((math.nan, math.nan) if element.get("outside") == "1" else (x, y))
+            points.append(MISSING if element.get("outside") == "1" else (x, y))
             names.append(element.get("label", ""))
-    names = names if len(elements) == len(points) and len(set(names)) == len(names) else ()
-    made = make_landmarks(source.path, points, (), names, image.get("name", ""), invisible)
-    return replace(made, placing=size_of_file(image.get("width"), image.get("height")))
+    placing, image_name = size_of_file(image.get("width"), image.get("height")), image.get("name", "")
+    named = names_of(names)
+    return Landmarks(points, (), named, image_name, tuple(invisible), placing=placing)

@@ -5,11 +5,13 @@ Individuals are the objects of an image. Likelihoods are not used.
 """
 
 import math
-from dataclasses import replace
+from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, parse_number
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.reading import MISSING, Source
 from liaam.io.landmarks.tables import Row, check_widths, rows_of
+from liaam.io.landmarks.text import parse_number
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 
@@ -20,19 +22,19 @@ def is_it(source: Source) -> bool:
     return bool(rows) and rows[0][1][:1] == ["scorer"]
 
 
-def parse(source: Source) -> dict[str, Landmarks]:
+def parse(source: Source) -> list[Landmarks]:
     """Parse a row of landmarks for each image."""
-    path, rows = source.path, [row for row in rows_of(source) if any(row[1])]
+    rows = [row for row in rows_of(source) if any(row[1])]
     headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
     if not {"scorer", "bodyparts", "coords"} <= headers.keys():
-        raise LandmarkError(f"{path} lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
+        raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
     rows = rows[len(headers) :]
-    check_widths(path, headers["coords"], [*((0, header) for header in headers.values()), *rows])
+    check_widths(headers["coords"], [*((0, header) for header in headers.values()), *rows])
     coords = headers["coords"]
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
     scorers = list(dict.fromkeys(headers["scorer"][first:]))
     if len(scorers) > 1:
-        source.notes.say(f"of several scorers '{scorers[0]}' is read", path.name)
+        source.notes.say(f"of several scorers '{scorers[0]}' is read", source.path.name)
     columns: dict[str, dict[str, dict[str, int]]] = {}  # by individual, body part and axis
     for i in range(first, len(coords)):
         if headers["scorer"][i] == scorers[0] and coords[i] in ("x", "y"):
@@ -42,13 +44,10 @@ def parse(source: Source) -> dict[str, Landmarks]:
     def make(made_of: tuple[Row, str]) -> Landmarks:
         (number, row), individual = made_of
         parts = columns[individual]
-        points = [[parse_number(path, row[axes[axis]], f"line {number}") for axis in "xy"] for axes in parts.values()]
-        points = [(math.nan, math.nan) if math.isnan(x + y) else (x, y) for x, y in points]
+        points: Any = [[parse_number(row[axes[axis]], f"line {number}") for axis in "xy"] for axes in parts.values()]
+        points = [MISSING if math.isnan(x + y) else (x, y) for x, y in points]
         image = "/".join(cell for cell in row[:first] if cell)
-        return replace(make_landmarks(path, points, names=tuple(parts), image_name=image), label=individual)
+        return Landmarks(points, names=tuple(parts), image_name=image, label=individual)
 
     records = ((f"line {row[0]}", (row, individual)) for row in rows for individual in columns)
-    found = [own for own in source.each(records, make) if not own.missing.all()]
-    if not found:
-        raise LandmarkError(f"{path} has no landmarks: label at least one image.")
-    return in_objects(found)
+    return [own for own in source.each(records, make) if not own.missing.all()]

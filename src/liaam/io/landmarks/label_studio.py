@@ -5,73 +5,59 @@ annotations of an image the first that was not cancelled is read.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import replace
+from collections import defaultdict
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import (
-    Landmarks,
-    Placing,
-    Source,
-    check_number,
-    in_objects,
-    make_landmarks,
-    named_points,
-)
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.matching import names_picture
+from liaam.io.landmarks.reading import Source, named_points, names_of
+from liaam.io.landmarks.text import check_number
 
 _Keypoints = list[dict[str, Any]]
 
 
 def is_it(source: Source) -> bool:
     """Whether it is a list of tasks, or a task."""
-    return isinstance(source.json, list) or (
-        isinstance(source.json, dict) and {"data", "annotations"} <= source.json.keys()
-    )
+    content = source.json
+    return isinstance(content, list) or (isinstance(content, dict) and {"data", "annotations"} <= content.keys())
 
 
-def parse(source: Source) -> dict[str, Landmarks]:
-    """Parse the text of an export into landmarks by the image's file name."""
+def parse(source: Source) -> list[Landmarks]:
+    """Parse the keypoints of tasks."""
     tasks = source.json if isinstance(source.json, list) else [source.json]
     records = ((f"task {i}", task) for i, task in enumerate(tasks, 1))
     found = [own for objects in source.each(records, lambda task: _objects(source, task)) for own in objects]
-    if not found:
-        raise LandmarkError(f"{source.path} is Label Studio's without keypoints: label at least one image.")
-    return in_objects(named_points(source, found))
+    return named_points(source, found)
 
 
 def _objects(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     """Return the objects of a task, each from its keypoints."""
     done = [each for each in task.get("annotations") or () if not each.get("was_cancelled")]
-    facts = task.get("data", task)
     if len(done) > 1:
         source.notes.say("of several annotations the first is read", str(task.get("id", "")))
-    marks = _results(done[0]["result"]) if done else list(_lists(task))
-    image = next((str(value) for value in facts.values() if isinstance(value, str) and "." in value), "")
-    groups: dict[Any, _Keypoints] = {}
+    marks = [{**each, **each["value"]} for each in done[0]["result"] if each.get("value")] if done else _lists(task)
+    texts = [value for value in task.get("data", task).values() if isinstance(value, str) and "." in value]
+    image = next(filter(names_picture, texts), texts[0] if texts else "")
+    groups: dict[Any, _Keypoints] = defaultdict(list)
     for mark in marks:
-        groups.setdefault(mark.get("parentID"), []).append(mark)
-    return [_landmarks(source, image, own) for own in groups.values()]
+        if "keypointlabels" in mark:
+            groups[mark.get("parentID")].append(mark)
+    return [_landmarks(image, own) for own in groups.values()]
 
 
-def _results(results: list[dict[str, Any]]) -> _Keypoints:
-    return [{**each, **each["value"]} for each in results if "keypointlabels" in (each.get("value") or ())]
+def _lists(task: dict[str, Any]) -> _Keypoints:
+    """Return the marks of a task in the short form."""
+    lists = (value for value in task.values() if isinstance(value, list))
+    return [each for value in lists for each in value if isinstance(each, dict)]
 
 
-def _lists(task: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the keypoints of a task in the short form."""
-    for value in task.values():
-        for each in value if isinstance(value, list) else ():
-            if isinstance(each, dict) and "keypointlabels" in each:
-                yield each
-
-
-def _landmarks(source: Source, image: str, marks: _Keypoints) -> Landmarks:
-    names = [str(mark["keypointlabels"][0]) for mark in marks]
-    points = [[check_number(source.path, mark[axis], f"'{image}'") / 100 for axis in "xy"] for mark in marks]
+def _landmarks(image: str, marks: _Keypoints) -> Landmarks:
+    points: Any = [[check_number(mark[axis], f"'{image}'") / 100 for axis in "xy"] for mark in marks]
     sizes = {(float(mark["original_width"]), float(mark["original_height"])) for mark in marks}
     if len(sizes) != 1 or not all(math.isfinite(side) and side > 0 for side in next(iter(sizes))):
-        raise LandmarkError(f"{source.path}: '{image}' has keypoints for several sizes: label it again.")
-    same = len(set(names)) == 1 < len(names)
-    made = make_landmarks(source.path, points, names=() if same else names, image_name=image)
-    return replace(made, placing=Placing(next(iter(sizes)), fractions=True))
+        raise LandmarkError(f"'{image}' has keypoints for several sizes: label it again.")
+    if any(mark.get("image_rotation") for mark in marks):
+        raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
+    names = names_of([str(mark["keypointlabels"][0]) for mark in marks])
+    return Landmarks(points, names=names, image_name=image, placing=Placing(next(iter(sizes)), fractions=True))

@@ -6,9 +6,12 @@ before the name, which are skipped.
 
 import re
 
+import numpy as np
+
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number
-from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, parse_number
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.reading import Source
 
 _WFLW = 10
 """Numbers of a box and of attributes."""
@@ -20,35 +23,35 @@ def is_it(source: Source) -> bool:
 
 
 def _words(line: str) -> list[str]:
-    return [word for word in re.split(r"[\s,;]+", line) if word]
+    """Split a line; a name may hold blanks if commas, semicolons or tabs separate."""
+    cells, words = ([word.strip() for word in re.split(by, line) if word.strip()] for by in (r"[\t,;]", r"[\s,;]"))
+    return words if _name_at(cells) is None else cells
 
 
 def _name_at(words: list[str]) -> int | None:
     """Return the index of the name, the first or last word, if all others are numbers."""
     for at, others in ((0, words[1:]), (-1, words[:-1])):
-        if len(others) > 3 and not is_number(words[at]) and all(is_number(word) for word in others):
+        if len(others) > 3 and not is_number(words[at]) and all(map(is_number, others)):
             return at
     return None
 
 
-def parse(source: Source) -> dict[str, Landmarks]:
+def parse(source: Source) -> list[Landmarks]:
     """Parse a line for each image."""
-    path, lines = source.path, [_words(line) for line in source.lines]
+    lines = [_words(line) for line in source.lines]
     at = _name_at(lines[0])
     numbers = [words[1:] if at == 0 else words[:-1] for words in lines]
     skipped = _WFLW if all(map(_has_attributes, numbers)) else 0
 
-    def make(words: list[str]) -> Landmarks:
-        if _name_at(words) != at:
-            raise LandmarkError(f"{path}: a line has other parts than x y of landmarks and a name: correct it.")
-        name, own = (words[0], words[1:]) if at == 0 else (words[-1], words[:-1])
-        values = [parse_number(path, word, f"the line of '{name}'") for word in own[: len(own) - skipped]]
-        if len(values) % 2:
-            raise LandmarkError(f"{path}: the line of '{name}' has {len(values)} numbers, not x y of each: correct it.")
-        return make_landmarks(path, list(zip(values[::2], values[1::2], strict=True)), image_name=name)
+    def make(pair: tuple[list[str], list[str]]) -> Landmarks:
+        words, own = pair
+        if at is None or _name_at(words) != at or len(own) % 2:
+            raise LandmarkError("it has other parts than x y of landmarks and a name: correct it.")
+        values = np.array(own[: len(own) - skipped], np.float64)
+        return Landmarks(values.reshape(-1, 2), image_name=words[at])
 
-    records = ((f"line {i}", words) for i, words in enumerate(lines, 1))
-    return in_objects(source.each(records, make))
+    pairs = enumerate(zip(lines, numbers, strict=True), 1)
+    return list(source.each(((f"line {i}", pair) for i, pair in pairs), make))
 
 
 def _has_attributes(numbers: list[str]) -> bool:

@@ -3,30 +3,22 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from urllib.parse import unquote
 
 from liaam.io.files import name_key
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
-ENCODINGS = (
-    "cp1251",
-    "cp1252",
-    "cp1250",
-    "cp932",
-    "gb18030",
-    "big5",
-    "euc_kr",
-    "koi8_r",
-    "cp866",
-    "cp437",
-    "mac_roman",
-)
+ENCODINGS = ("cp1251", "cp1252", "cp1250", "cp932", "gb18030", "big5", "euc_kr")
+ENCODINGS += ("koi8_r", "cp866", "cp437", "mac_roman")
 """Encodings of names that are tried, because text that is not UTF-8 is read as Latin-1."""
 
 CASE = "images are named in another case in the landmark file"
 EXTENSION = "images are named with another extension in the landmark file"
 SPELLING = "images are named in another spelling in the landmark file"
+
+_UPLOADED = r"^[0-9a-f]{8}-(?=.)"
+"""What Label Studio puts before the names of images that are uploaded."""
 
 _SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
 
@@ -104,14 +96,31 @@ def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:
     return ranked[0] if shared(ranked[0]) > shared(ranked[1]) else None
 
 
+def names_picture(entry: str) -> bool:
+    """Whether a text, perhaps an address, ends as the name of a picture."""
+    return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
+
+
+def stem_of(entry: str) -> str:
+    """Return an image's name without folders, its suffix, and what Label Studio puts before it."""
+    return re.sub(_UPLOADED, "", PureWindowsPath(_path_of(entry)).stem)
+
+
+def _path_of(entry: str) -> str:
+    """Return the path of an address, without what is asked for behind it."""
+    path = entry.partition("?d=")[2] or (entry.partition("?")[0] if "://" in entry else entry)
+    return unquote(path)
+
+
 def _spellings(entry: str) -> Iterator[tuple[str, str]]:
     """Yield an entry as it is, and as it may have been meant."""
-    yield entry, ""
+    if "://" not in entry:  # else its end may be that of a query
+        yield entry, ""
     entry = entry.strip()
-    entry = unquote(entry.partition("?d=")[2] or entry)
+    entry = _path_of(entry)
     yield entry, SPELLING
     folder, _, name = entry.replace("\\", "/").rpartition("/")
-    if re.match(r"[0-9a-f]{8}-.", name):  # Label Studio puts it before the names of images that are uploaded
+    if re.match(_UPLOADED, name):
         yield f"{folder}/{name[9:]}", SPELLING
     if entry.isascii():
         return

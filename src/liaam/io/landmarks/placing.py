@@ -10,9 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, Placing, Reading
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.reading import Reading
 
 Size = tuple[float, float]
+
+_SMALL = 16
+"""Width and height in pixels up to which all landmarks may lie within one pixel."""
 
 SCALED = "positions are for another size of the image, and are scaled along"
 TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
@@ -51,6 +55,8 @@ def place(
     ):
         say(UNDECIDED)
     frame, target = declared or (stored if turned else size), stored if turned else size
+    if not placing.fractions:
+        _check_pixels(landmarks, frame)
     points = landmarks.points * frame if placing.fractions else landmarks.points
     if placing.upwards and not reading.y_down:
         points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)
@@ -62,6 +68,13 @@ def place(
         points = turn(points, size, orientation)
     others = tuple(place(other, size, orientation, reading, say) for other in landmarks.others)
     return replace(landmarks, points=points, others=others, placing=Placing())
+
+
+def _check_pixels(landmarks: Landmarks, size: Size) -> None:
+    """Raise if positions in an image seem to be fractions of its size."""
+    known = landmarks.points[~landmarks.missing]
+    if len(known) > 2 and 0 <= known.min() <= known.max() <= 1 and min(size) > _SMALL:
+        raise LandmarkError("all positions lie between 0 and 1, as fractions of the image's size do: give pixels.")
 
 
 def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:

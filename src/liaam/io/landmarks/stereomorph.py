@@ -4,9 +4,12 @@ The matrix ``landmarks.pixel`` has rows of name, x and y. Curves are not read.
 """
 
 import re
+from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, Source, make_landmarks, parse_number
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import parse_point
 
 _MATRIX = re.compile(r"<landmarks\.pixel\b[^>]*>(.*?)</landmarks\.pixel\s*>", re.DOTALL)
 _IMAGE = re.compile(r"<image\.name\b[^>]*>([^<]*)</image\.name\s*>")
@@ -19,14 +22,12 @@ def is_it(source: Source) -> bool:
 
 def parse(source: Source) -> Landmarks:
     """Parse the landmarks of a file."""
-    path, matrix = source.path, _MATRIX.search(source.text)
+    matrix, image = _MATRIX.search(source.text), _IMAGE.search(source.text)
     if matrix is None:
-        raise LandmarkError(f"{path} is cut short within its landmarks: export it again.")
-    rows = [
-        re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line.strip()) for line in matrix[1].splitlines() if line.strip()
-    ]
+        raise LandmarkError("it is cut short within its landmarks: export it again.")
+    lines = [line.strip() for line in matrix[1].splitlines() if line.strip()]
+    rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line) for line in lines]
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
-    points = [[parse_number(path, cell, f"'{row[0]}'") for cell in row[-2:]] for row in rows]
-    names = [row[0] for row in rows if len(row) == 3]
-    image = _IMAGE.search(source.text)
-    return make_landmarks(path, points, (), names, image[1].strip("\"' \n\t") if image else None)
+    points: Any = [parse_point(row[-2:], f"'{row[0]}'") for row in rows]
+    names = tuple(row[0] for row in rows if len(row) == 3)
+    return Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)

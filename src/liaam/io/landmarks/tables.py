@@ -5,10 +5,9 @@ import io
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Source
+from liaam.io.landmarks.reading import Source
 
 Row = tuple[int, list[str]]
 """A line number, and the cells of the line."""
@@ -19,11 +18,11 @@ _DECIMAL_COMMA = re.compile(r"-?\d+,\d+")
 
 def rows_of(source: Source) -> list[Row]:
     """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
-    return _rows_of(source.path, source.text)
+    return _rows_of(source.text)
 
 
 @lru_cache(maxsize=1)
-def _rows_of(path: Path, text: str) -> list[Row]:
+def _rows_of(text: str) -> list[Row]:
     text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text), ""
     declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
     if declared is not None:  # as Excel writes it
@@ -38,7 +37,7 @@ def _rows_of(path: Path, text: str) -> list[Row]:
             reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
             rows = [(reader.line_num, row) for row in reader]
     except csv.Error as fault:
-        raise LandmarkError(f"{path} is not a CSV table ({fault}): export it again.") from fault
+        raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
     rows = rows or [(1, [""])]
     if all(cell != cell.lstrip() for cell in rows[0][1][1:]):  # blanks behind all separators are no part of cells
         rows = [(number, [row[0], *(cell.strip() for cell in row[1:])] if row else row) for number, row in rows]
@@ -66,10 +65,8 @@ def plain(cell: str) -> str:
     return re.sub(r"[\s_.-]+", "_", re.sub(r"[(\[].*[)\]]", "", cell).strip().casefold()).strip("_")
 
 
-def check_widths(path: Path, header: Sequence[str], rows: Sequence[Row]) -> None:
+def check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
     """Raise unless all rows have as many cells as the header."""
     for number, row in rows:
         if len(row) != len(header):
-            raise LandmarkError(
-                f"{path}: line {number} has {len(row)} cells but the header {len(header)}: correct the line."
-            )
+            raise LandmarkError(f"line {number} has {len(row)} cells but the header {len(header)}: correct the line.")

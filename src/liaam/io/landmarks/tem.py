@@ -7,49 +7,40 @@ that ends at its first point is closed, and a line with only one distinct point 
 """
 
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import (
-    Contour,
-    Landmarks,
-    Source,
-    check_count,
-    contour_of,
-    make_landmarks,
-    parse_count,
-    parse_pair,
-)
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.contours import Contour, contour_of
+from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import check_count, parse_count, parse_pair
 
 
 def parse(source: Source) -> Landmarks:
-    """Parse the text of a ``.tem`` file; the line templates after the points are optional."""
-    path, lines = source.path, source.lines
-    count = parse_count(path, lines[0], "points")
-    pairs = lines[1 : count + 1]
-    check_count(path, "first line", count, pairs)
-    points = [parse_pair(path, line, f"point {number}") for number, line in enumerate(pairs, 1)]
-    contours = _contours(path, " ".join(lines[count + 1 :]).split())
-    return make_landmarks(path, points, contours)
+    """Parse points; the line templates after them are optional."""
+    count = parse_count(source.lines[0], "points")
+    pairs = source.lines[1 : count + 1]
+    check_count("first line", count, pairs)
+    points: Any = [parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
+    contours = _contours(" ".join(source.lines[count + 1 :]).split())
+    return Landmarks(points, tuple(contour for contour in contours if contour is not None))
 
 
-def _contours(path: Path, tokens: list[str]) -> list[Contour]:
-    if not tokens:
-        return []
+def _contours(tokens: list[str]) -> list[Contour | None]:
     stream = iter(tokens)
     contours = []
-    for _ in range(_next(path, stream)):
-        closed = _next(path, stream) == 1
-        indices = [_next(path, stream) for _ in range(_next(path, stream))]
+    for _ in range(_next(stream) if tokens else 0):
+        closed = _next(stream) == 1
+        indices = [_next(stream) for _ in range(_next(stream))]
         contours.append(contour_of(indices, closed))
     left = sum(1 for _ in stream)
     if left:
-        raise LandmarkError(f"{path} goes on for {left} values after its last line template: export it again.")
-    return [contour for contour in contours if contour is not None]
+        raise LandmarkError(f"it goes on for {left} values after its last line template: export it again.")
+    return contours
 
 
-def _next(path: Path, stream: Iterator[str]) -> int:
+def _next(stream: Iterator[str]) -> int:
     token = next(stream, None)
     if token is None:
-        raise LandmarkError(f"{path} ends within its line templates; it may be cut short: export it again.")
-    return parse_count(path, token, "a line template")
+        raise LandmarkError("it ends within its line templates; it may be cut short: export it again.")
+    return parse_count(token, "a line template")

@@ -5,8 +5,11 @@ A first line with the number of points is skipped.
 """
 
 import re
+from typing import Any
 
-from liaam.io.landmarks.base import Landmarks, Source, make_landmarks, parse_number
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import parse_point
 
 _NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
 _LINE = re.compile(
@@ -36,9 +39,8 @@ def _first(source: Source) -> str:
 
 def parse(source: Source) -> Landmarks:
     """Parse the lines."""
-    matches = _matches(source)
-    points = [[parse_number(source.path, match[axis], match[0]) for axis in "xy"] for match in matches]
+    matches, first = _matches(source), _first(source)
+    points: Any = [parse_point(match.group("x", "y"), match[0]) for match in matches]
     names = [match["name"] for match in matches if match["name"]]
     names = [] if names == [str(i + 1) for i in range(len(names))] else names
-    first = _first(source)
-    return make_landmarks(source.path, points, names=names, image_name=None if first.isdigit() else first or None)
+    return Landmarks(points, (), tuple(names), None if first.isdigit() else first or None)

@@ -3,190 +3,99 @@
 One file holds many images. A record starts with ``LM=`` and its points; ``IMAGE=`` names the image, or else ``ID=``
 without its extension. ``SCALE=`` is the length of a pixel. The points of ``CURVES=`` follow the landmarks, and each
 curve becomes a contour. Outlines, radii, variables and comments are skipped. A missing landmark is ``NA NA``
-(geomorph), ``NaN NaN``, or ``-1 -1`` (tpsDig); it is written ``NaN NaN``, which R and Python read. Records without
-points are images that are not digitised yet, and are skipped.
+(geomorph), ``NaN NaN``, or ``-1 -1`` (tpsDig). Records without points, of images not digitised yet, are skipped.
 """
 
-import math
 import re
-from collections import deque
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path, PurePosixPath
-
-import numpy as np
+from dataclasses import dataclass, field
+from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import (
-    Contour,
-    Landmarks,
-    Placing,
-    Source,
-    in_objects,
-    make_landmarks,
-    parse_pair,
-    short,
-)
+from liaam.io.files import is_number
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.contours import Contour
+from liaam.io.landmarks.reading import MISSING, Source
+from liaam.io.landmarks.text import parse_pair, short
 
-Lines = deque[tuple[int, str]]
-"""Lines that are not blank, with their numbers."""
-
-_KEY = re.compile(r"([A-Za-z]\w*)\s*=(.*)")
-_MISSING = (-1.0, -1.0)
+_UPWARDS = Placing(upwards=True)
+_KEY = re.compile(r"([A-Za-z]\w*)\s*=\s*(.*)")
 
 
-@dataclass
-class _Record:
-    """One image, while it is read."""
+@dataclass(frozen=True)
+class _Block:
+    """A line ``KEY=VALUE``, with the lines up to the next."""
 
-    points: list[tuple[float, float]]
-    curves: list[Contour] = field(default_factory=list)
-    facts: dict[str, str] = field(default_factory=dict)
-    scale: float | None = None
-
-
-def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
-    """Parse the text of a ``.tps`` file into landmarks by image, or of one image without a name. y counts upwards."""
-    path, chunks = source.path, _chunks(source)
-    only, found = len(chunks) == 1, []
-    for landmarks in source.each(((_name(path, lines), lines) for lines in chunks), partial(_landmarks, source, only)):
-        found += [] if landmarks is None else [landmarks]
-    if not found:
-        raise LandmarkError(f"{path} has no points: place the landmarks of at least one image first.")
-    return found[0] if found[0].image_name is None else in_objects(found)
+    where: str
+    key: str
+    value: str
+    body: list[tuple[int, str]] = field(default_factory=list)
 
 
-def _chunks(source: Source) -> list[Lines]:
-    """Split the lines into records."""
-    lines = [(i, line.strip()) for i, line in enumerate(source.text.splitlines(), 1) if line.strip()]
-    starts = [i for i, (_, line) in enumerate(lines) if re.match(r"LM3?\s*=", line, re.IGNORECASE)]
-    if not starts or any(_KEY.fullmatch(line) for _, line in lines[: starts[0]]):
-        number, line = next((pair for pair in lines if _KEY.fullmatch(pair[1])), lines[0])
-        why = "comes before any LM=" if _KEY.fullmatch(line) else "is not expected here"
-        raise LandmarkError(f"{source.path}: line {number} ('{short(line)}') {why}: export the file again.")
-    return [deque(lines[start:end]) for start, end in zip(starts, [*starts[1:], len(lines)], strict=True)]
+def parse(source: Source) -> Landmarks | list[Landmarks]:
+    """Parse records into landmarks of images, or of one image without a name. y counts upwards."""
+    records: list[list[_Block]] = []
+    for block in _blocks(source):
+        if block.key in ("LM", "LM3"):
+            records.append([])
+        if not records:
+            raise LandmarkError(f"{block.where} comes before any LM=: export the file again.")
+        records[-1].append(block)
+    if not records:
+        raise LandmarkError(f"'{short(source.lines[0])}' is not expected here, before any LM=: export the file again.")
+    named = ((_facts(record).get("IMAGE") or _facts(record).get("ID") or record[0].where, record) for record in records)
+    found = [own for own in source.each(named, lambda record: _landmarks(source, record, len(records) == 1)) if own]
+    return found[0] if len(found) == 1 and found[0].image_name is None else found
 
 
-def _name(path: Path, lines: Lines) -> str:
-    """Return the name of a record for messages."""
-    facts = {match[1]: match[2] for match in (_KEY.fullmatch(line) for _, line in lines) if match}
-    return facts.get("IMAGE") or facts.get("ID") or f"the record of line {lines[0][0]}"
+def _blocks(source: Source) -> list[_Block]:
+    blocks: list[_Block] = []
+    for number, line in enumerate(map(str.strip, source.text.splitlines()), 1):
+        match = _KEY.fullmatch(line)
+        if match is not None:
+            blocks.append(_Block(f"line {number} ('{short(line)}')", match[1].upper(), match[2]))
+        elif line and blocks:
+            blocks[-1].body.append((number, line))
+    return blocks
 
 
-def _landmarks(source: Source, only: bool, lines: Lines) -> Landmarks | None:
+def _facts(record: list[_Block]) -> dict[str, str]:
+    return {block.key: block.value for block in record if block.value or block.key == "SCALE"}
+
+
+def _landmarks(source: Source, record: list[_Block], only: bool) -> Landmarks | None:
     """Make the landmarks of a record; None if it has no points."""
-    path, line = source.path, lines[0][0]
-    record = _record(source, lines)
-    if not record.points:
+    facts, curves, section = _facts(record), [], ""
+    points: Any = _points(record[0])
+    for block in record[1:]:
+        section = block.key if block.key in ("CURVES", "OUTLINES") else section
+        own = _points(block) if block.key == "POINTS" else []
+        if own and section == "CURVES":  # those of outlines are not used
+            curves.append(Contour(tuple(range(len(points), len(points) + len(own)))))
+            points = points + own
+    if not points:
         return None
-    name = record.facts.get("IMAGE") or record.facts.get("ID")
+    label, name = facts.get("ID", ""), facts.get("IMAGE") or facts.get("ID")
     if name is None and not only:
-        raise LandmarkError(f"{path}: the record of line {line} names no image: add a line IMAGE=, or ID=.")
-    made = make_landmarks(path, record.points, record.curves, image_name=name, scale=record.scale)
-    return replace(made, label=record.facts.get("ID", ""), placing=Placing(upwards=True))
+        raise LandmarkError(f"the record of {record[0].where} names no image: add a line IMAGE=, or ID=.")
+    scale = float(facts["SCALE"]) if is_number(facts.get("SCALE", "")) else 0.0
+    if scale <= 0 and "SCALE" in facts:
+        source.notes.repair("there is no scale, because SCALE= is not a positive number", name or source.path.name)
+    return Landmarks(points, tuple(curves), (), name, (), scale if scale > 0 else None, (), label, _UPWARDS)
 
 
-def _record(source: Source, lines: Lines) -> _Record:
-    record, last, section = _Record([]), "LM", ""
-    while lines:
-        number, line = lines.popleft()
-        where = f"{source.path}: line {number} ('{short(line)}')"
-        pair = _KEY.fullmatch(line)
-        if pair is None and last in ("LM", "POINTS"):
-            raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
-        if pair is None:  # of a comment, or of something that liaam does not use
-            continue
-        last, value = pair[1].upper(), pair[2].strip()
-        if last == "LM3":
-            raise LandmarkError(f"{where} begins points with x, y and z: export x and y only, as LM=.")
-        if last == "LM":
-            record.points += _points(source.path, where, value, lines)
-        elif last == "POINTS":
-            points, first = _points(source.path, where, value, lines), len(record.points)
-            if section == "CURVES" and points:  # those of outlines are not used
-                record.points += points
-                record.curves.append(Contour(tuple(range(first, len(record.points)))))
-        elif last == "SCALE":
-            record.scale = _scale(source, where, value, record.facts)
-        elif value:
-            record.facts[last] = value
-        section = last if last in ("CURVES", "OUTLINES") else section
-    return record
-
-
-def upwards(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
-    """Count y from the other side of an image of (width, height)."""
-    x, y = landmarks.points.T
-    return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
-
-
-def dump(landmarks: Landmarks) -> str:
-    """Return the text of a record. y counts upwards."""
-    n = len(landmarks)
-    curves = _curves(landmarks)
-    first = curves[0][0] if curves else n
-    lines = [f"LM={first}", *_lines(landmarks, range(first))]
-    if curves:
-        lines.append(f"CURVES={len(curves)}")
-        for curve in curves:
-            lines += [f"POINTS={len(curve)}", *_lines(landmarks, curve)]
-    if landmarks.image_name:
-        name = " ".join(landmarks.image_name.splitlines())
-        lines += [f"IMAGE={name}", f"ID={PurePosixPath(name).stem}"]
-    if landmarks.scale is not None:
-        lines.append(f"SCALE={landmarks.scale!r}")
-    return "\n".join([*lines, ""])
-
-
-def dump_collection(collection: Mapping[str, Landmarks]) -> str:
-    """Return the text of a file with the landmarks of many images, by file name."""
-    return "".join(map(dump, collection.values()))
-
-
-def _points(path: Path, where: str, count: str, lines: Lines) -> list[tuple[float, float]]:
-    """Take as many points from the lines as a count promises."""
-    if not (count.isascii() and count.isdigit()):
-        raise LandmarkError(f"{where} has no number of points after '=': correct it, such as LM=12.")
-    points = []
-    while lines and "=" not in lines[0][1] and len(points) < float(count):  # int has a limit of digits
-        number, line = lines.popleft()
-        x, y = parse_pair(path, line, f"line {number}")
-        if math.isnan(x) != math.isnan(y):
-            raise LandmarkError(f"{path}: line {number} has only one of x and y: give both, or NA NA if missing.")
-        points.append((math.nan, math.nan) if (x, y) == _MISSING else (x, y))
-    if len(points) != float(count):
-        raise LandmarkError(
-            f"{where} promises {short(count)} points but {len(points)} follow; the file may be cut short: correct the "
-            "number, or export the file again."
-        )
-    return points
-
-
-def _scale(source: Source, where: str, text: str, facts: dict[str, str]) -> float | None:
-    try:
-        scale = float(text)
-    except ValueError:
-        scale = math.nan
-    if not 0 < scale < math.inf:
-        if source.reading.strict:
-            raise LandmarkError(f"{where} is not the length of a pixel: give a positive number, or remove the line.")
-        source.notes.say(
-            "specimens have no scale, because SCALE= is no positive number", facts.get("IMAGE") or facts.get("ID", "")
-        )
-        return None
-    return scale
-
-
-def _curves(landmarks: Landmarks) -> list[tuple[int, ...]]:
-    """Return the contours if they are open and the last landmarks in order, as curves are read; else nothing."""
-    curves = [contour.indices for contour in landmarks.contours if not contour.closed]
-    tail = [index for curve in curves for index in curve]
-    n = len(landmarks)
-    return curves if len(curves) == len(landmarks.contours) and tail == list(range(n - len(tail), n)) else []
-
-
-def _lines(landmarks: Landmarks, indices: range | tuple[int, ...]) -> Iterator[str]:
-    for index in indices:
-        x, y = landmarks.points[index].tolist()
-        yield "NaN NaN" if math.isnan(x) else f"{x!r} {y!r}"
+def _points(block: _Block) -> list[tuple[float, float]]:
+    """Return as many points as a line promises."""
+    if block.key == "LM3":
+        raise LandmarkError(f"{block.where} begins points with x, y and z: export x and y only, as LM=.")
+    if not (block.value.isascii() and block.value.isdigit()):
+        raise LandmarkError(f"{block.where} has no number of points after '=': correct it, such as LM=12.")
+    count, n = float(block.value), len(block.body)  # int has a limit of digits
+    if n > count:
+        number, line = block.body[int(count)]
+        where = f"line {number} ('{short(line)}')"
+        raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
+    points = [parse_pair(line, f"line {number}") for number, line in block.body]
+    if n < count:
+        promised = f"{short(block.value)} points but {n} follow; the file may be cut short"
+        raise LandmarkError(f"{block.where} promises {promised}: correct the number, or export the file again.")
+    return [MISSING if point == (-1.0, -1.0) else point for point in points]

@@ -5,11 +5,15 @@ image or specimen, or else by the only other column with text.
 """
 
 import re
+from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.base import Landmarks, Source, in_objects, make_landmarks, parse_number
+from liaam.io.files import natural_key
+from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import IMAGES, SPECIMENS, UNCLEAR
+from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.tables import Row, check_widths, header_of, plain, rows_of
+from liaam.io.landmarks.text import parse_point
 
 _COLUMN = re.compile(
     r"(?:raw|coord|lm)?[ ._-]?(?P<a>[xyz])[ ._-]?(?P<key>\d+)"
@@ -18,7 +22,9 @@ _COLUMN = re.compile(
     r"|(?P<key4>\w*\d)(?P<a4>[xyz])",
     re.IGNORECASE,
 )
-_BOXES = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
+"""Words beside x and y that name no landmark."""
 
 
 def is_it(source: Source) -> bool:
@@ -35,42 +41,46 @@ def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
         if match is None:
             continue
         key = match["key"] or match["key2"] or match["key3"] or match["key4"]
-        if plain(key) not in _BOXES:
+        if plain(key) not in _OTHERS:
             axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
             found.setdefault(key, {})[axis.lower()] = i
-    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+    whole = {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+    return {key: whole[key] for key in sorted(whole, key=natural_key)} if all(map(str.isdigit, whole)) else whole
 
 
-def parse(source: Source) -> Landmarks | dict[str, Landmarks]:
+def parse(source: Source) -> Landmarks | list[Landmarks]:
     """Parse a row of landmarks for each image."""
-    path, (first, *rows) = source.path, rows_of(source)
+    first, *rows = rows_of(source)
     rows = [(number, row) for number, row in rows if any(row)]
-    check_widths(path, first[1], rows)
+    check_widths(first[1], rows)
     pairs = _pairs(first[1])
     if any("z" in axes for axes in pairs.values()):
-        raise LandmarkError(f"{path} has columns of z: export x and y only.")
+        raise LandmarkError("it has columns of z: export x and y only.")
     name = _name_column(source, header_of(source), rows, {i for axes in pairs.values() for i in axes.values()})
     names = () if all(key.isdigit() for key in pairs) else tuple(pairs)
 
     def make(numbered: Row) -> Landmarks:
         number, row = numbered
-        points = [[parse_number(path, row[axes[axis]], f"line {number}") for axis in "xy"] for axes in pairs.values()]
-        return make_landmarks(path, points, names=names, image_name=None if name is None else row[name].strip())
+        points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
+        return Landmarks(points, names=names, image_name=None if name is None else row[name].strip())
 
     found = list(source.each(((f"line {number}", (number, row)) for number, row in rows), make))
-    if not found:
-        raise LandmarkError(f"{path} has no rows under its header; it may be cut short: export it again.")
-    return found[0] if name is None else in_objects(found)
+    return found[0] if name is None and found else found
 
 
 def _name_column(source: Source, header: list[str], rows: list[Row], used: set[int]) -> int | None:
     others = [i for i in range(len(header)) if i not in used]
     for known in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
         found = [i for i in others if header[i] in known and all(row[i].strip() for _, row in rows)]
+        pixels = [header[i] for i in found if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for _, row in rows)]
+        if pixels:
+            raise LandmarkError(
+                f"the column '{pixels[0]}' holds the images' pixels: put the images' names in its place."
+            )
         if found:
             return found[0]
     texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for _, row in rows)]
     if len(texts) == 1 or len(rows) < 2:
         return texts[0] if len(texts) == 1 else None
     named = f" (the columns {', '.join(repr(header[i]) for i in texts)} may)" if texts else ""
-    raise LandmarkError(f"{source.path}: no column names the images{named}: name it 'image'.")
+    raise LandmarkError(f"no column names the images{named}: name it 'image'.")

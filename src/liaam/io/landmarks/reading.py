@@ -1,0 +1,260 @@
+"""What the readers of all formats share: how to read, what to say about a file, and the names of its landmarks."""
+
+import json
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+from xml.etree import ElementTree
+
+from liaam.errors import LandmarkError
+from liaam.io.files import natural_key, some_names
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.text import short
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
+"""Errors of a reader where parts of a file are absent, or are of another type."""
+
+MISSING = (math.nan, math.nan)
+
+
+class UnrecognisedError(LandmarkError):
+    """A text file that seems to hold no landmarks, such as a README."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How to read landmark files.
+
+    Attributes
+    ----------
+    strict : bool
+        Whether to refuse a file for one bad record, instead of leaving the record out.
+    category : str, optional
+        Name or number of the COCO category, or the label of CVAT's skeletons or dlib's boxes, that is the object.
+    group : str, optional
+        Group of landmarks of a menpo ``.ljson``.
+    y_down : bool
+        Whether ``.tps`` and ``.nts`` count y from the top, as some programs write them.
+    stored : bool
+        Whether positions are for photos as stored, before their EXIF orientation turns them.
+    """
+
+    strict: bool = False
+    category: str | None = None
+    group: str | None = None
+    y_down: bool = False
+    stored: bool = False
+
+
+USUAL = Reading()
+"""How files are read unless the user says otherwise."""
+
+
+@dataclass
+class Notes:
+    """What has to be said about a file: records that are left out, and what was done with others."""
+
+    strict: bool = False
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Reasons by record."""
+    done: dict[str, list[str]] = field(default_factory=dict)
+    """Names of records or images, by what was done with them."""
+
+    def leave_out(self, which: str, why: LandmarkError | str) -> None:
+        """Note that a record is left out; raise instead if strict."""
+        if self.strict:
+            raise why if isinstance(why, LandmarkError) else LandmarkError(f"{which}: {why}.")
+        self.left_out.setdefault(which, str(why))
+
+    def repair(self, what: str, which: str) -> None:
+        """Note what was done with a faulty record; raise instead if strict."""
+        if self.strict:
+            raise LandmarkError(f"{what}: {which}.")
+        self.say(what, which)
+
+    def say(self, what: str, which: str) -> None:
+        """Note what was done with a record or an image."""
+        self.done.setdefault(what, []).append(which)
+
+    def lines(self) -> list[str]:
+        """Return one line for all that is left out, and one for each thing that was done."""
+        lines = [f"{what}: {some_names(list(dict.fromkeys(which)))}" for what, which in self.done.items()]
+        if not self.left_out:
+            return lines
+        (first, why), *more = self.left_out.items()
+        others = f"; so are {some_names([name for name, _ in more], 20)}" if more else ""
+        return [f"left out {first}{others} (because {why.rstrip('.')})", *lines]
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text of a landmark file, for the readers. What they raise does not name the file, which their caller does."""
+
+    path: Path
+    text: str
+    reading: Reading = USUAL
+    notes: Notes = field(default_factory=Notes)
+
+    @cached_property
+    def json(self) -> Any:
+        """Its content as JSON."""
+        try:
+            return json.loads(self.text)
+        except (ValueError, RecursionError) as fault:
+            why = short(str(fault), 100)
+            raise LandmarkError(f"this is not complete JSON ({why}): it may be cut short; export it again.") from fault
+
+    @cached_property
+    def xml(self) -> Any:
+        """Its root element as XML. What could define entities or read other files is refused."""
+        lower = self.text.lower()
+        if "<!doctype" in lower or "<!entity" in lower:
+            raise LandmarkError("it declares a document type or entities, which is not safe to read: remove that part.")
+        try:
+            return ElementTree.fromstring(self.text)
+        except (ElementTree.ParseError, ValueError) as fault:
+            raise LandmarkError(f"this is not complete XML ({fault}); it may be cut short: export it again.") from fault
+
+    @cached_property
+    def lines(self) -> list[str]:
+        """Its lines that are not blank, without blanks at their ends."""
+        return [line for line in map(str.strip, self.text.splitlines()) if line]
+
+    def each(self, records: Iterable[tuple[str, T]], make: Callable[[T], R]) -> Iterator[R]:
+        """Yield what is made of each record; leave out those with faults. Raise the first fault if none is sound."""
+        first, some = None, False
+        for which, record in records:
+            try:
+                made = make(record)
+            except (LandmarkError, *LACKING) as fault:
+                if not isinstance(fault, LandmarkError):
+                    fault = LandmarkError(f"{which} lacks parts or has others: export the file again.")
+                first = first or fault
+                self.notes.leave_out(which, fault)
+            else:
+                some = True
+                yield made
+        if first is not None and not some:
+            raise first
+
+
+def size_of_file(width: Any, height: Any) -> Placing:
+    """Return how positions count in an image whose size a file states as numbers or text, if it does."""
+    try:
+        return Placing((float(width), float(height)))
+    except (TypeError, ValueError, OverflowError):
+        return Placing()
+
+
+def area_of(*sides: Any) -> float:
+    """Return an area, or the product of the sides of a box; 0 if it is not known."""
+    try:
+        area = math.prod(map(float, sides)) if sides else 0.0
+    except (TypeError, ValueError, OverflowError):
+        return 0.0
+    return area if math.isfinite(area) else 0.0
+
+
+def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
+    """Return landmarks by image; further ones of an image are its others, unless they have no point."""
+    found: dict[str, list[Landmarks]] = {}
+    for own in landmarks:
+        found.setdefault(own.image_name or "", []).append(own)
+    return {
+        image: replace(first, others=tuple(other for other in others if not other.missing.all()))
+        for image, (first, *others) in found.items()
+    }
+
+
+def names_of(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the labels of an object's points as their names; nothing if all have one label."""
+    counts = Counter(labels)
+    if len(counts) == 1 < len(labels):
+        return ()
+    twice = [label for label, n in counts.items() if n > 1]
+    if twice:
+        raise LandmarkError(f"there are several points '{short(twice[0])}' in an object: group the points by object.")
+    return tuple(labels)
+
+
+def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
+    """Make landmarks of many images alike by their names.
+
+    Where an image lacks some of the names that most have, these landmarks are missing. It is left out where it has
+    names that most lack, or has a name twice. If asked for, numbers are sorted, and those from 1 on are no names.
+    """
+    if not found:
+        return []
+    counts = Counter(name for own in found for name in set(own.names))
+    usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
+    fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))
+    usual.sort(key=lambda name: fullest.names.index(name) if name in fullest.names else len(fullest))
+    numbers = numbers and all(name.isascii() and name.isdigit() for name in usual)
+    usual = sorted(usual, key=natural_key) if numbers else usual
+    plain = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
+
+    def alike(own: Landmarks) -> Landmarks:
+        if not own.names:
+            return own
+        odd = [name for name in own.names if name not in usual or own.names.count(name) > 1]
+        if odd:
+            raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
+        if len(own) == len(usual) and not numbers:
+            return own
+        at = {name: i for i, name in enumerate(own.names)}
+        points = [tuple(own.points[at[name]]) if name in at else MISSING for name in usual]
+        invisible = tuple(i for i, name in enumerate(usual) if at.get(name) in own.invisible)
+        names = () if plain else tuple(usual)
+        return replace(own, points=points, names=names, invisible=invisible, contours=())
+
+    return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
+
+
+@dataclass(frozen=True)
+class Labelled(Generic[T]):
+    """An object of an image, before it is decided which category is read."""
+
+    category: str
+    """Number or name of its category."""
+    name: str
+    """Name of its category."""
+    landmarks: tuple[str, ...] | int
+    """Names, or else number, of its landmarks. Categories with the same are one."""
+    n: int
+    image: str
+    record: T
+
+
+def of_category(source: Source, found: Sequence[Labelled[T]]) -> list[T]:
+    """Return the records of the category that is asked for, or else that has more landmarks, then more images."""
+    groups: dict[str, list[Labelled[T]]] = defaultdict(list)
+    for each in found:
+        groups[each.category].append(each)
+    wanted = source.reading.category
+    if wanted is not None:
+        kept = [each for each in found if wanted.casefold() in (each.category.casefold(), each.name.casefold())]
+        if not kept:
+            has = some_names(list(dict.fromkeys(each.name for each in found)))
+            raise LandmarkError(f"no landmarks of the category '{wanted}': it has {has}.")
+        return [each.record for each in kept]
+
+    def rank(key: str) -> tuple[int, int]:
+        return Counter(each.n for each in groups[key]).most_common(1)[0][0], len({each.image for each in groups[key]})
+
+    first, *others = sorted(groups, key=rank, reverse=True) if groups else [""]
+    others = [key for key in others if groups[key][0].landmarks != groups[first][0].landmarks]
+    if others and rank(others[0]) == rank(first):
+        both = f"'{groups[first][0].name}' and '{groups[others[0]][0].name}'"
+        raise LandmarkError(f"the categories {both} have as many landmarks and images: choose one with --category.")
+    for key in others:
+        for each in groups[key]:
+            more = f"because '{groups[first][0].name}' has more (--category chooses)"
+            source.notes.say(f"left out the category '{each.name}', {more}", each.image)
+    return [each.record for each in found if each.category not in others]

@@ -1,0 +1,113 @@
+"""Decode the text of landmark files, and parse counts and coordinates."""
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LandmarkError
+from liaam.io.files import read_bytes
+
+MAX_BYTES = 500_000_000
+"""Size limit of landmark files, in bytes."""
+
+_SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
+"""A line of x and y with a comma or semicolon between them."""
+
+_ABSENT = (-999.0, -9999.0)
+"""Numbers that programs write for x and y of a missing landmark."""
+
+_MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
+
+
+def read_text(path: Path) -> str:
+    """Read a text file as UTF-8, UTF-16, or Latin-1. Raise if it is binary."""
+    return decode_text(path, read_bytes(path, LandmarkError, MAX_BYTES))
+
+
+def decode_text(path: Path, data: bytes) -> str:
+    """Decode a file's content as :func:`read_text` does; `path` is for messages."""
+    binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    if len(data) > 3 and encoding == "utf-8-sig" and not any(data[1:200:2]) and all(data[:200:2]):
+        encoding = "utf-16-le"  # without a byte order mark
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as fault:
+        if encoding.startswith("utf-16") or _has_control_characters(data):
+            raise binary from fault
+        text = data.decode("latin-1")
+    if "\0" in text:
+        raise binary
+    if not text.strip():
+        raise LandmarkError(f"{path} is empty (only blank lines): copy or export it again.")
+    return text
+
+
+def _has_control_characters(data: bytes) -> bool:
+    """Return whether data hold control characters, as binary files do and text does not."""
+    return len(data.translate(None, bytes(set(range(32)) - set(b"\t\n\f\r")))) < len(data)
+
+
+def parse_count(token: str, what: str) -> int:
+    """Parse a non-negative integer."""
+    if not (token.isascii() and token.isdigit() and len(token) <= 18):
+        raise LandmarkError(f"'{short(token)}' is not a number of {what}: export the file again.")
+    return int(token)
+
+
+def check_count(where: str, count: int, rows: Sequence[object]) -> None:
+    """Raise unless there are as many rows of points as a line of the file promises."""
+    if len(rows) != count:
+        cut = "the file may be cut short: export it again"
+        raise LandmarkError(f"the {where} promises {count} points but {len(rows)} are there; {cut}.")
+
+
+def parse_number(token: str, where: str) -> float:
+    """Parse one coordinate, NaN for the usual words for a missing value."""
+    token = token.strip()
+    if token.lower() in _MISSING_WORDS:
+        return math.nan
+    try:
+        value = float(token) if "_" not in token else math.inf
+    except ValueError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise LandmarkError(f"'{short(token)}' in {where} is not a number: correct it (decimal points, as in 12.5).")
+    return value
+
+
+def parse_point(tokens: Sequence[str], where: str) -> tuple[float, float]:
+    """Parse x and y, both or neither of them missing."""
+    x, y = (parse_number(token, where) for token in tokens)
+    if math.isnan(x) != math.isnan(y):
+        raise LandmarkError(f"{where} has only one of x and y: give both, or neither if the landmark is missing.")
+    return (math.nan, math.nan) if x == y and x in _ABSENT else (x, y)
+
+
+def parse_pair(line: str, where: str) -> tuple[float, float]:
+    """Parse a line that holds x and y, both or neither of them missing."""
+    match = _SEPARATED.fullmatch(line)
+    tokens = match.groups() if match is not None else line.split()
+    if len(tokens) != 2:
+        raise LandmarkError(f"{where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
+    return parse_point(tokens, where)
+
+
+def check_number(value: Any, where: str) -> float:
+    """Check one coordinate from JSON, a number or null for a missing value."""
+    if value is None:
+        return math.nan
+    try:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.inf
+    except OverflowError:
+        number = math.inf
+    if math.isinf(number):
+        raise LandmarkError(f"'{short(str(value))}' in {where} is not a number: correct it, or use null.")
+    return number
+
+
+def short(text: str, length: int = 40) -> str:
+    """Cut a text for a message."""
+    return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -1,0 +1,126 @@
+"""The text of landmark files: 300-W ``.pts``, menpo ``.ljson`` (version 2), ``.tps``, COCO and tables."""
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.contours import edges_of
+
+Sizes = Mapping[str, tuple[float, float]]
+"""Width and height of images by file name."""
+
+
+def pts_text(landmarks: Landmarks) -> str:
+    """Return the text of a ``.pts`` file."""
+    lines = [f"{x + 1!r} {y + 1!r}" for x, y in landmarks.points.tolist()]
+    return "\n".join(["version: 1", f"n_points: {len(lines)}", "{", *lines, "}", ""])
+
+
+def ljson_text(landmarks: Landmarks) -> str:
+    """Return the text of an ``.ljson`` file. It labels each named landmark, or all, which menpo requires with edges."""
+    points = [[None, None] if x != x else [y, x] for x, y in landmarks.points.tolist()]
+    edges = edges_of(landmarks.contours)
+    body = {"points": points, **({"connectivity": edges} if edges else {})}
+    labels = [{"label": name, "mask": [index]} for index, name in enumerate(landmarks.names)]
+    if not labels and (landmarks.contours or landmarks.invisible):  # menpo requires that labels cover all landmarks
+        labels = [{"label": "all", "mask": list(range(len(landmarks)))}]
+    if landmarks.invisible:
+        labels.append({"label": "invisible", "mask": list(landmarks.invisible)})
+    return json.dumps({"labels": labels, "landmarks": body, "version": 2}, ensure_ascii=False, indent=1) + "\n"
+
+
+def csv_text(landmarks: Landmarks) -> str:
+    """Return the text of a table of one image's landmarks."""
+    names = ["name"] if landmarks.names else []
+    return _table([["x", "y", *names], *_cells(landmarks, bool(names))])
+
+
+def csv_collection(collection: Mapping[str, Landmarks], _: Sizes) -> str:
+    """Return the text of a table of the landmarks of many images, by file name."""
+    named = any(landmarks.names for landmarks in collection.values())
+    rows = [[image, *cells] for image, landmarks in collection.items() for cells in _cells(landmarks, named)]
+    return _table([["image", "x", "y", *(["name"] if named else [])], *rows])
+
+
+def _cells(landmarks: Landmarks, named: bool) -> list[list[str]]:
+    points = [["", ""] if x != x else [repr(x), repr(y)] for x, y in landmarks.points.tolist()]
+    names = landmarks.names or [""] * len(points)
+    return [[*point, name] for point, name in zip(points, names, strict=True)] if named else points
+
+
+def _table(rows: Iterable[list[str]]) -> str:
+    buffer = io.StringIO(newline="")
+    csv.writer(buffer).writerows(rows)  # lines end in \r\n, so that a \r in a name is quoted
+    return buffer.getvalue()
+
+
+def upwards(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
+    """Count y from the other side of an image of (width, height)."""
+    x, y = landmarks.points.T
+    return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
+
+
+def tps_text(landmarks: Landmarks) -> str:
+    """Return the text of a record of ``.tps``. y counts upwards; a missing landmark is NaN, which R and Python read.
+
+    Open contours of the last landmarks in order are written as curves, as these are read; others are not.
+    """
+    lines = ["NaN NaN" if x != x else f"{x!r} {y!r}" for x, y in landmarks.points.tolist()]
+    curves = [contour.indices for contour in landmarks.contours if not contour.closed]
+    tail = [index for curve in curves for index in curve]
+    first = len(lines) - len(tail)
+    if len(curves) != len(landmarks.contours) or tail != list(range(first, len(lines))):
+        curves, first = [], len(lines)
+    text = [f"LM={first}", *lines[:first], *([f"CURVES={len(curves)}"] if curves else [])]
+    for curve in curves:
+        text += [f"POINTS={len(curve)}", *(lines[index] for index in curve)]
+    if landmarks.image_name:
+        name = " ".join(landmarks.image_name.splitlines())
+        text += [f"IMAGE={name}", f"ID={PurePosixPath(name).stem}"]
+    text += [] if landmarks.scale is None else [f"SCALE={landmarks.scale!r}"]
+    return "\n".join([*text, ""])
+
+
+def tps_collection(collection: Mapping[str, Landmarks], _: Sizes) -> str:
+    """Return the text of a ``.tps`` file of many images, by file name. y counts upwards."""
+    return "".join(map(tps_text, collection.values()))
+
+
+def coco_collection(collection: Mapping[str, Landmarks], sizes: Sizes) -> str:
+    """Return the text of a COCO file of many images, by file name.
+
+    Missing landmarks have visibility 0, invisible ones 1, all others 2. Names and contours are those of the first
+    image.
+    """
+    first = next(iter(collection.values()))
+    names = first.names or tuple(str(i + 1) for i in range(len(first)))
+    edges = [[start + 1, end + 1] for start, end in edges_of(first.contours)]
+    images, annotations = [], []
+    for number, (name, landmarks) in enumerate(collection.items(), 1):
+        size = dict(zip(("width", "height"), sizes.get(name, ()), strict=False))
+        images.append({"id": number, "file_name": name, **size})
+        for each in (landmarks, *landmarks.others):
+            facts = {"id": len(annotations) + 1, "image_id": number, "category_id": 1, "iscrowd": 0}
+            annotations.append({**facts, **_keypoints(each.in_order_of(names))})
+    category = {"id": 1, "name": "object", "supercategory": "", "keypoints": list(names), "skeleton": edges}
+    return json.dumps({"images": images, "annotations": annotations, "categories": [category]}, ensure_ascii=False)
+
+
+def _keypoints(landmarks: Landmarks) -> dict[str, Any]:
+    placed = landmarks.points[~landmarks.missing]
+    low, extent = (placed.min(axis=0), np.ptp(placed, axis=0)) if len(placed) else (np.zeros(2), np.zeros(2))
+    flags = [1 if i in landmarks.invisible else 2 for i in range(len(landmarks))]
+    triples = zip(landmarks.points.tolist(), flags, strict=True)
+    return {
+        "keypoints": [value for (x, y), flag in triples for value in ((0, 0, 0) if x != x else (x, y, flag))],
+        "num_keypoints": len(placed),
+        "bbox": [*low.tolist(), *extent.tolist()],
+        "area": float(extent.prod()),
+    }

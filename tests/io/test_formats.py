@@ -1,0 +1,104 @@
+"""Situations from the documentation and trackers of annotation tools; experiments/notes/formats.md lists all tried."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks import parse_landmark_data
+from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.formats import FORMATS, KNOWN_FILES
+from liaam.io.landmarks.matching import ImageNames, stem_of
+from liaam.io.landmarks.reading import Notes, Reading
+
+SIZE = (200.0, 160.0)
+POINTS = [[10, 20], [30, 40], [50, 60]]
+HOLE = [[10, 20], [30, 40], [np.nan, np.nan]]
+BOXES = (
+    "<dataset><image file='a.png'><box width='99' height='9'><label>scale</label><part name='s' x='1' y='1'/></box>"
+    "<box width='9' height='9'><label>wing</label>{}</box></image></dataset>"
+).format("".join(f"<part name='{i}' x='{x}' y='{y}'/>" for i, (x, y) in enumerate(POINTS)))
+
+
+def label_studio(data: dict, **more: object) -> str:
+    size = {"original_width": 200, "original_height": 160, **more}
+    results = [
+        {**size, "value": {"x": x / 2, "y": y / 1.6, "keypointlabels": [f"n{i}"]}} for i, (x, y) in enumerate(POINTS)
+    ]
+    return json.dumps([{"id": 1, "data": data, "annotations": [{"result": results}]}])
+
+
+READ = [
+    (
+        "a.csv",
+        f"image,x_1,y_1,x_²,y_²,x_{'9' * 5000},y_{'9' * 5000}\na.png,10,20,30,40,50,60\n",
+        [POINTS[i] for i in (0, 2, 1)],
+    ),
+    ("a.csv", "id,X2,Y2,X1,Y1,X10,Y10\na.png,30,40,10,20,50,60\n", POINTS),
+    ("a.csv", "image,name,x_px,y_px,x_mm,y_mm\na,p,10,20,1,2\na,q,30,40,3,4\na,r,50,60,5,6\n", POINTS),
+    ("a.csv", "image,name,x,y\na,p,10,20\na,q,30,40\na,r,-999,-999\n", HOLE),
+    ("a.csv", "id,X1,Y1,X2,Y2,X3,Y3\na.png,10,20,30,40,-9999,-9999\n", HOLE),
+    ("a.csv", "my photo a.png,10,20,30,40,50,60\nmy photo b.png,1,2,3,4,5,6\n", POINTS),
+    ("a.tps", "LM=3\n10 139\n30 119\n-999 -999\nIMAGE=a.png\n", HOLE),
+    ("a.pts", "n_points: 3\n{\n11;21\n31 ; 41\n51;61\n}\n", POINTS),
+    ("a.xml", BOXES, POINTS),
+    ("a.json", label_studio({"note": "see p. 3", "image": "/data/upload/1/0a1b2c3d-a.png"}), POINTS),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "points"), READ, ids=[f"{name}-{text[:24]}" for name, text, _ in READ])
+def test_a_file_is_read_rightly(name: str, text: str, points: list) -> None:
+    parsed = parse_landmark_data(name, text.encode(), SIZE)
+    first = parsed if isinstance(parsed, Landmarks) else next(iter(parsed.values()))
+    np.testing.assert_allclose(first.points, points)
+
+
+FRACTIONS = "0.05,0.125,0.15,0.25,0.25,0.375"
+REFUSED = [
+    ("a.csv", f"image,X1,Y1,X2,Y2,X3,Y3\na.png,{FRACTIONS}\n", "all positions lie between 0 and 1"),
+    (
+        "a.csv",
+        "eye_x,eye_y,tip_x,tip_y,Image\n1,2,3,4,238 236\n1,2,3,4,9 8\n",
+        "the column 'image' holds the images' pixels",
+    ),
+    ("a.json", json.dumps({"_via_img_metadata": {}}), "this is none of LabelMe, Label Studio, COCO keypoints: export"),
+    ("a.json", label_studio({"image": "a.png"}, image_rotation=90), "was labelled on a turned picture"),
+    ("a.nts", "1 1 4 1 .. DIM=2\n1 2 3 4\n", "there is no header of a matrix"),
+    ("a.nts", "1 999999999 2 0 DIM=2\n1 2\n", "999999999 x 2 numbers are promised but 2 are there"),
+    ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
+    ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "words"), REFUSED, ids=[words[:30] for *_, words in REFUSED])
+def test_what_cannot_be_read_rightly_is_refused(name: str, text: str, words: str) -> None:
+    with pytest.raises(LandmarkError, match=words):
+        parse_landmark_data(name, text.encode(), SIZE, Reading(category="leg"))
+
+
+def test_boxes_of_another_label_are_left_out_with_a_line() -> None:
+    notes = Notes()
+    parse_landmark_data("a.xml", BOXES.encode(), SIZE, notes=notes)
+    assert notes.lines() == ["left out the category 'scale', because 'wing' has more (--category chooses): a.png"]
+
+
+def test_images_are_found_by_addresses() -> None:
+    names = ImageNames([Path("a b.png"), Path("c.png")])
+    assert names.find("https://host/x/a%20b.png?sig=1.2&b=/c.png")[0] == Path("a b.png")
+    assert names.find("s3://bucket/c.png")[0] == Path("c.png")
+    assert stem_of("/data/upload/1/0a1b2c3d-wing.one.png") == stem_of("https://host/wing.one.png?x=1.5") == "wing.one"
+
+
+def test_names_are_the_same_in_another_case_with_blanks_or_in_another_unicode_form() -> None:
+    other = Landmarks(np.array(POINTS), names=("Tip ", "a\u0308", "EYE"))
+    assert other.in_order_of(("eye", "tip", "\u00e4")).points.tolist() == [POINTS[2], POINTS[0], POINTS[1]]
+    apart = Landmarks(np.array(POINTS), names=("a", "A", "b"))
+    assert apart.in_order_of(("A", "a", "b")).points.tolist() == [POINTS[1], POINTS[0], POINTS[2]]
+    with pytest.raises(LandmarkError, match="its names lack b2"):
+        apart.in_order_of(("A", "a", "b2"))
+
+
+def test_help_and_messages_name_every_format() -> None:
+    assert all(form.title in KNOWN_FILES and ", ".join(form.suffixes) in KNOWN_FILES for form in FORMATS)
