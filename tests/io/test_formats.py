@@ -66,6 +66,8 @@ REFUSED = [
     ("a.json", json.dumps({"_via_img_metadata": {}}), "this is none of LabelMe, Label Studio, COCO keypoints: export"),
     ("a.json", label_studio({"image": "a.png"}, image_rotation=90), "was labelled on a turned picture"),
     ("a.nts", "1 1 4 1 .. DIM=2\n1 2 3 4\n", "there is no header of a matrix"),
+    ("a.nts", "1 9 0 0 DIM=2\n", "9 x 0 numbers are promised but 0 are there"),
+    ("a.txt", "<landmarks.pixel>" * 20_000, "it is cut short within its landmarks"),
     ("a.nts", "1 999999999 2 0 DIM=2\n1 2\n", "999999999 x 2 numbers are promised but 2 are there"),
     ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
     ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),

@@ -36,7 +36,7 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
         raise LandmarkError(f"it holds {width} columns of {dim} dimensions: export x and y only.")
     words = " ".join(lines[1:]).split()
     names, values = _labels_and_values(header, words, n, width) if n <= len(words) else ([], words)
-    if len(values) != n * width or not n:
+    if len(values) != n * width or not values:
         raise LandmarkError(f"{n} x {width} numbers are promised but {len(values)} are there: export it again.")
     numbers = np.array([parse_number(value, "a row") for value in values])
     if header["missing"] == "1" and header["value"]:

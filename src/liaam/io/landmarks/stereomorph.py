@@ -11,8 +11,8 @@ from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.text import parse_point
 
-_MATRIX = re.compile(r"<landmarks\.pixel\b[^>]*>(.*?)</landmarks\.pixel\s*>", re.DOTALL)
-_IMAGE = re.compile(r"<image\.name\b[^>]*>([^<]*)</image\.name\s*>")
+_START = re.compile(r"<landmarks\.pixel\b[^<>]*>")
+_IMAGE = re.compile(r"<image\.name\b[^<>]*>([^<]*)</image\.name\s*>")
 
 
 def is_it(source: Source) -> bool:
@@ -22,10 +22,11 @@ def is_it(source: Source) -> bool:
 
 def parse(source: Source) -> Landmarks:
     """Parse the landmarks of a file."""
-    matrix, image = _MATRIX.search(source.text), _IMAGE.search(source.text)
-    if matrix is None:
+    start, image = _START.search(source.text), _IMAGE.search(source.text)
+    matrix, end, _ = source.text[start.end() :].partition("</landmarks.pixel") if start else ("", "", "")
+    if not end:
         raise LandmarkError("it is cut short within its landmarks: export it again.")
-    lines = [line.strip() for line in matrix[1].splitlines() if line.strip()]
+    lines = [line.strip() for line in matrix.splitlines() if line.strip()]
     rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line) for line in lines]
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
     points: Any = [parse_point(row[-2:], f"'{row[0]}'") for row in rows]
