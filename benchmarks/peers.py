@@ -429,7 +429,7 @@ def _pixels(fitter) -> int:
 
 def opencv_rows() -> list[Row]:
     """Rows of its active appearance model, with a model file made from the same heads."""
-    if not hasattr(cv2, "face") or not hasattr(cv2.face, "createFacemarkAAM"):
+    if not hasattr(getattr(cv2, "face", None), "createFacemarkAAM"):
         raise MissingError(f"this OpenCV is without its contributed modules ({OPENCV})")
     from benchmarks import peer_opencv
 
