@@ -101,7 +101,7 @@ def test_left_and_right_exchanged_are_found():
     shapes = [(rest + rng.normal(scale=0.6, size=rest.shape)) @ rotation(0.05 * i).T for i in range(12)]
     order = np.roll(np.arange(28), 14)
     (fault,) = find_label_faults(exchanged(shapes, 4, order))
-    assert (fault.picture, fault.kind) == (4, "mirrored")
+    assert (fault.picture, fault.kind) == (4, "left-right")
     assert np.array_equal(exchanged(shapes, 4, order)[4][fault.order], shapes[4])
     assert "left and right" in fault.message
 
@@ -158,6 +158,54 @@ def test_objects_that_bend_in_many_ways_raise_no_alarm(rng, n):
     assert len(faults) <= 1
 
 
+WING = np.array([[43, 123], [91, 140], [149, 129], [167, 79], [119, 24], [60, 40], [80, 90], [108, 100], [131, 69.0]])
+
+
+def specimens(n, count=30, seed=4):
+    """The first landmarks of wings, which vary by up to 1.5 % of the diagonal, about the middle of the picture."""
+    rng = np.random.default_rng([n, seed])
+    spread = 0.015 * np.linalg.norm(np.ptp(WING[:n], axis=0))
+    made = WING[:n] + rng.uniform(-spread, spread, (count, n, 2)) - [100, 80]
+    return np.array([shape @ rotation(rng.normal(scale=0.1)).T + [100, 80] for shape in made])
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 7, 8, 9])
+def test_one_misplaced_point_is_named(n):
+    shapes = specimens(n)
+    assert find_label_faults(shapes) == []
+    shapes[11, 1] += 0.1 * np.linalg.norm(np.ptp(WING[:n], axis=0)) * np.array([0.6, 0.8])
+    (fault,) = find_label_faults(shapes)
+    assert (fault.picture, fault.kind, fault.points[0]) == (11, "stray", 1)
+    assert n < 6 or fault.points == (1,)
+
+
+@pytest.mark.parametrize(("kind", "signs"), [("mirrored", [-1.0, 1.0]), ("upside-down", [1.0, -1.0])])
+@pytest.mark.parametrize("n", [5, 9])
+@pytest.mark.parametrize("share", [1, 13])
+def test_reflections_are_told_apart_and_not_reordered(kind, signs, n, share):
+    shapes = specimens(n)
+    shapes[:share] = shapes[:share] * signs + [200.0 * (signs[0] < 0), 160.0 * (signs[1] < 0)]
+    faults = find_label_faults(shapes)
+    assert [(fault.picture, fault.kind) for fault in faults] == [(i, kind) for i in range(share)]
+    for fault in faults:
+        assert not fault.is_order and np.array_equal(fault.order, np.arange(n))
+        assert np.abs(fault.expected - shapes[fault.picture]).max() < 20 < fault.distance
+
+
+def test_a_point_of_a_reflected_specimen_is_named():
+    shapes = specimens(9)
+    shapes[3] *= [1.0, -1.0]
+    shapes[3, 5] += 25
+    found = [(fault.picture, fault.kind, fault.points) for fault in find_label_faults(shapes)]
+    assert found == [(3, "upside-down", tuple(range(9))), (3, "stray", (5,))]
+
+
+def test_three_points_are_not_judged():
+    shapes = specimens(3)
+    shapes[0] = shapes[0, ::-1] * 3
+    assert not [fault for fault in find_label_faults(shapes) if not fault.is_order]
+
+
 def test_few_pictures_say_nothing(shapes):
     with pytest.raises(LiaamError, match=f"at least {LEAST_PICTURES}"):
         find_label_faults(shapes[: LEAST_PICTURES - 1])
@@ -166,7 +214,8 @@ def test_few_pictures_say_nothing(shapes):
 def test_progress_is_told(shapes):
     told = []
     find_label_faults(shapes, lambda *what: told.append(what))
-    assert [done for done, *_ in told] == list(range(len(shapes)))
+    assert [done for done, *_ in told] == list(range(len(told)))
+    assert told[0][1] >= len(told) > 1
 
 
 def test_what_is_invisible_goes_with_its_landmark(shapes):

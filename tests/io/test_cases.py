@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.datasets import Dataset, load_folder
+from liaam.datasets.label_faults import find_label_faults
 from liaam.errors import LandmarkError, LiaamError
 from liaam.io import read_landmarks
 from liaam.io.landmarks import FORMATS, Reading
@@ -182,6 +183,25 @@ def test_landmarks_missing_in_each_image_are_placed_by_the_others(cases: Path) -
     assert len(entries) == 10
     truth = load_folder(cases / "07-tps-curves")[0].landmarks.points
     assert np.abs(entries[0].points[0] - truth[0]).max() < 8
+
+
+FAULTS = {
+    "06-tps-y-down": [],
+    "07-tps-curves": [],
+    "45-pts-zero-zero-missing": [("img02", "stray", (0, 7)), ("img05", "stray", (0, 7))],
+    "56-pts-one-zero": [("img02", "stray", (0,))],
+    "93-csv-names-order-differs": [],
+    "C2-left-right-wings": [("img04", "mirrored", tuple(range(10)))],
+    "C3-tps-half-y-down": [("img07", "upside-down", tuple(range(10)))],
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_of_landmarks_are_found(cases: Path, name: str) -> None:
+    data = load_folder(cases / name)
+    faults = find_label_faults([sample.landmarks.points for sample in data])
+    assert [(data[fault.picture].name, fault.kind, fault.points) for fault in faults] == FAULTS[name]
+    assert not any(fault.is_order for fault in faults)
 
 
 def test_heic_names_the_extra(cases: Path) -> None:

@@ -47,12 +47,12 @@ def check(
     y_down: YDownOption = False,
     stored_orientation: StoredOption = False,
 ) -> None:
-    """Find landmarks that are swapped, in reverse order, or far from their expected positions.
+    """Find landmarks that are exchanged, in reverse order, mirrored, upside down, or misplaced.
 
     Also names grey images among colour images, damaged images, landmarks outside of their image, and files that do not
     match. Changes nothing in the folder. The exit status is 1 if faults are found.
     """
-    from liaam.datasets.label_faults import LEAST_LANDMARKS
+    from liaam.datasets.point_outliers import LEAST_POINTS
 
     data = read_folder(folder, images, recursive, Reading(strict, category, group, y_down, stored_orientation))
     unusable = check_pixels(data)
@@ -63,10 +63,10 @@ def check(
     if not faults:
         say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
         n_landmarks = len(data.samples[0].landmarks.points)
-        if n_landmarks < LEAST_LANDMARKS:
+        if n_landmarks < LEAST_POINTS:
             say(
-                f"single misplaced landmarks were not looked for: {n_landmarks} landmarks are too few to distinguish "
-                f"them from unusual shapes; {LEAST_LANDMARKS} are needed"
+                f"misplaced and mirrored landmarks were not looked for: {LEAST_POINTS} landmarks are needed, and each "
+                f"image has {n_landmarks}"
             )
         if unusable:
             raise typer.Exit(1)

@@ -1,7 +1,8 @@
-"""Find labelling errors: landmarks that are exchanged, reversed or far off compared with the other images.
+"""Find labelling errors: landmarks that are exchanged, reversed, mirrored or misplaced, compared with other images.
 
 A model would learn a contour labelled from the other end as a shape, and evaluations would count right fits as wrong.
-The expected landmarks of an image are the median of its nearest neighbours, which is robust to a few errors.
+The expected landmarks of an image are the median of its nearest neighbours, and single points are predicted from the
+others (:mod:`liaam.datasets.point_outliers`); both are robust to a few errors.
 """
 
 from collections.abc import Iterator, Sequence
@@ -9,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from liaam.datasets.point_outliers import LEAST_POINTS, Outliers, point_outliers, resistant_fit
 from liaam.errors import LiaamError
 from liaam.evaluation import ranges_of, root_mean_square, short_repr
 from liaam.io.landmarks import Landmarks
-from liaam.model.shape import diagonal_of, mirror_order, procrustes_mean
+from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.progress import Progress
 
 LEAST_PICTURES = 8
@@ -31,17 +33,13 @@ OUTLIER = 4.0
 BETTER = 8.0
 """Least factor by which an exchange must reduce the squared distances."""
 
-STRAY, LEAST_STRAY = 8.0, 0.05
-"""Least distance of a stray landmark, in usual deviations and as a fraction of the shape's diagonal. The second limit
-allows for turned faces."""
-
-LEAST_LANDMARKS, AS_USUAL = 10, 2.5
-"""Least number of landmarks, and largest median distance in usual deviations, for stray landmarks to be reported.
-Single landmarks of small or unusual shapes cannot be judged."""
-
 ALL_OFF = 3.0
 """Median distance, in usual deviations, above which other orders of all landmarks are tried, and the least factor by
-which such an order must reduce it."""
+which such an order, or a reflection, must reduce it."""
+
+UPRIGHT, ALIGNED = np.pi / 4, 0.8
+"""Largest rotation (radians) of a record that is upright once its y is reversed, and least mean resultant length of
+the other records' orientations for it to be judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +50,22 @@ class LabelFault:
     ----------
     picture : int
         Index of the image.
-    kind : {"reversed", "shifted", "mirrored", "exchanged", "stray"}
-        In reverse order; starting at another landmark; left and right exchanged; exchanged in another way; far off.
+    kind : {"reversed", "shifted", "left-right", "exchanged", "mirrored", "upside-down", "stray"}
+        In reverse order; starting at another landmark; left and right exchanged; exchanged in another way; all
+        reflected with the landmarks in their order, as on the other side of an animal; y counted the other way;
+        misplaced.
     points : tuple of int
-        Indices of the landmarks.
+        Indices of the landmarks. If several may each explain a record with a misplaced point, the likeliest is first.
     order : (n,) int64
-        Correction: ``landmarks[order]`` has the order of the other images. The identity for stray landmarks.
+        Correction: ``landmarks[order]`` has the order of the other images. The identity if no
+        order corrects the error.
     distance, corrected_distance : float
         Root mean square distance of these landmarks to their expected positions, pixels: in the present order, and in
         the corrected order.
     expected : (n, 2) float64
         Expected positions of all landmarks, image pixels.
+    one_of : bool
+        Whether just one of ``points`` is misplaced, and the shape does not say which.
     """
 
     picture: int
@@ -72,13 +75,14 @@ class LabelFault:
     distance: float
     corrected_distance: float
     expected: np.ndarray
+    one_of: bool = False
 
     __repr__ = short_repr
 
     @property
     def is_order(self) -> bool:
         """Whether another order corrects the error."""
-        return self.kind != "stray"
+        return self.kind not in ("stray", "mirrored", "upside-down")
 
     def corrected_landmarks(self, landmarks: Landmarks) -> Landmarks:
         """Reorder the image's landmarks as in the other images; names and contours keep their order."""
@@ -91,13 +95,17 @@ class LabelFault:
         numbers = ranges_of([point + 1 for point in self.points], most=len(self.points))
         several = len(self.points) > 1
         fault = {
-            "mirrored": "left and right are exchanged",
+            "left-right": "left and right are exchanged",
             "reversed": f"points {numbers} are in reverse order",
             "shifted": f"points {numbers} start at another point",
             "exchanged": f"points {numbers} are exchanged",
-            "stray": f"{'points' if several else 'point'} {numbers} may be misplaced",
+            "mirrored": "mirrored: flip the image with its landmarks, or leave it out",
+            "upside-down": "upside down: y counts the other way; read .tps or .nts files whose y counts from the top "
+            "with --y-down, and correct a file that mixes both",
+            "stray": f"{'one of ' * self.one_of}{'points' if several else 'point'} {numbers} may be misplaced",
         }[self.kind]
-        corrected = f", {self.corrected_distance:.1f} px in the corrected order" if self.is_order else ""
+        after = "reflected" if self.kind in ("mirrored", "upside-down") else "in the corrected order"
+        corrected = "" if self.kind == "stray" else f", {self.corrected_distance:.1f} px {after}"
         they = "they are" if several else "it is"
         return f"{fault} ({self.distance:.1f} px from where {they} expected{corrected})"
 
@@ -121,6 +129,43 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
     LiaamError
         If there are fewer than 8 images.
     """
+    _refuse_unlike(shapes)
+    pictures = [i for i, shape in enumerate(shapes) if diagonal_of(shape) > 0]  # coincident points have no order
+    if len(pictures) < LEAST_PICTURES:
+        return []
+    sizes = np.array([diagonal_of(shapes[i]) for i in pictures])[:, None, None]
+    own = np.array([shapes[i] for i in pictures], dtype=np.float64)
+    mean, kinds = _reflections(own / sizes)
+    # Reflected shapes are compared with y reversed. Orders differ from reflections unless the shape is symmetric.
+    mirrored = mirror_order(mean)
+    kinds = ["" if kind == "mirrored" and mirrored is not None else kind for kind in kinds]
+    flips = np.array([[1.0, -1.0 if kind else 1.0] for kind in kinds])[:, None]
+    upright = own * flips
+    expected = np.array([_expected(shape, upright, i) for i, shape in enumerate(upright)])
+    off = np.linalg.norm(upright - expected, axis=2) / sizes[:, 0]
+    usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a fraction of the diagonal
+    wrong = [
+        _reflected(picture, own[i], kinds[i], mean)
+        if kinds[i]
+        else _order_fault(picture, upright, i, expected[i], float(sizes[i, 0, 0]) * usual, mean, mirrored)
+        for i, picture in enumerate(pictures)
+    ]
+    ordered = np.array([shape[fault.order] if fault else shape for shape, fault in zip(upright, wrong, strict=True)])
+    near = np.array(
+        [fault.expected if fault and fault.is_order else e for e, fault in zip(expected, wrong, strict=True)]
+    )
+    judged = len(mean) >= LEAST_POINTS
+    misplaced = point_outliers(ordered / sizes, near / sizes, progress) if judged else [None] * len(own)
+    found = []
+    for i, (fault, outliers) in enumerate(zip(wrong, misplaced, strict=True)):
+        found += [fault] if fault else []
+        if outliers and outliers.points and not (fault and fault.is_order):
+            found.append(_stray(pictures[i], own[i], outliers, sizes[i] * flips[i]))
+    return found
+
+
+def _refuse_unlike(shapes: Sequence[np.ndarray]) -> None:
+    """Raise unless there are enough shapes, of the same number of landmarks."""
     if len(shapes) < LEAST_PICTURES:
         raise LiaamError(
             f"too few landmarked images to find unusual landmarks ({len(shapes)}); at least {LEAST_PICTURES} are needed"
@@ -131,25 +176,53 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
             "the landmarks are not arrays of one shape (n, 2): give those of each image, as in "
             "[sample.landmarks.points for sample in data]"
         )
-    pictures = [i for i, shape in enumerate(shapes) if diagonal_of(shape) > 0]  # coincident points have no order
-    if len(pictures) < LEAST_PICTURES:
-        return []
-    own = np.array([shapes[i] for i in pictures], dtype=np.float64)
-    sizes = np.array([diagonal_of(shape) for shape in own])
-    mean = procrustes_mean(own)
-    mirrored = mirror_order(mean)
-    expected = np.empty_like(own)
-    for i, shape in enumerate(own):
-        if progress:
-            progress(i, len(own), "comparing landmarks")
-        expected[i] = _expected(shape, own, i)
-    off = np.linalg.norm(own - expected, axis=2) / sizes[:, None]
-    usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a fraction of the diagonal
-    return [
-        fault
-        for i, picture in enumerate(pictures)
-        for fault in _faults_of(picture, own, i, expected[i], sizes[i] * usual, mean, mirrored)
-    ]
+
+
+def _reflections(shapes: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Robust mean (n, 2) of shapes (m, n, 2), with diagonal 1, and the kind of each shape's reflection, if any."""
+    centred = shapes - shapes.mean(axis=1, keepdims=True)
+    mean, flipped, reflected = centred[0], centred * [1.0, -1.0], np.zeros(len(shapes), bool)
+    for _ in range(5):
+        reflected = _fit(flipped, mean) < _fit(centred, mean)
+        reflected = ~reflected if reflected.mean() > 0.5 else reflected
+        mean = np.median(resistant_fit(np.where(reflected[:, None, None], flipped, centred), mean), axis=0)
+    mean = mean / max(diagonal_of(mean), 1e-12)
+    before, after = _fit(centred, mean), _fit(flipped, mean)
+    far = before > ALL_OFF * np.maximum(np.median(np.minimum(before, after)), after)
+    usual = np.mean([_turn(shape, mean) for shape in centred[~reflected]])
+    kinds = [""] * len(shapes)
+    for i in np.flatnonzero(reflected & far & (len(mean) >= LEAST_POINTS)):
+        upright = abs(np.angle(_turn(flipped[i], mean) * usual.conjugate())) < UPRIGHT and abs(usual) > ALIGNED
+        kinds[i] = "upside-down" if upright else "mirrored"
+    return mean, kinds
+
+
+def _fit(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Median distance of each shape's landmarks to those of the mean, (m,) float64."""
+    return np.median(np.linalg.norm(resistant_fit(shapes, mean) - mean, axis=2), axis=1)
+
+
+def _turn(shape: np.ndarray, mean: np.ndarray) -> complex:
+    """Rotation of a shape to the mean, as a complex number of modulus 1."""
+    (a, _), (b, _) = align(shape, mean).matrix
+    return complex(a, b) / max(abs(complex(a, b)), 1e-300)
+
+
+def _reflected(picture: int, shape: np.ndarray, kind: str, mean: np.ndarray) -> LabelFault:
+    """Fault of a shape that is a reflection of the others."""
+    every = np.arange(len(shape))
+    before = shape - resistant_fit(mean[None], shape)[0]
+    expected = resistant_fit(mean[None] * [1.0, -1.0], shape)[0]
+    now, after = (root_mean_square(np.linalg.norm(away, axis=1)) for away in (before, shape - expected))
+    return LabelFault(picture, kind, tuple(every.tolist()), every, now, after, expected)
+
+
+def _stray(picture: int, shape: np.ndarray, outliers: Outliers, scale: np.ndarray) -> LabelFault:
+    """Fault of misplaced points. ``scale`` converts predicted positions to image pixels."""
+    expected, several = outliers.expected * scale, bool(outliers.instead)
+    points = outliers.points + outliers.instead if several else tuple(sorted(outliers.points))
+    far = root_mean_square(np.linalg.norm(shape - expected, axis=1)[list(outliers.points)])
+    return LabelFault(picture, "stray", points, np.arange(len(shape)), far, far, expected, several)
 
 
 def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
@@ -157,30 +230,13 @@ def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
     pool = np.delete(np.arange(len(shapes)), own)
     if len(pool) > MOST_COMPARED:
         pool = pool[np.linspace(0, len(pool) - 1, MOST_COMPARED).astype(int)]
-    placed = _onto(shapes[pool], shape)
+    placed = resistant_fit(shapes[pool], shape)
     # The median of distances: a few exchanged landmarks hardly change the choice of neighbours.
     nearest = np.median(np.linalg.norm(placed - shape, axis=2), axis=1).argsort(kind="stable")[:NEIGHBOURS]
-    return _onto(np.median(placed[nearest], axis=0)[None], shape)[0]
+    return resistant_fit(np.median(placed[nearest], axis=0)[None], shape)[0]
 
 
-def _onto(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Align shapes (m, n, 2) to another (n, 2) by similarities, fitted to the nearest three quarters of landmarks."""
-    # Similarities are complex factors.
-    own, aim = shapes[..., 0] + 1j * shapes[..., 1], target[:, 0] + 1j * target[:, 1]
-    placed, near = own, np.ones(own.shape)
-    for _ in range(3):
-        weights = near / near.sum(axis=1, keepdims=True)
-        centre, middle = (weights * own).sum(axis=1, keepdims=True), weights @ aim
-        away = own - centre
-        power = (weights * np.abs(away) ** 2).sum(axis=1)
-        factor = (weights * away.conj() * (aim - middle[:, None])).sum(axis=1) / np.maximum(power, 1e-300)
-        placed = factor[:, None] * away + middle[:, None]
-        distances = np.abs(placed - aim)
-        near = (distances <= np.quantile(distances, 0.75, axis=1, keepdims=True)).astype(float)
-    return np.stack([np.real(placed), np.imag(placed)], axis=-1)
-
-
-def _faults_of(
+def _order_fault(
     picture: int,
     shapes: np.ndarray,
     own: int,
@@ -188,8 +244,8 @@ def _faults_of(
     usual: np.ndarray,
     mean: np.ndarray,
     mirrored: np.ndarray | None,
-) -> Iterator[LabelFault]:
-    """Yield the faults of ``shapes[own]``, the shape of image ``picture``."""
+) -> LabelFault | None:
+    """Return the fault of ``shapes[own]``, the shape of image ``picture``, that another order corrects, if any."""
     shape = shapes[own]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
@@ -197,25 +253,18 @@ def _faults_of(
         kind, order, elsewhere = _best_whole(shapes, own, usual, mean, mirrored)
         after = np.linalg.norm(shape[order] - elsewhere, axis=1)
         if np.median(after / usual) * ALL_OFF < np.median(distances / usual):
-            yield LabelFault(
-                picture, kind, everything, order, root_mean_square(distances), root_mean_square(after), elsewhere
-            )
-            return
+            far, near = root_mean_square(distances), root_mean_square(after)
+            return LabelFault(picture, kind, everything, order, far, near, elsewhere)
     order = _exchanged(shape, expected, usual)
     moved = np.flatnonzero(order != identity)
-    if len(moved):
-        run = np.arange(moved.min(), moved.max() + 1)
-        after = np.linalg.norm(shape[order] - expected, axis=1)
-        kind = _kind_of(order[run], run)
-        at = moved if kind == "exchanged" else run
-        before, later = root_mean_square(distances[at]), root_mean_square(after[at])
-        yield LabelFault(picture, kind, tuple(at.tolist()), order, before, later, expected)
-    limit = np.maximum(STRAY * usual, LEAST_STRAY * diagonal_of(shape))
-    stray = np.flatnonzero((distances > limit) & (order == identity))
-    others_as_usual = len(shape) >= LEAST_LANDMARKS and np.median(distances / usual) < AS_USUAL
-    if len(stray) and others_as_usual:
-        far = root_mean_square(distances[stray])
-        yield LabelFault(picture, "stray", tuple(stray.tolist()), identity, far, far, expected)
+    if not len(moved):
+        return None
+    run = np.arange(moved.min(), moved.max() + 1)
+    after = np.linalg.norm(shape[order] - expected, axis=1)
+    kind = _kind_of(order[run], run)
+    at = moved if kind == "exchanged" else run
+    before, later = root_mean_square(distances[at]), root_mean_square(after[at])
+    return LabelFault(picture, kind, tuple(at.tolist()), order, before, later, expected)
 
 
 def _turns(n: int) -> dict[str, np.ndarray]:
@@ -234,10 +283,10 @@ def _best_whole(
     turns = _turns(len(mean))
     orders = {"shifted": turns["shifted"][1:], "reversed": turns["reversed"]}  # the first shift is the identity
     if mirrored is not None:
-        orders = {"mirrored": mirrored[None], **orders}
+        orders = {"left-right": mirrored[None], **orders}
     tried = []
     for kind, each in orders.items():
-        placed = _onto(shapes[own][each], mean)
+        placed = resistant_fit(shapes[own][each], mean)
         order = each[np.median(np.linalg.norm(placed - mean, axis=2), axis=1).argmin()]
         shape = shapes[own][order]
         expected = _expected(shape, shapes, own)

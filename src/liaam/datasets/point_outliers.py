@@ -1,0 +1,197 @@
+"""Find misplaced landmarks: points that are far from where the other points of their image predict them.
+
+The aligned shapes are taken as normal, with a sample covariance shrunk towards independent points. With K, its inverse
+on the shapes orthogonal to the similarities, and y, the deviation of a shape from the mean of the other images, point k
+is (K_kk)^-1 (K y)_k from where the other points predict it, with covariance (K_kk)^-1. Points are left out one by one,
+the most unusual first, until the shape is ordinary. They are replaced by their predictions, and the mean and the
+covariance are estimated again, so that misplaced points do not hide each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from liaam.model.shape import align, diagonal_of, procrustes_mean, similarity_modes
+from liaam.progress import Progress
+
+LEAST_POINTS = 4
+"""Least number of landmarks: any three points have a usual shape when one is left out."""
+
+RISK = 0.01
+"""Probability that a set of images without misplaced points has any reported, if its shapes vary normally."""
+
+PRECISION, LEAST_DISTANCE = 0.001, 0.03
+"""Usual precision of landmarks, and least distance of a misplaced one, as fractions of the shape's diagonal. The
+second allows for turned faces."""
+
+SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Candidate variances of independent points, as fractions of the mean variance of a coordinate."""
+
+POOLED = 100
+"""Images that the landmarks' common scale counts for, when each landmark's own scale is estimated."""
+
+ALIKE = 6.0
+"""Points whose test statistics differ by less may each explain an unusual shape."""
+
+FAR = 4.0
+"""Distance to the guesses, in medians, above which landmarks do not count for the first covariance."""
+
+PASSES = 3
+"""Largest number of estimates of the mean and the covariance."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outliers:
+    """Misplaced points of one shape.
+
+    Attributes
+    ----------
+    points : tuple of int
+        Points left out, the most unusual first.
+    instead : tuple of int
+        Points that explain the unusual shape nearly as well, if one point is left out.
+    expected : (n, 2) float64
+        Position of each point as predicted by those not left out.
+    """
+
+    points: tuple[int, ...]
+    instead: tuple[int, ...]
+    expected: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal distribution of deviations ``own`` (m, 2 n), with its ``precision`` (2 n, 2 n) and ``scales`` (n,)."""
+
+    own: np.ndarray
+    precision: np.ndarray
+    scales: np.ndarray
+
+    def without(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and precision of the shapes but shape ``i``."""
+        m, centre = len(self.own), self.own.mean(axis=0)
+        away = self.own[i] - centre
+        across, share = self.precision @ away, m / (m - 1) ** 2
+        left = max(1 - share * float(across @ away), 0.01)
+        return centre - away / (m - 1), self.precision + np.outer(across, across) * (share / left)
+
+
+def point_outliers(shapes: np.ndarray, near: np.ndarray, progress: Progress | None = None) -> list[Outliers]:
+    """Find the misplaced points of each shape.
+
+    Parameters
+    ----------
+    shapes : (m, n, 2) float64
+    near : (m, n, 2) float64
+        Robust guesses of the landmarks, such as the median of similar shapes.
+    progress : callable(done, total, what), optional
+    """
+    m, n = shapes.shape[:2]
+    # Quantile of Hotelling's statistic of two dimensions, 2 F(2, freedom), with a covariance of m - 1 other shapes.
+    freedom = m - 2
+    limit = freedom * ((RISK / (m * n)) ** (-2 / freedom) - 1)
+    away = np.linalg.norm(shapes - near, axis=2)
+    own, filled = shapes, np.where((away > FAR * np.median(away, axis=0))[..., None], near, shapes)
+    last, found = None, []
+    for done in range(PASSES):
+        if progress:
+            progress(done, PASSES, "comparing landmarks")
+        mean = procrustes_mean(filled)
+        mean = (mean - mean.mean(axis=0)) / diagonal_of(mean)
+        poses = [align(shape, mean) for shape in filled]
+        own = np.array([pose(shape) for pose, shape in zip(poses, own, strict=True)])
+        filled = np.array([pose(shape) for pose, shape in zip(poses, filled, strict=True)])
+        normal = _normal((filled - mean).reshape(m, -1), similarity_modes(mean))
+        found = [_outliers(normal, i, own[i] - mean, limit) for i in range(m)]
+        filled = own.copy()
+        for i, outliers in enumerate(found):
+            at = list(outliers.points)
+            filled[i, at] = mean[at] + outliers.expected[at]
+        if last == (last := [outliers.points for outliers in found]):
+            break
+    back = [align(placed, shape) for placed, shape in zip(own, shapes, strict=True)]
+    return [Outliers(o.points, o.instead, b(mean + o.expected)) for o, b in zip(found, back, strict=True)]
+
+
+def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Align shapes (m, n, 2) to another (n, 2) by similarities, fitted to the nearest three quarters of landmarks."""
+    # Similarities are complex factors.
+    own, aim = shapes[..., 0] + 1j * shapes[..., 1], target[:, 0] + 1j * target[:, 1]
+    placed, near = own, np.ones(own.shape)
+    for _ in range(3):
+        weights = near / near.sum(axis=1, keepdims=True)
+        centre, middle = (weights * own).sum(axis=1, keepdims=True), weights @ aim
+        away = own - centre
+        power = (weights * np.abs(away) ** 2).sum(axis=1)
+        factor = (weights * away.conj() * (aim - middle[:, None])).sum(axis=1) / np.maximum(power, 1e-300)
+        placed = factor[:, None] * away + middle[:, None]
+        distances = np.abs(placed - aim)
+        near = (distances <= np.quantile(distances, 0.75, axis=1, keepdims=True)).astype(float)
+    return np.stack([np.real(placed), np.imag(placed)], axis=-1)
+
+
+def _normal(own: np.ndarray, rigid: np.ndarray) -> _Normal:
+    """Estimate the normal distribution that predicts the points of left-out shapes best."""
+    m = len(own)
+    own = own - own @ rigid.T @ rigid
+    away = own - own.mean(axis=0)
+    spread = away.T @ away / (m - 1)
+    values, modes = np.linalg.eigh(spread - (np.trace(spread) + 1) * rigid.T @ rigid)
+    values, modes = np.maximum(values[len(rigid) :], 0.0), modes[:, len(rigid) :]
+    noises = np.maximum(np.array(SHRINKAGES) * values.mean(), PRECISION**2)
+    best, kept = np.inf, (spread, away)
+    for noise in np.unique(noises):
+        precision = (modes / (values + noise)) @ modes.T
+        squares, distances = _left_out(away, precision)
+        score = np.log(np.median(distances, axis=0) + 1e-12).mean()
+        if score < best:
+            best, kept = score, (precision, squares)
+    precision, squares = kept
+    each = np.median(squares, axis=0) / np.log(4)
+    common = max(np.median(squares) / np.log(4), np.quantile(squares, 0.9) / np.log(100))
+    return _Normal(own, precision, (m + POOLED) / np.maximum(m * each + POOLED * common, 1e-3))
+
+
+def _left_out(away: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared Mahalanobis distances and distances (m, n) of points to predictions without their own shape."""
+    m = len(away)
+    across = away @ precision
+    share, lever = m / (m - 1) ** 2, np.einsum("ij,ij->i", across, away)[:, None]
+    across = across.reshape(m, -1, 2)
+    moves = np.einsum("kab,ikb->ika", np.linalg.inv(_blocks(precision)), across)
+    squares = np.einsum("ika,ika->ik", moves, across)
+    left = np.maximum(1 - share * lever, 0.01)  # without the shape itself, by the formula of Sherman and Morrison
+    return squares / left / (left + share * squares), np.linalg.norm(moves, axis=2) / (left + share * squares)
+
+
+def _blocks(precision: np.ndarray) -> np.ndarray:
+    """Blocks (n, 2, 2) of each point in a matrix (2 n, 2 n)."""
+    n, every = len(precision) // 2, np.arange(len(precision) // 2)
+    return precision.reshape(n, 2, n, 2)[every, :, every]
+
+
+def _outliers(normal: _Normal, i: int, own: np.ndarray, limit: float) -> Outliers:
+    """Leave out points of shape ``i``, with deviations ``own`` (n, 2) from the mean, until it is ordinary."""
+    centre, precision = normal.without(i)
+    away = (own.ravel() - centre).reshape(-1, 2)
+    n, gone, instead = len(own), [], ()
+    while True:
+        across, blocks = (precision @ away.ravel()).reshape(n, 2), _blocks(precision).copy()
+        blocks[gone], across[gone] = np.eye(2), 0.0
+        moves = np.linalg.solve(blocks, across[..., None])[..., 0]
+        squares = (moves * across).sum(axis=1) * normal.scales
+        unusual = np.where(np.linalg.norm(moves, axis=1) > LEAST_DISTANCE, squares, 0.0)
+        worst = int(unusual.argmax())
+        if unusual[worst] <= limit or len(gone) >= max((n - 2) // 2, 1):
+            break
+        if not gone:
+            instead = tuple(np.flatnonzero(unusual > unusual[worst] - ALIKE).tolist())
+        gone.append(worst)
+        columns = precision[:, 2 * worst : 2 * worst + 2]
+        precision = precision - columns @ np.linalg.solve(blocks[worst], columns.T)
+    if gone:
+        at = np.add.outer(2 * np.array(gone), [0, 1]).ravel()
+        whole = normal.without(i)[1]
+        moves[gone] = np.linalg.solve(whole[np.ix_(at, at)], (whole @ away.ravel())[at]).reshape(-1, 2)
+    others = tuple(k for k in instead if k not in gone) if len(gone) == 1 else ()
+    return Outliers(tuple(gone), others, own - moves)
