@@ -42,7 +42,7 @@ def test_all_outputs(run, model_file, clip, moving, tmp_path):
     assert all(str(path) in out for path in names.values())
     rows = rows_of(names["track.csv"])
     assert [row["status"] for row in rows] == ["found"] + ["tracked"] * 5
-    found = np.array([[float(rows[3][f"{a}{i}"]) for a in "xy"] for i in range(58)])
+    found = np.array([[float(rows[3][f"{a}{i}"]) for a in "xy"] for i in range(1, 59)])
     assert np.linalg.norm(found - moving[3].landmarks, axis=1).mean() < 4
     drawn, fresh = frames_of(names["drawn.mp4"]), frames_of(names["fresh.mp4"])
     assert len(drawn) == len(fresh) == 6
@@ -71,7 +71,7 @@ def test_a_folder_of_frames_is_tracked(run, model_file, moving, tmp_path):
         ("found", "0.0000"),
         *(("tracked", t) for t in ("0.0400", "0.0800")),
     ]
-    found = np.array([[float(rows[2][f"{a}{i}"]) for a in "xy"] for i in range(58)])
+    found = np.array([[float(rows[2][f"{a}{i}"]) for a in "xy"] for i in range(1, 59)])
     assert np.linalg.norm(found - moving[2].landmarks, axis=1).mean() < 4
     assert len(frames_of(tmp_path / "drawn.mp4")) == 3
 
@@ -239,7 +239,7 @@ def test_all_outputs_of_a_long_video(run, model_file, clip, moving, tmp_path, in
     assert [int(row["frame"]) for row in rows] == list(range(24))
     assert [row["status"] for row in rows] == ["found"] + ["tracked"] * 23
     for row, scene in zip(rows, moving, strict=True):
-        found = np.array([[float(row[f"{a}{i}"]) for a in "xy"] for i in range(58)])
+        found = np.array([[float(row[f"{a}{i}"]) for a in "xy"] for i in range(1, 59)])
         assert np.linalg.norm(found - scene.landmarks, axis=1).mean() < 4
     shown, fresh = frames_of(clip), frames_of(names["fresh.mp4"])
     assert len(frames_of(names["drawn.mp4"])) == len(fresh) == 24

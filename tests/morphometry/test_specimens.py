@@ -161,7 +161,9 @@ def test_tables_of_batches_keep_the_names_of_landmarks(tmp_path: Path, suffix: s
     if suffix == ".csv":
         first = path.read_text().partition("\n")[0].split(",")
         assert first[8:10] == ([f"x_{names[0]}", f"y_{names[0]}"] if names else ["x1", "y1"])
-        np.testing.assert_array_equal(read_collection(path)["a.png"].points, POINTS)  # as a start of other fits
+        start = read_collection(path)["a.png"]  # of other fits
+        order = [start.names.index(name) for name in names] if start.names else slice(None)
+        np.testing.assert_array_equal(start.points[order], POINTS)
 
 
 def test_tables_of_earlier_versions_count_from_0(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def update(video: LiveVideo, image, frame: Frame) -> bytes:
 
 
 def points_of(row: dict[str, str]) -> np.ndarray:
-    return np.array([[float(row[f"x{i}"]), float(row[f"y{i}"])] for i in range(58)])
+    return np.array([[float(row[f"x{i}"]), float(row[f"y{i}"])] for i in range(1, 59)])
 
 
 def test_rows_are_those_of_a_tracker(head_model, images):

@@ -44,8 +44,7 @@ def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
         if plain(key) not in _OTHERS:
             axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
             found.setdefault(key, {})[axis.lower()] = i
-    whole = {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
-    return {key: whole[key] for key in sorted(whole, key=natural_key)} if all(map(str.isdigit, whole)) else whole
+    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
 
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
@@ -53,14 +52,17 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
     first, *rows = rows_of(source)
     rows = [(number, row) for number, row in rows if any(row)]
     check_widths(first[1], rows)
-    pairs = _pairs(first[1])
+    given = _pairs(first[1])
+    numbered = all(map(str.isdigit, given))
+    pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
         raise LandmarkError("it has columns of z: export x and y only.")
     name = _name_column(source, header_of(source), rows, {i for axes in pairs.values() for i in axes.values()})
-    names = () if all(key.isdigit() for key in pairs) else tuple(pairs)
+    # Numbers out of order may be the names of landmarks in another order.
+    names = () if numbered and list(pairs) == list(given) else tuple(pairs)
 
-    def make(numbered: Row) -> Landmarks:
-        number, row = numbered
+    def make(line: Row) -> Landmarks:
+        number, row = line
         points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
         return Landmarks(points, names=names, image_name=None if name is None else row[name].strip())
 
