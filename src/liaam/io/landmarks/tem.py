@@ -3,7 +3,8 @@
 The numbers are taken as pixel centres counted from 0, without a shift. Neither program documents whether its origin is
 the centre or the corner of the first pixel, and landmarks are placed by hand to about a pixel. Line templates become
 contours: a count, then for each line 0 (open) or 1 (closed), the number of points and their indices from 0. A line
-that ends at its first point is closed, and a line with only one distinct point is dropped.
+that ends at its first point is closed, and a line with only one distinct point is dropped. Numbers that some versions
+write after the lines are ignored.
 """
 
 from collections.abc import Iterator
@@ -33,9 +34,6 @@ def _contours(tokens: list[str]) -> list[Contour | None]:
         closed = _next(stream) == 1
         indices = [_next(stream) for _ in range(_next(stream))]
         contours.append(contour_of(indices, closed))
-    left = sum(1 for _ in stream)
-    if left:
-        raise LandmarkError(f"it goes on for {left} values after its last line template: export it again.")
     return contours
 
 
