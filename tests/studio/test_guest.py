@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
+from liaam.fitting.held import methods_of
 from liaam.studio.generated import CALIBRATION, trained
 from liaam.studio.model_store import ModelStore, model_json
 from liaam.studio.safety import GUEST, UPLOADS
@@ -34,6 +35,7 @@ def test_a_guest_is_used_until_it_leaves(page, head_model):
     guest = model_of(page)
     assert (guest["source"], guest["name"], guest["n_points"]) == ("guest", "kate", head_model.n_points)
     assert guest["number"] > own["number"]
+    assert tuple(guest["methods"]) == methods_of(head_model)
     assert page.client.delete(GUEST).status_code == 204
     assert model_of(page) == own
 

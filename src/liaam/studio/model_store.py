@@ -227,6 +227,8 @@ def model_json(
 
     ``done`` holds the revisions of the pictures for training by name; ``unread`` are those not known yet.
     """
+    from liaam.fitting.held import methods_of
+
     if current is None:
         return None
     model, facts = current.model, current.facts
@@ -245,6 +247,7 @@ def model_json(
         "stale": changed + len(lost),
         "careful": current.is_careful,
         "colour": model.is_colour,
+        "methods": methods_of(model),
         "triangles": model.triangles.tolist(),
         "theta_deg": float(np.rad2deg(model.theta)),
         "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],

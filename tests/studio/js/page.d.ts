@@ -45,6 +45,8 @@ interface Model {
   stale: number;
   careful: boolean;
   colour: boolean;
+  /** Methods that it can fit with. */
+  methods: string[];
   triangles: number[][];
   theta_deg: number;
   contours: Contour[];

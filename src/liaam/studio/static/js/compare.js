@@ -1,7 +1,7 @@
 // The Compare tab: two methods on the same picture, side by side, with the same zoom.
 
 import { api } from "./api.js";
-import { drawFit, drawTruth, entries, modelNeeded, Overlays } from "./fit-draw.js";
+import { drawFit, drawTruth, entries, modelNeeded, offer, Overlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
 import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
 import { button, h, icon, isPlain, press } from "./ui.js";
@@ -197,6 +197,7 @@ class CompareTab {
     const another = this._number !== undefined && this._number !== number;
     this._number = number;
     this._overlays.hasContours = Boolean(model?.contours.length);
+    this.sides.forEach((side) => offer(side.select, model));
     this._emptiness();
     if (!another) return;
     this.sides.forEach((side) => side.reset());

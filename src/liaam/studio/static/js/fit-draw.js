@@ -68,6 +68,15 @@ export function modelNeeded(app, testid = null) {
   ];
 }
 
+/** Let a select of methods offer those that the model was trained for.
+ *  @param {HTMLSelectElement} select; @param {Model | null} model */
+export function offer(select, model) {
+  for (const option of select.options) {
+    option.disabled = Boolean(model) && !model.methods.includes(option.value);
+    option.textContent = option.value + (option.disabled ? " (not trained)" : "");
+  }
+}
+
 /** Terms and values as the entries of a <dl>. */
 export const entries = (rows) =>
   rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));

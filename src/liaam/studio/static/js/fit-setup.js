@@ -1,6 +1,6 @@
 // The Fit tab's panel for the picture, the start and the method.
 
-import { modelNeeded } from "./fit-draw.js";
+import { modelNeeded, offer } from "./fit-draw.js";
 import { invitation } from "./fit-only.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
@@ -36,7 +36,7 @@ export class SetupPanel {
     this._hint = h("p.small.muted", { hidden: true });
     const { methods, default_method: first } = app.state.project;
     const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
-    const method = h("select.text", {
+    const method = this._method = h("select.text", {
       "aria-describedby": "fit-method-summary", testid: "fit-method",
       onchange: () => {
         summarise();
@@ -79,6 +79,7 @@ export class SetupPanel {
     this._needsModel.hidden = Boolean(model);
     if (!model && source && !this._invited) this._needsModel.append((this._invited = invitation(this._app)));
     this._withModel.hidden = !model;
+    offer(this._method, model);
     this._mismatch.textContent = mismatch;
     this._mismatch.hidden = !mismatch;
     this.canRun = Boolean(source);
