@@ -20,9 +20,9 @@ LEAST_POINTS = 4
 RISK = 0.01
 """Probability that a set of images without misplaced points has any reported, if its shapes vary normally."""
 
-PRECISION, LEAST_DISTANCE = 0.001, 0.03
+PRECISION, LEAST_DISTANCE = 0.003, 0.05
 """Usual precision of landmarks, and least distance of a misplaced one, as fractions of the shape's diagonal. The
-second allows for turned faces."""
+second allows for turned faces and open mouths."""
 
 SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Candidate variances of independent points, as fractions of the mean variance of a coordinate."""
