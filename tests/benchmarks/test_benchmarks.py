@@ -4,7 +4,7 @@ from itertools import islice
 
 import pytest
 
-from benchmarks import batch, fit, iteration, many, relight, search, soak, track
+from benchmarks import batch, fit, iteration, many, relight, search, track
 from experiments.relit import lit_pairs
 
 pytestmark = pytest.mark.slow
@@ -76,17 +76,6 @@ def test_the_benchmark_of_growth_in_modes_runs(monkeypatch, capsys, method):
     monkeypatch.setattr(fit, "BARS", {method.replace("_", "-"): 1.0})
     fit.measure_modes()
     assert f"modes_exponent_{method}" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_the_benchmark_of_a_day_in_the_studio_runs(monkeypatch):
-    monkeypatch.setattr(soak, "SCALE", 1)
-    monkeypatch.setattr(soak, "REST", 0.0)
-    told = []
-    hour = soak.Hour(pictures=6, by_hand=5, drags=1, fits=1, uploads=1, pages=2)
-    memory = soak.measure(1, hour, lambda *facts: told.append(facts))
-    assert memory[0] > 100_000_000
-    assert told[0][0] == 1 and told[0][3] > 50
 
 
 @pytest.mark.slow

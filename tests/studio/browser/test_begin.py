@@ -196,8 +196,7 @@ def test_a_light_is_exported_as_it_is_shown(relight):
     assert "%22softness%22%3A0.3" in relight.locator("[data-testid=export-relit]").get_attribute("href")
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+@pytest.mark.parametrize(("size", "theme"), list(zip(SIZES, ("light", "dark", "light"), strict=True)))
 def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, size, theme, artefacts):
     from axe_playwright_python.sync_playwright import Axe
 
