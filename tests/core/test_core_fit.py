@@ -2,6 +2,7 @@
 
 import _thread
 import pickle
+import signal
 import subprocess
 import sys
 import threading
@@ -105,6 +106,7 @@ def test_images_of_any_layout_are_fitted(model, lit_scene, kind):
 
 def test_ctrl_c_ends_a_fit(fine_model, lit_scene):
     """A fit that would take minutes ends within a fifth of a second."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     objective = finest_objective(fine_model, "grey")
     image, p = make_level(fine_model, lit_scene.image, disturb(lit_scene.landmarks), objective)
     endless = SolverOptions(max_iterations=1_000_000, tolerance=0.0, damping=0.0)
@@ -116,8 +118,11 @@ def test_ctrl_c_ends_a_fit(fine_model, lit_scene):
 
     timer = threading.Timer(0.3, press)
     timer.start()
-    with pytest.raises(KeyboardInterrupt):
-        objective.solve(image, objective.start(p), endless)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            objective.solve(image, objective.start(p), endless)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert time.monotonic() - pressed[0] < 0.2
 
 
