@@ -17,6 +17,7 @@ from liaam.io import Landmarks, read_landmarks, to_dataframe
 from liaam.io.files import count_of, some_names
 from liaam.io.tables import Columns, landmark_columns
 from liaam.model import AAM
+from liaam.model.shape import diagonal_of
 from liaam.morphometry.measures import Measure
 from liaam.morphometry.table import indices_of
 from liaam.plotting.errors import figure_of_worst, plot_cumulative
@@ -365,16 +366,16 @@ def _protocol(
         raise LiaamError(what) from None
     ends = indices_of(f"normalise '{normalise}'", landmarks, names, n_points)
     what = f"the distance between landmarks {normalise}"
-    return _Protocol(names, n_points, lambda points: _distance(points[ends]), what, limit or LIMIT_BY_DISTANCE)
+
+    def distance(points: np.ndarray) -> float:
+        return float(np.linalg.norm(np.subtract(*points[ends])))
+
+    return _Protocol(names, n_points, distance, what, limit or LIMIT_BY_DISTANCE)
 
 
 def _diagonal(points: np.ndarray) -> float:
     known = points[np.isfinite(points).all(axis=1)]
-    return float(np.linalg.norm(np.ptp(known, axis=0))) if len(known) else np.nan
-
-
-def _distance(ends: np.ndarray) -> float:
-    return float(np.linalg.norm(ends[1] - ends[0]))
+    return diagonal_of(known) if len(known) else np.nan
 
 
 def _cases(samples: Sequence[Sample], protocol: _Protocol) -> tuple[list[_Case], list[str]]:
