@@ -143,6 +143,17 @@ def test_names_decide_and_images_that_do_not_suit_are_left_out(small, scenes):
         liaam.evaluate(small, [first], limit=0.0)
 
 
+def test_each_image_keeps_its_start_where_others_are_left_out(small, scenes):
+    first, second = as_samples(scenes[4:])
+    few = Sample("few", SQUARE, Landmarks(SQUARE))
+    starts = [first.landmarks.points, SQUARE, second.landmarks.points]
+    found = liaam.evaluate(small, [first, few, second], starts, "grey")
+    whole = liaam.evaluate(small, [first, second], starts[::2], "grey")
+    np.testing.assert_array_equal(found.landmarks, whole.landmarks)
+    with pytest.raises(LiaamError, match="3 images but 2 starts"):
+        liaam.evaluate(small, [first, few, second], starts[:2], "grey")
+
+
 def test_of_several_objects_the_nearest_counts(small, scenes):
     image, points = scenes[4].image, scenes[4].landmarks
     two = [Sample("a", image, Landmarks(points + 60)), Sample("a#2", image, Landmarks(points))]
@@ -203,5 +214,7 @@ def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):
     ):
         code, _, err = run_folds(*more)
         assert code == 1 and words in err
+    code, _, err = run("evaluate", tmp_path / "none.liaam", folder / "faces", "-o", tmp_path / "none")
+    assert code == 1 and not (tmp_path / "none").exists()
     code, _, err = run("evaluate", folder / "faces")
     assert code == 1 and "give a model and a folder of landmarked images, or one folder and --folds 5" in err

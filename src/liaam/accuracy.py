@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,6 +13,7 @@ from liaam.datasets import Sample
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import landmark_errors, within_ellipses
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, fit_each
+from liaam.fitting.many import starts_for
 from liaam.fitting.methods import DEFAULT_METHOD, get_method
 from liaam.io import Landmarks, read_landmarks, to_dataframe
 from liaam.io.files import count_of, some_names
@@ -204,10 +206,11 @@ class Evaluation:
 
 
 class _Case(NamedTuple):
-    """An image, and the landmarks and the normaliser of each of its objects."""
+    """An image, its number among all images, and the landmarks and the normaliser of each of its objects."""
 
     name: str
     image: Any
+    number: int
     truths: list[np.ndarray]
     sizes: list[float]
 
@@ -244,8 +247,8 @@ def evaluate(
         the model's. Images that cannot be used are left out. Of several objects in an image, the fit is compared with
         the nearest.
     init : start, or iterable of starts, optional
-        One start for all images, or one per image, as for :func:`liaam.fit_many`. By default the objects are searched
-        for.
+        One start for all images, or one per image of ``samples``, as for :func:`liaam.fit_many`. By default the objects
+        are searched for.
     method : str or Method
     normalise : str, optional
         Errors are relative to the distance between two landmarks, such as ``"37-46"`` (numbers from 1, or names). By
@@ -275,7 +278,8 @@ def evaluate(
     fitter, samples = Fitter.of(model, method, **settings), _samples(samples)
     protocol = _protocol(samples, model.landmark_names, model.n_points, normalise, limit)
     cases, left_out = _cases(samples, protocol)
-    return _evaluation(zip(cases, _fits(fitter, cases, init, workers, progress), strict=True), protocol, left_out)
+    starts = _starts(init, cases, len({_key(sample.image) for sample in samples}))
+    return _evaluation(zip(cases, _fits(fitter, cases, starts, workers, progress), strict=True), protocol, left_out)
 
 
 def cross_validate(
@@ -381,14 +385,16 @@ def _diagonal(points: np.ndarray) -> float:
 def _cases(samples: Sequence[Sample], protocol: _Protocol) -> tuple[list[_Case], list[str]]:
     """Group samples by image. Also return why others are left out."""
     cases: dict[Any, _Case] = {}
+    numbers: dict[Any, int] = {}
     left_out = []
     for sample in samples:
+        number = numbers.setdefault(_key(sample.image), len(numbers))
         try:
             truth = _truth(sample, protocol)
         except LandmarkError as fault:
             left_out.append(str(fault))
             continue
-        case = cases.setdefault(_key(sample.image), _Case(sample.name, sample.image, [], []))
+        case = cases.setdefault(_key(sample.image), _Case(sample.name, sample.image, number, [], []))
         case.truths.append(truth)
         case.sizes.append(protocol.size_of(truth))
     return list(cases.values()), left_out
@@ -411,6 +417,15 @@ def _truth(sample: Sample, protocol: _Protocol) -> np.ndarray:
     if not protocol.size_of(points) > 0:
         raise LandmarkError(f"{sample.name}: {protocol.normaliser} is 0 or unknown, since landmarks are missing")
     return points
+
+
+def _starts(init: Any, cases: Sequence[_Case], n_images: int) -> Any:
+    """Return the start of all images, or those of the cases."""
+    starts = starts_for(init, n_images)
+    if isinstance(starts, repeat):
+        return init
+    each = list(starts)
+    return [each[case.number] for case in cases] if len(each) == n_images else each
 
 
 def _fits(

@@ -99,10 +99,10 @@ def evaluate(
     from liaam.training.left_out import describe_objects
 
     model_file, folder = model_and_folder(sources, folds, init)
-    check_outputs(output, folder)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, group, y_down, stored_orientation)
     data = read_folder(folder, images, recursive, reading)
+    check_outputs(output, folder)
     paths = [sample.image for sample in data if isinstance(sample.image, Path)]
     camera = camera_for(paths, camera_file, response, None if model is None else model.camera)
     options: dict[str, Any] = {"method": method, "normalise": normalise, "rotations": rotations, "camera": camera}

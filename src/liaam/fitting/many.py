@@ -138,7 +138,7 @@ def fit_each(
     if errors not in ERRORS:
         raise MethodError(f"unknown errors {errors!r}; choose from {', '.join(ERRORS)}")
     n_images = _count(images)
-    return _fits(fitter, _tasks(images, _starts(init, n_images)), workers, n_images, progress, errors)
+    return _fits(fitter, _tasks(images, starts_for(init, n_images)), workers, n_images, progress, errors)
 
 
 def _fits(
@@ -202,8 +202,8 @@ def _is_path(image) -> bool:
     return isinstance(image, (str, os.PathLike))
 
 
-def _starts(init, n_images: int | None) -> Iterable:
-    """Return an iterable over the starts of the images."""
+def starts_for(init, n_images: int | None) -> Iterable:
+    """Return an iterable over the starts of the images: a :class:`itertools.repeat` if there is one for all."""
     if init is None or _is_one_start(init):
         return repeat(init)
     if _is_path(init) or not isinstance(init, Iterable):
