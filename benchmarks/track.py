@@ -21,9 +21,7 @@ from liaam.io import Contour, Landmarks, VideoFrame, VideoReader
 from liaam.model import AAM
 from liaam.tracking import TrackedFrame, Tracker
 from liaam.tracking.shading import ShadingRemover
-from liaam.tracking.stretches import TrackJob, cut, track_stretches
 from liaam.training import train
-from liaam.workers import all_cores
 
 FRAMES = 300
 """Number of tracked frames; the argument of ``python -m benchmarks.track`` (4800: all)."""
@@ -123,15 +121,6 @@ def overhead(model: AAM, video: Path, results: Sequence[FitResult], n: int = 100
     return 1e3 * (thread_time() - spent) / seen, 1e3 * (perf_counter() - before) / seen
 
 
-def file_rate(model: AAM, video: Path) -> tuple[float, str]:
-    """Frames per second of ``liaam track`` on the whole file, with all cores, including their start."""
-    before, n = perf_counter(), 0
-    stretches = cut(0, None, VideoReader(video).n_frames)
-    for stretch in track_stretches(TrackJob(Tracker(model), str(video)), stretches, all_cores()):
-        n += len(stretch.frames)
-    return n / (perf_counter() - before), f"{n} frames, {len(stretches)} stretches, {all_cores()} cores"
-
-
 def flicker(model: AAM, pictures: Iterator[np.ndarray], shapes: np.ndarray) -> float:
     """Median over the object's pixels of the second difference over time of grey values, of 255."""
     inner = model.warp.interpolate
@@ -171,7 +160,6 @@ def measure(model: AAM, video: Path, n: int) -> None:
     report("track_quality", float(np.median([frame.quality for frame in tracked])))
     own_rate = f"of one core {len(tracked) / busy:.1f}"
     report("track_frames_per_second", len(tracked) / seconds, own_rate, form=".1f")
-    report("track_file_frames_per_second", *file_rate(model, video), form=".1f")
     own_part, whole = overhead(model, video, results)
     report("track_overhead_ms", own_part, f"waiting included {whole:.2f}", form=".2f")
     report("track_trembling_px", trembling(smooth), f"unsmoothed {trembling(raw):.3f}")

@@ -8,8 +8,8 @@ import pytest
 
 from liaam.cli import video as cli_video
 from liaam.evaluation import ranges_of
-from liaam.io import VideoFrame, VideoReader, video_writer, write_image, write_landmarks
-from liaam.tracking import Tracker, TrackingOptions, stretches
+from liaam.io import VideoReader, video_writer, write_image, write_landmarks
+from liaam.tracking import Tracker, TrackingOptions
 
 
 @pytest.fixture(scope="module")
@@ -222,49 +222,6 @@ def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatc
     assert signal.getsignal(signal.SIGINT) is handler
 
 
-@pytest.fixture
-def in_stretches(monkeypatch):
-    """Track the clip as a long video is tracked: in three stretches."""
-    monkeypatch.setattr(stretches, "LENGTH", 8)
-
-
-def test_all_outputs_of_a_long_video(run, model_file, clip, moving, tmp_path, in_stretches):
-    names = {name: tmp_path / name for name in ("track.csv", "drawn.mp4", "fresh.mp4")}
-    options = ("-o", names["track.csv"], "--video", names["drawn.mp4"], "--shading-free", names["fresh.mp4"])
-    low, high = moving[0].landmarks.min(0), moving[0].landmarks.max(0)
-    init = ("--init", ",".join(f"{v:.0f}" for v in (*low, *high)))
-    code, _, err = run("track", model_file, clip, *options, *init, "--jobs", 1)
-    assert (code, err) == (0, "")
-    rows = rows_of(names["track.csv"])
-    assert [int(row["frame"]) for row in rows] == list(range(24))
-    assert [row["status"] for row in rows] == ["found"] + ["tracked"] * 23
-    for row, scene in zip(rows, moving, strict=True):
-        found = np.array([[float(row[f"{a}{i}"]) for a in "xy"] for i in range(1, 59)])
-        assert np.linalg.norm(found - scene.landmarks, axis=1).mean() < 4
-    shown, fresh = frames_of(clip), frames_of(names["fresh.mp4"])
-    assert len(frames_of(names["drawn.mp4"])) == len(fresh) == 24
-    assert all(np.abs(a.astype(int) - b).mean() > 1.5 for a, b in zip(shown, fresh, strict=True))
-
-
-def test_ctrl_c_leaves_what_was_done_of_a_long_video(run, model_file, clip, tmp_path, monkeypatch, in_stretches):
-    interrupt_at(9, monkeypatch)
-    monkeypatch.setattr(stretches, "POLLED", 0.001)
-    code, _, err = run("track", model_file, clip, "-o", tmp_path / "t.csv", "--jobs", 1)
-    assert code == 130
-    rows = rows_of(tmp_path / "t.csv")
-    assert [int(row["frame"]) for row in rows] == list(range(len(rows)))
-    assert 8 <= len(rows) < 24
-    assert f"stopped after {len(rows)} frames" in err
-    assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
-
-
-@pytest.mark.slow
-def test_processes_write_the_same_file(run, model_file, clip, tmp_path, in_stretches):
-    for jobs in (1, 2):
-        assert run("track", model_file, clip, "-o", tmp_path / f"{jobs}.csv", "-j", jobs)[0] == 0
-    assert (tmp_path / "1.csv").read_bytes() == (tmp_path / "2.csv").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -301,12 +258,6 @@ def test_errors_name_fault_and_remedy(run, model_file, clip, tmp_path, monkeypat
     assert "Traceback" not in err
     assert own.read_text() == film.read_text() == "x,y\n1,2\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.csv", "own.mp4"]
-
-
-def test_pictures_are_those_of_the_number():
-    frames = [VideoFrame(i, 0.04 * i, np.zeros((2, 2, 3), np.uint8)) for i in (0, 1, 3, 4)]
-    shown = cli_video.by_number(iter(frames))
-    assert [shown(number).index for number in range(6)] == [0, 1, 3, 3, 4, 4]
 
 
 def test_ranges_in_words():

@@ -194,19 +194,6 @@ def test_frames_are_reviewed_by_their_number(head_model, moving, monkeypatch, re
     assert found == reviewed
 
 
-def test_who_goes_on_with_a_track_reviews_the_same_frames(head_model, moving, monkeypatch):
-    tracker, other = (Tracker(head_model, options=TrackingOptions(review=3)) for _ in range(2))
-    for i in range(4):
-        tracker.update(moving[i].image)
-    other.resume(tracker.state)
-    found = []
-    for each in (tracker, other):
-        monkeypatch.setattr(each, "_reviewed", lambda _pixels, _followed, name: found.append(name))
-        for i in range(4, 8):
-            each.update(moving[i].image)
-    assert found == ["frame 6"] * 2
-
-
 def test_what_knows_no_quality_is_not_reviewed(head_model, moving, monkeypatch):
     tracker = Tracker(head_model, "li", init=moving[0].landmarks, options=TrackingOptions(review=1))
     tracker.update(moving[0].image)

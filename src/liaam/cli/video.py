@@ -3,7 +3,7 @@
 import signal
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +21,7 @@ from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, VideoWriter, read_start, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path
-from liaam.io.video import can_enter, check_video_name, is_video
+from liaam.io.video import check_video_name, is_video
 from liaam.progress import Progress
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
     from liaam.tracking.shading import ShadingRemover
-    from liaam.tracking.stretches import Stretch
 
 
 def track(
@@ -71,15 +70,6 @@ def track(
     ellipses: EllipsesOption = False,
     camera_file: CameraOption = None,
     response: ResponseOption = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            "--jobs",
-            "-j",
-            help="Worker processes that track parts of a long video in parallel. By default one per core.",
-            min=1,
-        ),
-    ] = None,
 ) -> None:
     """Track an object through a video. Writes a table of landmarks, and on request videos with them or without shading.
 
@@ -100,19 +90,14 @@ def track(
     tracker.name = reader.name
     with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
-        pictures, fits = annotated is not None or shading_free is not None, shading_free is not None
-        task = Task(reader, tracker, start, stop, init, jobs, pictures, fits, progress, stopped)
-        stretches = stretches_of(task)
-        for frame, tracked, result in files.enter_context(
-            closing(side_by_side(task, stretches) if len(stretches) > 1 else one_by_one(task))
-        ):
+        for frame, tracked in files.enter_context(closing(frames_of(tracker, reader, init, progress, stopped))):
             counts.add(tracked)
             for sink in sinks:
-                sink(frame, tracked, result)
+                sink(frame, tracked, tracker.result)
     report(counts, [output, *(path for path in (annotated, shading_free) if path is not None)])
     if stopped():
         raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
-    faults = [task.fault] if task.fault else []
+    faults = [reader.fault] if reader.fault else []
     if counts.n_grey and not counts.n_unshaded:
         faults.append(
             f"{shading_free} is an unchanged copy of {reader.name}: every frame with the object is grey (three equal "
@@ -271,96 +256,20 @@ def caption_of(tracked: "TrackedFrame") -> str:
     return "   ".join(parts)
 
 
-@dataclass
-class Task:
-    """A video to track, its tracker, and whether images and fits of the frames are needed."""
-
-    reader: VideoReader
-    tracker: "Tracker"
-    start: int
-    stop: int | None
-    init: str | None
-    jobs: int | None
-    pictures: bool
-    fits: bool
-    progress: Progress
-    stopped: Callable[[], bool]
-    fault: str = ""
-    """Fault of the video that stopped reading, if any."""
-
-    def set_start(self, size: tuple[int, int]) -> None:
-        """Set the tracker's start from ``--init``, for frames of size (width, height)."""
-        if self.init is not None:
-            self.tracker.init = read_start(self.init, Path(self.reader.name), size)
-
-
-Seen = tuple[VideoFrame, "TrackedFrame", "FitResult | None"]
-
-
-def stretches_of(task: Task) -> "list[Stretch]":
-    """Cut a video into parts to track in parallel; empty unless it is a long file that can be read from its middle."""
-    from liaam.fitting.templates import is_searchable
-    from liaam.tracking.stretches import cut
-
-    reader = task.reader
-    if reader.live or not reader.announces or not is_searchable(task.tracker.model):
-        return []
-    stretches = cut(task.start, task.stop, reader.n_frames)
-    return stretches if len(stretches) > 1 and can_enter(reader.name, stretches[1].start) else []
-
-
-def one_by_one(task: Task) -> Generator[Seen, None, None]:
-    """Track a camera or a short video frame by frame."""
-    reader, tracker, pace = task.reader, task.tracker, Pace()
+def frames_of(
+    tracker: "Tracker", reader: VideoReader, init: str | None, progress: Progress, stopped: Callable[[], bool]
+) -> Iterator[tuple[VideoFrame, "TrackedFrame"]]:
+    """Track a video or a camera frame by frame, from the start ``init`` if there is one."""
+    pace = Pace()
     with reader:
         for n, frame in enumerate(reader, 1):
-            if n == 1:
-                task.set_start(frame.image.shape[1::-1])
+            if n == 1 and init is not None:
+                tracker.init = read_start(init, Path(reader.name), frame.image.shape[1::-1])
             tracked = tracker.update(frame.image, frame.time, frame.index)
-            yield frame, tracked, tracker.result
-            task.progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
-            if task.stopped():
+            yield frame, tracked
+            progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
+            if stopped():
                 return
-    task.fault = reader.fault
-
-
-def side_by_side(task: Task, stretches: "list[Stretch]") -> Generator[Seen, None, None]:
-    """Track parts of a long video in parallel. The frames hold images only if these are needed."""
-    from liaam.tracking.stretches import TrackJob, track_stretches
-    from liaam.workers import all_cores
-
-    reader, tracker, pace = task.reader, task.tracker, Pace()
-    if task.init is not None:
-        with VideoReader(reader.name, task.start, task.start + 1) as beginning:
-            task.set_start(next(iter(beginning)).image.shape[1::-1])
-    job = TrackJob(tracker, reader.name, task.fits)
-    nothing, total = np.empty((0, 0, 3), np.uint8), reader.n_frames or 0
-
-    def report_pace(n: int) -> None:
-        task.progress(n, total, f"{pace(n):.1f} frames/s")
-
-    tracked = track_stretches(job, stretches, task.jobs or all_cores(), report_pace, task.stopped)
-    with ExitStack() as open_:
-        shown = by_number(iter(open_.enter_context(reader))) if task.pictures else None
-        for stretch in open_.enter_context(closing(tracked)):
-            task.fault = task.fault or stretch.fault
-            for found, result in stretch.frames:
-                yield shown(found.index) if shown else VideoFrame(found.index, found.time, nothing), found, result
-                if task.pictures and task.stopped():  # do not spend time on drawing what is already tracked
-                    return
-
-
-def by_number(frames: Iterator[VideoFrame]) -> Callable[[int], VideoFrame]:
-    """Return a function that advances to the frame of a number, or the next one there is, or the last."""
-    frame = next(frames)
-
-    def at(number: int) -> VideoFrame:
-        nonlocal frame
-        while frame.index < number and (following := next(frames, None)) is not None:
-            frame = following
-        return frame
-
-    return at
 
 
 class Pace:

@@ -93,12 +93,8 @@ class VideoReader:
         Frames per second.
     n_frames : int or None
         Expected number of frames; None for a camera or if the file does not specify it.
-    announces : bool
-        Whether the file specifies its number of frames.
     live : bool
         Whether the source is a camera.
-    ended : bool
-        After the last frame: whether the source ended, rather than reading stopped at ``stop``.
     fault : str
         After the last frame: the fault of the file, such as that it is cut short; empty if there is none.
 
@@ -127,7 +123,6 @@ class VideoReader:
         known = self._source.n_frames
         last = stop if not known else min(known, stop or known)
         self.n_frames = None if last is None else max(0, last - start)
-        self.announces, self.ended = bool(known), False
         self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue()
         self._closed = threading.Event()
         self._n_given, self._all_given = 0, False
@@ -183,8 +178,6 @@ class VideoReader:
                     break
                 if index >= self._start:
                     self._put(VideoFrame(index, time, picture()))
-            else:
-                self.ended = True
             self._put(None)
         except BaseException as error:
             self._put(error)
@@ -551,12 +544,6 @@ def check_video_name(path: Path) -> None:
     """Raise if the suffix is not that of a video that can be written."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise VideoError(f"{path}: a video's name ends in {', '.join(VIDEO_SUFFIXES)}, such as {path.stem}.mp4")
-
-
-def can_enter(path: str | os.PathLike[str], start: int) -> bool:
-    """Return whether a file or a folder can be read from a frame on without decoding all earlier frames."""
-    with closing(_source_of(path)) as source:
-        return source.skip_to(start)
 
 
 def is_video(path: Path) -> bool:

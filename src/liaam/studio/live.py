@@ -31,7 +31,6 @@ from liaam.tracking import TrackedFrame, Tracker, TrackStatus
 from liaam.tracking.files import TrackRows
 from liaam.tracking.motion import rescaled
 from liaam.tracking.shading import ShadingRemover
-from liaam.tracking.tracker import TrackState
 
 AT_ONCE = 3
 """Frames of a video in progress: one arrives, one is tracked, and the shading of one is removed."""
@@ -60,7 +59,8 @@ class LiveVideo:
         self._begin()
 
     def _begin(self) -> None:
-        self._tracker.resume(TrackState(count=1))  # the first frame of a tracker raises if it is invalid
+        self._tracker.reset()
+        self._tracker.state.count = 1  # the first frame of a tracker raises if it is invalid
 
     @cached_property
     def _remover(self) -> ShadingRemover | None:

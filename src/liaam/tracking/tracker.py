@@ -179,7 +179,7 @@ class _Track:
 
 @dataclass(eq=False)
 class TrackState:
-    """State of a tracker between two frames, from which another one can continue; see :meth:`Tracker.resume`.
+    """State of a tracker between two frames.
 
     It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how many
     frames the object has been lost, the wait between searches and the time until the next one in frames, the size
@@ -247,11 +247,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget the object. The next frame counts as the first one."""
-        self.resume(TrackState())
-
-    def resume(self, state: TrackState) -> None:
-        """Continue from the state of a tracker with the same model and method."""
-        self.result, self.state = None, replace(state)
+        self.result, self.state = None, TrackState()
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
