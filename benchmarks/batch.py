@@ -72,7 +72,7 @@ class World:
         return psutil.Popen([str(part) for part in command], stdout=subprocess.DEVNULL)
 
     def run(self, n: int, output: str, *options: object) -> "Cost":
-        """Run a batch, including the start of its workers."""
+        """Run a batch, including the start of its process."""
         begin, before = time.perf_counter(), processor_seconds()
         most = watch(self.start(n, output, *options))
         return Cost(time.perf_counter() - begin, processor_seconds() - before, most)
@@ -90,7 +90,7 @@ def processor_seconds() -> float:
 
 
 def watch(process: psutil.Popen) -> float:
-    """Wait for a batch and return the peak memory of it and its workers, in MB."""
+    """Wait for a batch and return its peak memory, in MB."""
     most = 0
     while process.poll() is None:
         most = max(most, memory(process))
@@ -109,7 +109,7 @@ def memory(process: psutil.Popen) -> int:
 
 
 def measure_speed(world: World, n: int) -> None:
-    """Measure the rate of one process and of two. The difference of two runs excludes the start of the workers.
+    """Measure the rate of one thread and of two. The difference of two runs excludes the start of the process.
 
     Two parallel batches of one process each measure the gain that the machine allows.
     """

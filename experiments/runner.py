@@ -16,7 +16,13 @@ import csv
 import hashlib
 import io
 import json
+import multiprocessing
+import os
+import signal
+import threading
 from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -30,7 +36,7 @@ from liaam.io import make_folder, write_text_atomically
 from liaam.io.files import some_names
 from liaam.plotting import save_figure
 from liaam.progress import Progress
-from liaam.workers import WorkerDied, all_cores, in_workers, one_thread
+from liaam.workers import all_cores, flow, fresh_interpreters, one_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -313,13 +319,29 @@ def _in_turn(experiment: Experiment, tasks: list[Task], _jobs: int) -> Finished:
 
 def _in_workers(experiment: Experiment, tasks: list[Task], jobs: int) -> Finished:
     """Run tasks in worker processes. Yield them in order of completion."""
+    perform = partial(_perform_alone, experiment.work, experiment.skips_faults)
     try:
-        yield from in_workers(partial(_perform_alone, experiment.work, experiment.skips_faults), tasks, jobs)
-    except WorkerDied:
+        with ProcessPoolExecutor(jobs, fresh_interpreters(), _obey_parent) as pool:
+            try:
+                for task, future in flow(partial(pool.submit, perform), tasks, lambda: jobs + 1):
+                    yield task, future.result()
+            except BaseException:  # a task takes minutes
+                for worker in multiprocessing.active_children():
+                    worker.kill()
+                raise
+    except BrokenProcessPool:
         raise LiaamError(
             "a worker process died (killed, or out of memory); the same command goes on where it stopped, and needs "
             "less memory with fewer jobs"
         ) from None
+
+
+def _obey_parent() -> None:
+    """Ignore Ctrl-C in a worker process, which the parent handles, and end when the parent does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 def _perform_alone(work: Callable[[Any], list[Row]], skips_faults: bool, task: Task) -> Outcome:

@@ -134,7 +134,8 @@ def _journal() -> bytes:
         with Journal(Path(folder) / "x.parts") as journal:
             journal.restart(_FACTS)
             journal.list([f"{i}.png" for i in range(5)], lambda path: None)
-            journal.keep(["0.png", "1.png"], [("converged", json.dumps(_ROW)), ("error", json.dumps(_ROW))])
+            for path, status in (("0.png", "converged"), ("1.png", "error")):
+                journal.keep(journal.begin(path), (status, json.dumps(_ROW)))
         return (Path(folder) / "x.parts" / "journal.sqlite").read_bytes()
 
 
@@ -179,8 +180,8 @@ def check_journal(data: bytes) -> None:
         _ = journal.facts, journal.statuses, journal.total
         journal.check()
         journal.list([f"{i}.png" for i in range(1, 6)], lambda path: None)
-        for chunk in journal.todo(2):
-            journal.keep(chunk, [("error", json.dumps(_ROW)) for _ in chunk])
+        for path in [*journal.suspects(), *journal.todo()]:
+            journal.keep(journal.begin(path), ("error", json.dumps(_ROW)))
         rows = [(text, row) for text in journal.rows() if (row := row_of(text, 1, True)) is not None]
         if len(rows) < journal.total:
             raise journal.damage("a row")
@@ -277,7 +278,7 @@ def check_list(data: bytes) -> None:
 
     with Journal(Path("y.parts")) as journal:
         journal.list(listed_pictures(data.splitlines(keepends=True)), lambda name: None)
-        listed = [path for chunk in journal.todo(100) for path in chunk]
+        listed = list(journal.todo())
         journal.remove()
     for path in listed[:3]:
         _ = list(find_pictures(path.lstrip("/").replace("..", "_") or "x"))

@@ -46,7 +46,7 @@ def world(tmp_path_factory):
 
 def batch_of(world, output, pictures=None, **options):
     settings = Settings("grey", world.start, 20)
-    return run_batch(world.model, pictures or world.pictures, output, settings, jobs=1, chunk=1, **options)
+    return run_batch(world.model, pictures or world.pictures, output, settings, jobs=1, **options)
 
 
 def names_in(folder):
@@ -211,7 +211,7 @@ def test_a_model_that_changes_while_a_batch_runs_does_not_matter(world, tmp_path
             model.write_bytes(b"something else")
 
     settings = Settings("grey", world.start, 20)
-    summary = run_batch(model, world.pictures, tmp_path / "r.csv", settings, jobs=1, chunk=1, progress=disturb)
+    summary = run_batch(model, world.pictures, tmp_path / "r.csv", settings, jobs=1, progress=disturb)
     assert summary.statuses == {"converged": 5}
 
 

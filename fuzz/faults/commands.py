@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import multiprocessing
-import os
 import shutil
 import signal
 import sqlite3
@@ -15,7 +13,6 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
@@ -208,6 +205,7 @@ class Kind:
     outputs: tuple[str, ...]
     older: tuple[str, ...] = ()
     """Names of outputs that may be there before."""
+    most_kills: int = MOST_IN_A_ROW
     seconds: float = 0.0
     """Of an undisturbed run."""
     seconds_anew: float = 0.0
@@ -247,7 +245,7 @@ class Kind:
                 (folder / name).write_bytes(content)
         if rng.integers(INTERRUPTS) == 0:
             work.check_stopped(self._killed(work, room, rng, signal.SIGINT))
-        for _ in range(min(most, int(rng.integers(1, MOST_IN_A_ROW + 1)))):
+        for _ in range(min(most, int(rng.integers(1, self.most_kills + 1)))):
             end = self._killed(work, room, rng)
             if not end.killed:
                 succeeded(end)
@@ -268,50 +266,6 @@ class Kind:
             return Victim(run, work.folder, said).killed_after(rng.uniform(0, self.seconds), by)
         at = AtWrite(int(rng.integers(self.writes)), rng.choice([0.0, rng.uniform(0, LATE)]), by)
         return Victim(run, work.folder, said, at).ended()
-
-
-@dataclass
-class Workers(Kind):
-    """Work whose worker processes are killed, one in each run; it has to finish nevertheless.
-
-    Most workers are forked, which is quick; those of a new interpreter are spawned, as they are for users.
-    """
-
-    def run_of(self, arguments: list[str]) -> Callable[[], object]:
-        run = of_command(arguments)
-
-        def forked() -> object:
-            context = multiprocessing.get_context("fork")
-            with mock.patch.object(multiprocessing, "get_context", lambda _: context):
-                return run()
-
-        return forked
-
-    def trial(self, world: World, room: Path, rng: np.random.Generator, most: int) -> int:
-        folder = fresh(room / self.name)
-        work = self.make(self.arguments(world, folder), folder, self.expected)
-        if rng.integers(ANEW) == 0:
-            victim, seconds = Victim.anew(work.arguments, room / "said"), self.seconds_anew
-        else:
-            victim, seconds = Victim(self.run_of(work.arguments), folder, room / "said"), self.seconds
-        kills, end = 0, victim.wait(rng.uniform(0, seconds))
-        while end is None and not kills:
-            workers = victim.workers()
-            if workers:
-                kills = _kill(int(rng.choice(workers)))
-            else:
-                end = victim.wait(0.002)
-        succeeded(end or victim.ended())
-        work.check_done()
-        return kills
-
-
-def _kill(pid: int) -> int:
-    try:
-        os.kill(pid, signal.SIGKILL)
-    except ProcessLookupError:
-        return 0
-    return 1
 
 
 def fresh(folder: Path) -> Path:
@@ -342,12 +296,9 @@ def _train(world: World, folder: Path) -> list[str]:
     return ["train", str(world.pictures), "-o", str(folder / "m.liaam"), *options]
 
 
-def _batch(jobs: int) -> Callable[[World, Path], list[str]]:
-    def arguments(world: World, folder: Path) -> list[str]:
-        options = ("--init", world.start, "--method", "grey", "--jobs", str(jobs), "--chunk", "1")
-        return ["batch", str(world.model), str(world.pictures), "-o", str(folder / "r.csv"), *options]
-
-    return arguments
+def _batch(world: World, folder: Path) -> list[str]:
+    options = ("--init", world.start, "--method", "grey", "--jobs", "2")
+    return ["batch", str(world.model), str(world.pictures), "-o", str(folder / "r.csv"), *options]
 
 
 def _track(world: World, folder: Path) -> list[str]:
@@ -357,10 +308,8 @@ def _track(world: World, folder: Path) -> list[str]:
 
 def kinds() -> tuple[Kind, ...]:
     """All kinds of commands."""
-    table = ("r.csv", "r.csv.json")
     return (
         Kind("train", Work, _train, ("m.liaam",), older=("m.liaam",)),
-        Kind("batch", Batch, _batch(1), table),
-        Workers("workers", Batch, _batch(2), table),
+        Kind("batch", Batch, _batch, ("r.csv", "r.csv.json"), most_kills=1),  # an image that meets two is given up
         Kind("track", Track, _track, ("t.csv", "t.mp4")),
     )

@@ -140,11 +140,6 @@ class Victim:
             self.kill(signal_)
         return end or self.ended()
 
-    def workers(self) -> list[int]:
-        """Its worker processes."""
-        children = [(pid, _read(Path(f"/proc/{pid}/cmdline"))) for pid in _children(self.pid)]
-        return [pid for pid, command in children if command and b"resource_tracker" not in command]
-
 
 def of_command(arguments: Sequence[str]) -> Callable[[], object]:
     """What a process does that runs a command of liaam."""
@@ -212,15 +207,3 @@ def _watch(folder: Path, at: AtWrite | None, writes: Path | None) -> None:
         threading.Timer(at.late, os.kill, (os.getpid(), at.signal)).start()
 
     sys.addaudithook(hook)
-
-
-def _children(pid: int) -> list[int]:
-    found = b"".join(_read(path) for path in Path(f"/proc/{pid}/task").glob("*/children"))
-    return [int(number) for number in found.split()]
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError:
-        return b""

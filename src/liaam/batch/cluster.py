@@ -1,20 +1,21 @@
-"""Fit chunks on a running Dask cluster. Needs the extra ``cluster``."""
+"""Fit images on a running Dask cluster. Needs the extra ``cluster``."""
 
-import threading
 import uuid
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import Any, cast
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
 from liaam import __version__
-from liaam.batch.pools import Chunk, Finished, row_of_death
-from liaam.batch.work import Job, KeptRow, fit_chunk
+from liaam.batch.pools import Pool
+from liaam.batch.work import Job, KeptRow
 from liaam.errors import LiaamError
-from liaam.workers import AHEAD, flow
+from liaam.workers import AHEAD, one_thread
 
 PATIENCE = 30
 """Timeout in seconds for the scheduler, and for its first worker."""
@@ -29,41 +30,35 @@ class _Ready(WorkerPlugin):
     def setup(self, worker: Worker) -> None:
         if self.version != __version__:
             raise RuntimeError(f"worker {worker.address} has liaam {__version__}, not {self.version}")
-        self.turn = threading.Lock()
+        self.limits = ExitStack()
+        self.limits.enter_context(one_thread())  # a worker has as many threads as it is told to
 
-    def rows(self, chunk: Chunk) -> list[KeptRow]:
-        """Fit a chunk. The threads of a worker take turns, because the limit on BLAS threads is per process."""
-        with self.turn:
-            return fit_chunk(self.job, chunk)
+    def teardown(self, worker: Worker) -> None:
+        self.limits.close()
 
 
-def _fit_chunk(name: str, chunk: Chunk) -> list[KeptRow]:
+def _fit(name: str, path: str) -> KeptRow:
     ready: Any = get_worker().plugins[name]
-    return ready.rows(chunk)
+    return ready.job.kept_row(path)
 
 
-def on_cluster(job: Job, chunks: Iterable[Chunk], address: str) -> Finished:
-    """Fit chunks on the workers of a scheduler. Another worker takes over the chunks of a lost one."""
+@contextmanager
+def on_cluster(job: Job, address: str) -> Iterator[Pool]:
+    """Yield a pool of the workers of a scheduler. Another worker takes over the images of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
-        executor = client.get_executor(pure=False)
-        alone: list[Chunk] = []  # images of chunks whose workers died, filled by the first round
+        executor, threads = client.get_executor(pure=False), cast(Any, client.nthreads)
         try:
-            threads: Any = client.nthreads
-            for items, room in ((chunks, lambda: AHEAD * max(1, sum(threads().values()))), (alone, lambda: 1)):
-                for chunk, future in flow(lambda chunk: executor.submit(_fit_chunk, name, chunk), items, room):
-                    if future.cancelled():
-                        raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume")
-                    error = future.exception()
-                    if error is None:
-                        yield chunk, future.result()
-                    elif not isinstance(error, KilledWorker):
-                        raise LiaamError(f"{address}: the workers fail ({error}); {_REMEDY}") from error
-                    elif items is not alone:
-                        alone += [(path,) for path in chunk]
-                    else:
-                        yield chunk, [row_of_death(job, *chunk)]
+            yield Pool(
+                partial(executor.submit, _fit, name), lambda: AHEAD * max(1, sum(threads().values())), (KilledWorker,)
+            )
+        except CancelledError:
+            raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume") from None
+        except LiaamError:
+            raise
+        except Exception as error:
+            raise LiaamError(f"{address}: the workers fail ({error}); {_REMEDY}") from error
         finally:
-            executor.shutdown(wait=False)  # cancels pending chunks
+            executor.shutdown(wait=False)  # cancels pending images
 
 
 _REMEDY = f"they need liaam {__version__} and the same version of distributed as here"

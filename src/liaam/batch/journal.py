@@ -1,7 +1,8 @@
 """Images of a batch and their finished rows, on disk: one SQLite file in a folder beside the output.
 
-Rows are committed per chunk, so a kill loses only the chunks in progress. The file is locked while a batch runs, and
-the system releases the lock when the process ends for any reason.
+An image is noted before it is opened, and its row is committed when it is fitted: a kill loses only the images in
+progress, and an image during which a process died twice is known. The file is locked while a batch runs, and the system
+releases the lock when the process ends for any reason.
 """
 
 import contextlib
@@ -13,7 +14,6 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ PAGE = 1000
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pictures (
-    place BLOB NOT NULL, path BLOB NOT NULL, state TEXT, seen INTEGER, status TEXT, row TEXT, digest BLOB,
+    place BLOB NOT NULL, path BLOB NOT NULL, state TEXT, seen INTEGER, begun INTEGER DEFAULT 0,
+    status TEXT, row TEXT, digest BLOB,
     UNIQUE (place, path)
 );
 """
@@ -34,6 +35,7 @@ _LIST = """
 INSERT INTO pictures (place, path, state, seen) VALUES (?, ?, ?, 1)
 ON CONFLICT (place, path) DO UPDATE SET
     seen = 1,
+    begun = CASE WHEN state = excluded.state THEN begun ELSE 0 END,
     status = CASE WHEN state = excluded.state THEN status END,
     row = CASE WHEN state = excluded.state THEN row END,
     state = excluded.state
@@ -55,6 +57,7 @@ class Journal:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._in_progress: set[str] = set()
         self._file = folder / "journal.sqlite"
         if folder.exists() and not folder.is_dir():
             raise LiaamError(
@@ -82,6 +85,9 @@ class Journal:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._in_progress:  # stopped, not killed
+            with contextlib.suppress(LiaamError), self._change():
+                self._count_begun(-1, *self._in_progress)
         self._base.close()
 
     @property
@@ -133,22 +139,38 @@ class Journal:
             raise self.damage("a row has no status")
         return found
 
-    def todo(self, size: int) -> Iterator[tuple[str, ...]]:
-        """Iterate over images without a row, in order, in chunks of `size`."""
-        paths = (os.fsdecode(path) for (path,) in self._pages("path", "row IS NULL"))
-        while chunk := tuple(islice(paths, size)):
-            yield chunk
+    def todo(self) -> Iterator[str]:
+        """Iterate over images that have no row and were not in progress when a process died, in order."""
+        return (os.fsdecode(path) for (path,) in self._pages("path", "row IS NULL AND begun = 0"))
 
-    def keep(self, chunk: Iterable[str], rows: Iterable[tuple[str, str]]) -> None:
-        """Commit (status, row) of each image of a chunk to disk."""
-        names = [(path, os.fsencode(path)) for path in chunk]
-        entries = [
-            (*row, _digest(name, *row), place_of(path), name) for (path, name), row in zip(names, rows, strict=True)
-        ]
+    def suspects(self) -> dict[str, int]:
+        """Images without a row, and how often a process died while they were in progress."""
+        found = self._pages("path, begun", "row IS NULL AND begun > 0")
+        deaths = {os.fsdecode(path): number for path, number in found}
+        if not all(isinstance(number, int) for number in deaths.values()):
+            raise self.damage("a number is none")
+        return deaths
+
+    def begin(self, path: str) -> str:
+        """Note on disk that an image is now in progress, and return its path."""
         with self._change():
-            self._base.executemany(
-                "UPDATE pictures SET status = ?, row = ?, digest = ? WHERE place = ? AND path = ?", entries
+            self._count_begun(1, path)
+        self._in_progress.add(path)
+        return path
+
+    def keep(self, path: str, row: tuple[str, str]) -> None:
+        """Commit (status, row) of an image to disk."""
+        name = os.fsencode(path)
+        entry = (*row, _digest(name, *row), place_of(path), name)
+        with self._change():
+            self._base.execute(
+                "UPDATE pictures SET status = ?, row = ?, digest = ? WHERE place = ? AND path = ?", entry
             )
+        self._in_progress.discard(path)
+
+    def _count_begun(self, number: int, *paths: str) -> None:
+        entries = [(number, place_of(path), os.fsencode(path)) for path in paths]
+        self._base.executemany("UPDATE pictures SET begun = begun + ? WHERE place = ? AND path = ?", entries)
 
     def rows(self) -> Iterator[str]:
         """Iterate over all rows in the order of the images."""

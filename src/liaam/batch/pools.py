@@ -1,59 +1,36 @@
-"""Fit chunks in worker processes."""
+"""Where the images of a batch are fitted: in threads of this process."""
 
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
-from itertools import chain
 
-from liaam.batch.work import Job, KeptRow, failed_row, fit_chunk, kept
-from liaam.errors import LiaamError
-from liaam.workers import WorkerDied, in_workers
-
-Chunk = tuple[str, ...]
-Finished = Generator[tuple[Chunk, list[KeptRow]], None, None]
+from liaam.batch.work import Job, KeptRow
+from liaam.workers import limited_threads, one_thread
 
 
-def in_processes(job: Job, chunks: Iterable[Chunk], jobs: int) -> Finished:
-    """Fit chunks in worker processes. An image that crashes its worker becomes a row with an error."""
-    chunks = iter(chunks)
-    while True:
-        try:
-            yield from in_workers(partial(fit_chunk, job), chunks, jobs)
-            return
-        except WorkerDied as death:
-            suspects = [path for chunk in death.items for path in chunk]
-        yield from _one_by_one(job, suspects)
+@dataclass(frozen=True)
+class Pool:
+    """Fits images side by side.
 
-
-def row_of_death(job: Job, path: str) -> KeptRow:
-    """Return the row of an image that crashed its worker."""
-    message = f"{path}: the worker process died (killed or out of memory); check the image, or make it smaller"
-    return kept(job.complete(failed_row(path, message), None))
-
-
-def _one_by_one(job: Job, paths: list[str]) -> Finished:
-    """Fit images one at a time with one worker, to find the image that crashes it.
-
-    An image is tried twice, since the first worker may have been killed for another reason, such as the memory of
-    other programs.
+    Attributes
+    ----------
+    submit : callable
+        Takes the path of an image, and returns the future of its row.
+    room : callable
+        Returns how many images may be in progress now.
+    died : tuple of exception types
+        What a future raises if the process that fitted its image died.
     """
-    rest: Iterator[Chunk] = ((path,) for path in paths)
-    died: set[Chunk] = set()
-    while True:
-        try:
-            # The empty chunk detects a worker that cannot start, which no image causes.
-            for chunk, rows in in_workers(partial(fit_chunk, job), chain([()], rest), 1):
-                if chunk:
-                    yield chunk, rows
-            return
-        except WorkerDied as death:
-            (chunk,) = death.items
-        if not chunk:
-            raise LiaamError(
-                "worker processes cannot start: a script that uses more than one job needs "
-                "'if __name__ == \"__main__\":'; for other causes see the line above; --jobs 1 uses no workers"
-            )
-        if chunk in died:
-            yield chunk, [row_of_death(job, *chunk)]
-        else:
-            died.add(chunk)
-            rest = chain([chunk], rest)
+
+    submit: Callable[[str], "Future[KeptRow]"]
+    room: Callable[[], int]
+    died: tuple[type[Exception], ...] = ()
+
+
+@contextmanager
+def in_threads(job: Job, threads: int) -> Iterator[Pool]:
+    """Yield a pool of threads; fits release the interpreter's lock. At the end, wait for running fits."""
+    with one_thread(), limited_threads(threads) as pool:
+        yield Pool(partial(pool.submit, job.kept_row), lambda: threads)

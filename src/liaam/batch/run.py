@@ -4,8 +4,8 @@ import hashlib
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,21 +15,18 @@ from typing import Any
 from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
-from liaam.batch.pools import Chunk, Finished, in_processes
+from liaam.batch.pools import Pool, in_threads
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
-from liaam.batch.work import Job, Settings, fit_chunk
+from liaam.batch.work import Job, KeptRow, Settings
 from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.model import load_model
 from liaam.progress import Progress
-from liaam.workers import all_cores
+from liaam.workers import all_cores, flow
 
-CHUNK = 16
-"""Images per chunk. After a kill, at most one chunk per worker is fitted again."""
-
-_SHARES = 4
-"""Minimum number of chunks per worker, so that all workers end at about the same time."""
+DEATHS = 2
+"""An image is given up, with an error in its row, if so many processes died while it was in progress."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,6 @@ def run_batch(
     settings: Settings | None = None,
     *,
     jobs: int | None = None,
-    chunk: int | None = None,
     scheduler: str | None = None,
     restart: bool = False,
     progress: Progress | None = None,
@@ -87,10 +83,7 @@ def run_batch(
         is written to ``OUTPUT.json``. Until the table is complete, ``OUTPUT.parts`` holds the finished rows.
     settings : Settings, optional
     jobs : int, optional
-        Number of worker processes. By default one per core. Scripts that use more than one need
-        ``if __name__ == "__main__"``.
-    chunk : int, optional
-        Images per chunk. By default 16, or fewer if there are few images.
+        Number of threads. By default one per core.
     scheduler : str, optional
         Address of a Dask scheduler, whose workers then fit the images (needs the extra ``cluster``).
     restart : bool
@@ -119,18 +112,18 @@ def run_batch(
     load_model(model)  # its errors name the file
     job = Job(Path(model).read_bytes(), settings or Settings(), str(Path.cwd()))
     job.check()  # before any work
-    _check_workers(jobs, chunk, scheduler)
+    _check_workers(jobs, scheduler)
     progress = progress or (lambda done, total, what: None)
-    batch = _Batch(Path(output), job, jobs or all_cores(), chunk, scheduler, progress)
+    batch = _Batch(Path(output), job, jobs or all_cores(), scheduler, progress)
     paths = (
         find_pictures(pictures) if isinstance(pictures, (str, os.PathLike)) else (os.fspath(path) for path in pictures)
     )
     return batch.run(paths, restart)
 
 
-def _check_workers(jobs: int | None, chunk: int | None, scheduler: str | None) -> None:
-    if min(jobs or 1, chunk or 1) < 1 or 0 in (jobs, chunk):
-        raise LiaamError("jobs and chunk must be at least 1")
+def _check_workers(jobs: int | None, scheduler: str | None) -> None:
+    if jobs is not None and jobs < 1:
+        raise LiaamError("jobs must be at least 1")
     if scheduler is not None and jobs is not None:
         raise LiaamError(f"scheduler {scheduler}: its workers determine the number of jobs; leave --jobs out")
     if scheduler is not None and find_spec("distributed") is None:
@@ -144,7 +137,6 @@ class _Batch:
     output: Path
     job: Job
     jobs: int
-    chunk: int | None
     scheduler: str | None
     progress: Progress
 
@@ -235,28 +227,45 @@ class _Batch:
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
 
-    def _in_workers(self, chunks: Iterable[Chunk]) -> Finished:
-        """Fit chunks, in any order."""
-        if self.scheduler is not None:
-            from liaam.batch.cluster import on_cluster  # needs an optional library
+    def _pool(self) -> AbstractContextManager[Pool]:
+        if self.scheduler is None:
+            return in_threads(self.job, self.jobs)
+        from liaam.batch.cluster import on_cluster  # needs an optional library
 
-            return on_cluster(self.job, chunks, self.scheduler)
-        if self.jobs == 1:
-            return ((chunk, fit_chunk(self.job, chunk)) for chunk in chunks)
-        return in_processes(self.job, chunks, self.jobs)
+        return on_cluster(self.job, self.scheduler)
+
+    def _fitted(self, journal: Journal) -> Generator[tuple[str, KeptRow], None, None]:
+        """Fit the images that have no row, in any order.
+
+        Those that were in progress when a process died come last and alone, so that a second death is of one image.
+        """
+        suspects = journal.suspects()
+        for path in [path for path, deaths in suspects.items() if deaths >= DEATHS]:
+            del suspects[path]
+            yield path, self.job.row_of_death(path)
+        again: list[str] = []
+        with self._pool() as pool:
+            for paths, room in ((journal.todo(), pool.room), (suspects, _alone), (again, _alone)):
+                for path, future in flow(pool.submit, map(journal.begin, paths), room):
+                    try:
+                        yield path, future.result()
+                    except pool.died:
+                        if paths is again:
+                            yield path, self.job.row_of_death(path)
+                        else:
+                            again.append(path)
 
     def _fit(self, journal: Journal) -> Summary:
         """Fit the images that have no row in the journal."""
         total, statuses, begin = journal.total, Counter(journal.statuses), perf_counter()
         before = statuses.total()
         self.progress(before, total, "starting" if not before else "resuming")
-        chunks = journal.todo(self.chunk or max(1, min(CHUNK, (total - before) // (_SHARES * self.jobs))))
         try:
             if before < total:
-                with closing(self._in_workers(chunks)) as finished:
-                    for chunk, rows in finished:
-                        journal.keep(chunk, rows)
-                        statuses.update(status for status, _ in rows)
+                with closing(self._fitted(journal)) as fitted:
+                    for path, row in fitted:
+                        journal.keep(path, row)
+                        statuses[row[0]] += 1
                         done = statuses.total()
                         rate = (done - before) / (perf_counter() - begin)
                         self.progress(done, total, f"{rate:.1f} images/s; {in_words(statuses)}")
@@ -266,6 +275,11 @@ class _Batch:
             kept = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
             raise KeyboardInterrupt(f"stopped: {kept}; run the same command again to resume") from None
         return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
+
+
+def _alone() -> int:
+    """Return the number of images in progress at once where each is fitted alone."""
+    return 1
 
 
 def summary_file(output: Path) -> Path:

@@ -1,10 +1,10 @@
-"""Fit an image and make its row, in this process, in a worker or on a cluster."""
+"""Fit an image and make its row, in this process or on a cluster."""
 
 import json
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +20,6 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, check_start, is_raw, read_image, read_start, start_file
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
-from liaam.workers import one_thread
 
 BESIDE = "beside"
 """Start from the landmark file beside each image."""
@@ -86,7 +85,7 @@ def _box_text(box: Sequence[float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Everything that a worker needs. It is pickled and sent to workers.
+    """Everything that a worker needs. It is pickled and sent to the workers of a cluster.
 
     It holds the content of the model file, because the file may change and a cluster may not have access to it, and
     the folder that relative paths start from.
@@ -138,9 +137,14 @@ class Job:
         except LiaamError:  # the row will report it
             return None
 
-    def rows(self, chunk: Iterable[str]) -> list[KeptRow]:
-        """Fit images and return the status and row of each."""
-        return [kept(self.row(path)) for path in chunk]
+    def kept_row(self, path: str) -> KeptRow:
+        """Fit one image and return its status and the text of its row."""
+        return kept(self.row(path))
+
+    def row_of_death(self, path: str) -> KeptRow:
+        """Return the row of an image during whose fit a process died more than once."""
+        message = f"{path}: the process died while fitting it (killed or out of memory); check it, or make it smaller"
+        return kept(self.complete(failed_row(path, message), None))
 
     def row(self, path: str) -> Row:
         """Fit one image. Report errors in its row, so that the batch continues."""
@@ -193,12 +197,6 @@ class Job:
         named.pop(os.sep, None)  # it is in all paths
         places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))
         return re.sub(places, lambda found: named[found.group()], message)
-
-
-def fit_chunk(job: Job, chunk: tuple[str, ...]) -> list[KeptRow]:
-    """Fit a chunk in a worker process."""
-    with one_thread():
-        return job.rows(chunk)
 
 
 def kept(row: Row) -> KeptRow:

@@ -42,12 +42,7 @@ def batch(
     camera_file: CameraOption = None,
     response: ResponseOption = None,
     covariance: Annotated[bool, typer.Option(help="Write the covariance of each landmark.")] = True,
-    jobs: Annotated[
-        int | None, typer.Option(help="Number of worker processes. By default one per core.", min=1)
-    ] = None,
-    chunk: Annotated[
-        int | None, typer.Option(help="Images per work item. By default 16, or fewer if there are few images.", min=1)
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler; its workers then fit the images.")
     ] = None,
@@ -75,7 +70,6 @@ def batch(
             output,
             settings,
             jobs=jobs,
-            chunk=chunk,
             scheduler=scheduler,
             restart=restart,
             progress=progress,
