@@ -109,8 +109,8 @@ def test_a_low_or_narrow_page_scrolls_and_cuts_nothing_off(open_page, serve, mar
         shoot(page, artefacts, f"{size[0]}x{size[1]}-{tab}")
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_axe_finds_no_violation(sized, theme):
+def test_axe_finds_no_violation(sized):
+    theme = "light" if sized.viewport_size["width"] > NARROW else "dark"
     sized.emulate_media(color_scheme=theme, reduced_motion="reduce")
     found = {tab: violations(sized) for tab in tabs(sized)}
     sized.keyboard.press("?")
