@@ -377,8 +377,10 @@ def _cell(rows: list[Row]) -> dict[str, Any]:
     """Return statistics, area under the ROC curve and coverage; None where unknown."""
     right, known = [row for row in rows if is_right(row)], any(np.isfinite(row["quality"]) for row in rows)
     silent = [row for row in rows if not is_right(row) and FitStatus(row["status"]).ok]
+    refused = [row for row in right if not FitStatus(row["status"]).ok]
     return statistics(rows) | {
         "silent": len(silent) / len(rows) if rows else None,
+        "refused": len(refused) / len(right) if right else None,
         "roc_area": quality_area(rows) if known else None,
         "held_95": float(np.mean([row["held_95"] for row in right])) if right else None,
     }
@@ -386,7 +388,8 @@ def _cell(rows: list[Row]) -> dict[str, Any]:
 
 def table(summary: dict[str, Any]) -> tuple[Header, Table]:
     """Tabulate the results by start, light and method."""
-    header = ["start", "light", "method", "median", "p90", "> 8 %", "silent", "ROC", "in 95 %", "excess", "ms"]
+    shares = ["> 8 %", "silent", "refused", "ROC", "in 95 %"]
+    header = ["start", "light", "method", "median", "p90", *shares, "excess", "ms"]
     return header, [
         [
             start,
@@ -396,6 +399,7 @@ def table(summary: dict[str, Any]) -> tuple[Header, Table]:
             percent(cell["nme_p90"]),
             percent(cell["beyond"], 1),
             percent(cell["silent"], 1),
+            percent(cell["refused"], 1),
             or_dash(cell["roc_area"], ".3f"),
             percent(cell["held_95"], 1),
             percent(cell["excess_median"]),
@@ -437,7 +441,8 @@ def report(_rows: list[Row], summary: dict[str, Any]) -> str:
     question = (
         f"What does another light cost a generic model? It is fitted to {len(summary['objects'])} objects that it has "
         "not seen. Errors are mean distances of the landmarks, per cent of the inter-ocular distance; silent: fits "
-        "beyond 8 % whose status says that they can be used; ROC: area under the curve by which the quality tells fits "
+        "beyond 8 % whose status says that they can be used; refused: share of the right fits whose status says that "
+        "they cannot be used; ROC: area under the curve by which the quality tells fits "
         "beyond 8 % from others; in 95 %: share of the landmarks of right fits that lie in their ellipse; excess: "
         "median of what the error has on top of that of the true shape projected on the shape model."
     )

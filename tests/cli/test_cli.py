@@ -87,9 +87,12 @@ def test_another_landmarkers_points_start_fits(run, portraits, tmp_path):
     code, out, _ = run("train", folder, "-o", model, "--points", theirs, *options)
     assert code == 0
     assert "the other landmarker's 29 points: mapped to the landmarks with an error of" in out
-    assert "29 points of another landmarker" in run("info", model)[1]
+    assert "the quality and the ellipses of fits are not calibrated (--no-leave-out)" in out
+    info = run("info", model)[1]
+    assert "29 points of another landmarker" in info and "not calibrated" in info
     code, out, err = run("fit", model, image, "--init", tmp_path / "new.pts", "-o", tmp_path / "fits")
     assert (code, err) == (0, "")
+    assert "not calibrated" in out
     found, wanted = read_landmarks(tmp_path / "fits" / "new.pts").points, read_landmarks(truth).points
     assert np.linalg.norm(found - wanted, axis=1).mean() < 2.0
     run("train", folder, "-o", model, *options)

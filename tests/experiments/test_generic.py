@@ -39,6 +39,8 @@ def test_generic_summary_agrees_with_its_rows(done):
             assert cell["nme_median"] == pytest.approx(np.median(errors), abs=1e-6)
             assert cell["beyond"] == pytest.approx(np.mean(errors >= 0.08))
             assert cell["silent"] == pytest.approx(np.mean((errors >= 0.08) & usable))
+            refused = ~usable[errors < 0.08]
+            assert cell["refused"] == (pytest.approx(refused.mean()) if len(refused) else None)
             assert cell["excess_median"] == pytest.approx(np.median(errors - bounds), abs=2e-6)
             right = held[errors < 0.08]
             assert cell["held_95"] == (pytest.approx(right.mean(), abs=1e-6) if len(right) else None)

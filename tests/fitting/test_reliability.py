@@ -48,6 +48,16 @@ def test_what_is_lost_by_its_status_has_no_chance_to_be_right(calibrated, value)
 def test_other_methods_have_no_quality(calibrated, lit_scene):
     result = Fitter(calibrated, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert np.isnan(result.quality)
+    assert not result.calibrated
+
+
+def test_model_and_results_say_whether_they_are_calibrated(calibrated, lit_scene):
+    plain = calibrated.with_view(SURROUNDINGS, reliability=None)
+    assert calibrated.calibrated and not plain.calibrated
+    for model in (calibrated, plain):
+        result = Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks))
+        assert result.calibrated == result.to_dict()["calibrated"] == model.calibrated
+        assert ("ellipses are not calibrated" in result.message) == (not model.calibrated)
     assert result.status is not FitStatus.DOUBTFUL
 
 

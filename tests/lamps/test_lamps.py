@@ -1,6 +1,7 @@
 """Lamps: learnt from objects that did not move, laid on others, kept in files, and what models gain by them."""
 
 import json
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from liaam.model import load_model
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
 from liaam.relighting import Relighter
-from liaam.training import train
+from liaam.training import left_out, train
 from scenes import DIFFUSE, Head, Pose, lateral, random_expression, random_pose, render
 from setups import disturb
 
@@ -227,6 +228,53 @@ def test_copies_are_as_many_as_asked_for_and_fewer_of_many_pictures(lamps):
     assert (some.counts.sum(), some.counts.min(), some.counts.max()) == (700, 1, 2)
     assert (Copies.of(lamps, 3000, 3, None).counts == 1).all()
     np.testing.assert_array_equal(Copies(lamps, np.array([2, 0, 1])).owners, [0, 0, 0, 1, 2, 2])
+
+
+def test_halves_of_the_lamps_shine_from_either_side(lamps):
+    assert sorted(half.tolist() for half in lamps.halves()) == [[0, 2], [1, 3]]
+    shuffled = replace(lamps, fields=lamps.fields[[3, 0, 2]], names=tuple(lamps.names[i] for i in (3, 0, 2)))
+    assert sorted(half.tolist() for half in shuffled.halves()) == [[0], [1, 2]]
+    single = replace(lamps, fields=lamps.fields[:1], names=lamps.names[:1])
+    assert [half.tolist() for half in single.halves()] == [[0]]
+
+
+def test_copies_know_their_lamps(pictures, lamps):
+    day, copied = pictures[0], Copies(lamps, np.array([2, 0, 3]))
+    points = day.landmarks.points
+    assert copied.lit_by[[0, 3, 4]].tolist() == [-1, -1, -1]
+    made = [image for image, _ in copied.of_picture(0, day.image, points, "srgb", 1000.0)]
+    by = lamps.relit(day.image, points, copied.lit_by[1:3])
+    inside = tuple(np.rint(points[20:40]).astype(int).T[::-1])
+    low = np.maximum(np.floor(points.min(axis=0) - 0.5 * diagonal_of(points)), 0).astype(int)
+    for copy, whole in zip(made, by, strict=True):
+        own = copy[inside[0] - low[1], inside[1] - low[0]].astype(int)
+        assert np.abs(own - whole[inside]).mean() < 3
+    (chosen,) = copied.relit(1, day.image, points, "srgb", np.array([3]))
+    np.testing.assert_array_equal(chosen, lamps.relit(day.image, points, [3])[0])
+
+
+def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monkeypatch):
+    """Without this, light that no training image shows makes right fits doubtful."""
+    known, shown = [], []
+
+    def spied(function, seen, at):
+        def call(*given):
+            seen.append(given[at])
+            return function(*given)
+
+        return call
+
+    monkeypatch.setattr(left_out, "_without", spied(left_out._without, known, -1))
+    monkeypatch.setattr(Copies, "relit", spied(Copies.relit, shown, -1))
+    monkeypatch.setattr(left_out, "calibrate", lambda _model, pictures: deque(pictures, 0) or None)
+    data = [photographed(head, head, {"day": DIFFUSE})[0] for head in (4, 5, 6)]
+    model = train(data, lamps=lamps, diagonal=40.0, blurs=(1.0,), copies=4)
+    assert not model.calibrated
+    lit_by = Copies(lamps, np.array([4, 4, 4])).lit_by
+    for rows, lamps_shown in zip(known, shown, strict=True):
+        assert not np.isin(lit_by[rows], lamps_shown).any()
+        assert {-1, *np.setdiff1d(range(4), lamps_shown)} == set(lit_by[rows].tolist())
+    assert {tuple(half) for half in shown} == {(0, 2), (1, 3)}
 
 
 @pytest.mark.parametrize("offset", [0.0, -10.0, 15.0])

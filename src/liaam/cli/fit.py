@@ -87,7 +87,7 @@ def fit(
     make_folder(output)
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: defaultdict[str, list[str]] = defaultdict(list)
-    failed = 0
+    failed, uncalibrated = 0, False
     outputs = Outputs(output, history, ellipses)
     low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
     quick = None if every or init is not None else replace(fitter, restarts=False)
@@ -117,6 +117,7 @@ def fit(
             for stem, result in fits.items():
                 name = image.name if stem == image.stem else stem  # of several, as their files
                 table.add_row(cell(name), *row_of(result))
+                uncalibrated |= not result.calibrated
                 if not result.status.ok:
                     failed += 1
                     advice[f"{result.status}: {result.message}"].append(name)
@@ -124,6 +125,8 @@ def fit(
                     advice[low_score].append(name)
     if table.row_count:
         show_table(table)
+        if uncalibrated:
+            say("the quality is unknown, and errors and ellipses are not calibrated: see 'liaam info'")
         say(f"written to {output}")
     say_advice(advice)
     if failed:

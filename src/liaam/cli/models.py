@@ -104,6 +104,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
         "methods": ", ".join(methods_of(model)),
+        "quality, ellipses": "calibrated on left-out images" if model.calibrated else "not calibrated",
         **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",

@@ -255,7 +255,9 @@ def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", 
             f"the other landmarker's {model.points.n_theirs} points: mapped to the landmarks with an error of "
             f"{away:.1f} pixels ({away / model.diagonal:.1%}) on left-out images"
         )
-    if leave_out and view.reliability is None:
+    if not leave_out:
+        say("the quality and the ellipses of fits are not calibrated (--no-leave-out)")
+    elif not model.calibrated:
         complain("fits have no calibrated quality: too few fits to left-out images were right; train on more images")
 
 

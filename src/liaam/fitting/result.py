@@ -96,8 +96,8 @@ _MESSAGES = {
 
 
 _NO_QUALITY = (
-    "Its quality is unknown: only method 'soft-li' with a model trained by leaving images out estimates it; check the "
-    "landmarks."
+    "Its quality is unknown and its ellipses are not calibrated: this takes method 'soft-li', and a model trained by "
+    "leaving images out; check the landmarks."
 )
 
 
@@ -225,14 +225,19 @@ class FitResult:
     @property
     def message(self) -> str:
         """What happened, and what to do."""
-        if self.status.ok and np.isnan(self.quality):
+        if self.status.ok and not self.calibrated:
             return f"{self.status.message} {_NO_QUALITY}"
         return self.status.message
 
     @property
     def quality_text(self) -> str:
         """The quality with two digits, or ``unknown``."""
-        return "unknown" if np.isnan(self.quality) else f"{self.quality:.2f}"
+        return f"{self.quality:.2f}" if self.calibrated else "unknown"
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether quality and covariances are calibrated on left-out images; if not, the quality is NaN."""
+        return not np.isnan(self.quality)
 
     @property
     def deviations(self) -> np.ndarray:
@@ -282,7 +287,8 @@ class FitResult:
             "theta_deg": self.theta_degrees,
             "cost": self.cost if np.isfinite(self.cost) else None,
             "iterations": self.n_iterations,
-            "quality": None if np.isnan(self.quality) else round(self.quality, 4),
+            "quality": round(self.quality, 4) if self.calibrated else None,
+            "calibrated": self.calibrated,
             "landmark_deviations_px": finite_list(np.round(self.deviations, 3)),
             "landmark_covariances_px2": finite_list(np.round(self.landmark_covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
             "liaam": __version__,

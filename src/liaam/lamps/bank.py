@@ -122,6 +122,25 @@ class Lamps:
             images.append(_as_stored(relit, image.dtype, response))
         return images
 
+    def halves(self) -> list[np.ndarray]:
+        """Split the lamps into two halves with light as different as possible, such as from the left and the right.
+
+        They are ordered by the strongest mode of their brightness, about the mean. A lamp on several objects, by names
+        such as ``object-lamp``, is not split.
+
+        Returns
+        -------
+        list of (m,) int64
+            Indices of each half's lamps; there is only one half of a single lamp.
+        """
+        known, lamps = np.unique([name.rpartition("-")[2] for name in self.names], return_inverse=True)
+        brightness = self.fields.astype(np.float32).mean(axis=3).reshape(len(self), -1)
+        mean = np.array([brightness[lamps == i].mean(axis=0) for i in range(len(known))])
+        away = mean - mean.mean(axis=0)
+        along = np.linalg.eigh(away @ away.T)[1][:, -1]
+        order = np.argsort(along * (1.0 if along[0] >= 0 else -1.0), kind="stable")
+        return [np.flatnonzero(np.isin(lamps, half)) for half in np.array_split(order, min(2, len(order)))]
+
     def basis(self, mirrored: bool) -> LightBasis:
         """Summarise the lamps, and their mirror images if the objects are symmetric, by a low-rank basis."""
         import cv2  # heavy: imported when first needed

@@ -52,28 +52,39 @@ class Copies:
         """Index of the image of each texture, (n + total,): each image is followed by its copies."""
         return np.repeat(np.arange(len(self.counts)), 1 + self.counts)
 
+    @property
+    def lit_by(self) -> np.ndarray:
+        """Lamp of each texture, (n + total,) int: -1 for the images, under the training light."""
+        return np.concatenate([np.append(-1, self.which(i)) for i in range(len(self.counts))])
+
+    def which(self, i: int) -> np.ndarray:
+        """Lamp of each copy of image i, int."""
+        count, known = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
+        return np.random.default_rng([30, i]).choice(known, count, replace=count > known)
+
     def of_picture(
         self, i: int, image: np.ndarray, points: np.ndarray, response: Response, diagonal: float
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield the copies of image i and their landmarks, at the resolution for a reference frame of a diagonal."""
-        count, known = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
-        if not count:
+        which = self.which(i)
+        if not len(which):
             return
         size = diagonal_of(points)
         image, points = close_up(image, points, diagonal)
         offset = self.offset * diagonal_of(points) / size
-        which = np.random.default_rng([30, i]).choice(known, count, replace=count > known)
         if self.order is not None:
             other, moved = mirrored(image, points, self.order, offset)
-            first, which = np.split(which, [(count + 1) // 2])
+            first, which = np.split(which, [(len(which) + 1) // 2])
             yield from ((copy, moved) for copy in self._relit(other, moved, first, response))
         yield from ((copy, points) for copy in self._relit(image, points, which, response))
 
-    def relit(self, i: int, image: np.ndarray, points: np.ndarray, response: Response) -> list[np.ndarray]:
-        """Return the uncropped image i under one random lamp, in a list; an empty list without lamps."""
+    def relit(
+        self, i: int, image: np.ndarray, points: np.ndarray, response: Response, lamps: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return the uncropped image i under a random one of some lamps, in a list; an empty list without lamps."""
         if self.lamps is None:
             return []
-        return self.lamps.relit(image, points, [np.random.default_rng([31, i]).integers(len(self.lamps))], response)
+        return self.lamps.relit(image, points, [np.random.default_rng([31, i]).choice(lamps)], response)
 
     def _relit(self, image: np.ndarray, points: np.ndarray, which: np.ndarray, response: Response) -> list[np.ndarray]:
         return [image] * len(which) if self.lamps is None else self.lamps.relit(image, points, which, response)

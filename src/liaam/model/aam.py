@@ -80,6 +80,11 @@ class AAM:
         return replace(self, views={**self.views, name: replace(self.views[name], **changes)})
 
     @property
+    def calibrated(self) -> bool:
+        """Whether training has calibrated the quality and covariances of fits on left-out images."""
+        return any(view.reliability is not None for view in self.views.values())
+
+    @property
     def theta(self) -> float:
         """Angle of the training camera (theta_1 of the paper), radians."""
         return self.camera.theta

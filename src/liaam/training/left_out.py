@@ -33,21 +33,25 @@ def reliability_of(
     folds: list[np.ndarray],
     steps: Steps,
 ) -> Reliability | None:
-    """Calibrate the quality of fits on left-out images, original and relit.
+    """Calibrate the quality of fits on left-out images, original and relit by left-out lamps.
 
-    Images of one object, recognised by their names, are left out together.
+    Images of one object, recognised by their names, are left out together. With each fold one half of the lamps is left
+    out, because the light of later images differs from all lamps, and more than neighbouring lamps differ.
     """
+    halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
     def images() -> Iterator[LeftOut]:
         """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
-            part = _without(model, fold, shapes, sampled, learnt)
+            lamps = halves[i % len(halves)]
+            known = np.flatnonzero(~np.isin(copied.lit_by, lamps))
+            part = _without(model, fold, shapes, sampled, learnt, known)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
                 yield LeftOut(part, image, shapes[j])
-                for relit in copied.relit(j, image, shapes[j], model.response):
+                for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOut(part, relit, shapes[j], relit=True)
 
     return calibrate(model, images())
@@ -88,15 +92,22 @@ def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarra
 
 
 def _without(
-    model: AAM, fold: np.ndarray, shapes: np.ndarray, sampled: Sampled, learnt: tuple[Recipe, Variance, Variance]
+    model: AAM,
+    fold: np.ndarray,
+    shapes: np.ndarray,
+    sampled: Sampled,
+    learnt: tuple[Recipe, Variance, Variance],
+    known: np.ndarray,
 ) -> AAM:
     """Train a model without a fold, on the frame and with the settings of the whole model.
 
+    Of the textures, only the ``known`` are used: those under lamps that are not left out.
     ``learnt`` holds the settings: the recipe of the shapes, and the variances of shapes and appearances to keep.
     """
     recipe, variance, appearance_variance = learnt
     others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
-    view, levels, rows = model.views[name], [], sampled.rows("soft", others)
+    view, levels = model.views[name], []
+    rows = np.intersect1d(sampled.rows("soft", others), known)
     for level, textures in zip(view.levels, sampled.textures["soft"].values(), strict=True):
         whole = level.appearances["soft"]
         kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
