@@ -19,6 +19,7 @@ _INPUTS = (
         "folder",
         "empty",
         "nothing.liaam",
+        "face",
         "broken.liaam",
         "noise.png",
         "dangling.png",
@@ -93,7 +94,7 @@ _OUTPUTS = (
     *("[/x].csv", "dangling.png", "loop.png"),
 )
 _COMMANDS: dict[str, tuple[str, ...]] = {
-    "fit": ("--init", "--camera", "--response", "--method", "--rotations", "--iterations", "--all", "-o"),
+    "fit": ("--init", "--camera", "--response", "--method", "--rotations", "--iterations", "--scheme", "--all", "-o"),
     "info": (),
     "show": ("--image", "-o"),
     "compact": ("--methods", "-o"),
@@ -121,6 +122,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
     "calibrate angle": ("--camera", "--response", "-o"),
     "calibrate response": ("--camera", "--patches", "-o"),
     "calibrate noise": ("--camera", "-o"),
+    "models": (),
     "methods": (),
     "nonsense": (),
 }

@@ -27,7 +27,7 @@ LAYERS = (
     ("model",),
     ("photometry",),
     ("io",),
-    ("drawing", "evaluation", "progress", "workers"),
+    ("drawing", "evaluation", "models", "progress", "workers"),
     ("_core", "lazy", "reference"),
     ("errors",),
 )

@@ -298,7 +298,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "m", "--training-lamp", "07"), "give that folder with --lamps, or leave"),
         (("info", "{missing}"), "does not exist; make one with 'liaam train"),
         (("info", "{image}"), "is a PNG image, not a model file; give a model file in its place"),
-        (("fit", "{image}", "{model}"), "is a PNG image, not a model file"),
+        (("fit", "{image}", "{model}"), "a model comes before the images, as in 'liaam fit face.safetensors new.png'"),
         (("train", "{portraits}", "-o", "m", "--lamps", "no"), "a lamp file, a folder, 'auto' or 'none'"),
         (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
         (("fit", "{model}", "{missing}.png", "--init", "1,2,3,4"), "missing"),

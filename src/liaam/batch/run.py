@@ -22,6 +22,7 @@ from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.model import load_model
+from liaam.models import model_file
 from liaam.progress import Progress
 from liaam.workers import all_cores, flow
 
@@ -110,7 +111,7 @@ def run_batch(
     {'converged': 981, 'doubtful': 17, 'error': 2}
     """
     load_model(model)  # its errors name the file
-    job = Job(Path(model).read_bytes(), settings or Settings(), str(Path.cwd()))
+    job = Job(model_file(model).read_bytes(), settings or Settings(), str(Path.cwd()))
     job.check()  # before any work
     _check_workers(jobs, scheduler)
     progress = progress or (lambda done, total, what: None)

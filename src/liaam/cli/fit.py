@@ -1,7 +1,7 @@
 """The command ``liaam fit``."""
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +13,6 @@ from liaam.cli.inputs import (
     TURNED,
     CameraOption,
     EllipsesOption,
-    ModelFile,
     ResponseOption,
     RotationsOption,
     camera_for,
@@ -33,10 +32,16 @@ from liaam.io import (
     write_image,
     write_text_atomically,
 )
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.results import FIT_SUFFIXES, corrected_file, read_fit
+from liaam.models import FACE
+from liaam.morphometry.schemes import in_scheme
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
 """Advice for an image with several objects, of which the best was fitted."""
+
+MODEL_SUFFIXES = (".liaam", ".safetensors")
+"""Suffixes of models, to tell one that is given after the images."""
 
 OTHERS = 4
 """Largest number of objects that are looked for in an image, to give that advice."""
@@ -46,8 +51,15 @@ if TYPE_CHECKING:
 
 
 def fit(
-    model_file: ModelFile,
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images to fit.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[MODEL] IMAGE...",
+            readable=False,
+            help="Model file of 'liaam train', or a name of 'liaam models'; then the images to fit. If the first name "
+            "ends as that of an image does, there is no MODEL, and the model 'face' is used, which comes with liaam.",
+        ),
+    ],
     init: Annotated[
         str | None,
         typer.Option(
@@ -61,6 +73,10 @@ def fit(
     ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
+    scheme: Annotated[
+        str | None,
+        typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
+    ] = None,
     rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
     history: Annotated[
@@ -77,6 +93,7 @@ def fit(
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
+    model_file, images = model_and_images(files)
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
     if output.suffix.lower() in IMAGE_SUFFIXES and not output.exists():
@@ -84,13 +101,15 @@ def fit(
     options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
     camera = camera_for(images, camera_file, response, model.camera)
     fitter = Fitter(model, method, options, camera=camera, rotations=rotations)
+    if scheme is not None:
+        in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(output)
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: defaultdict[str, list[str]] = defaultdict(list)
     failed, uncalibrated = 0, False
-    outputs = Outputs(output, history, ellipses)
+    outputs = Outputs(output, history, ellipses, scheme)
     low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
-    quick = None if every or init is not None else replace(fitter, restarts=False)
+    quick = None if every or init is not None else fitter.without_restarts()
 
     def results_of(named: tuple[Path, str]) -> "tuple[dict[str, FitResult], bool] | LiaamError":
         try:
@@ -133,6 +152,17 @@ def fit(
         raise typer.Exit(1)
 
 
+def model_and_images(files: list[Path]) -> tuple[Path, list[Path]]:
+    """Split the files of a command: the first is the model, unless its name ends as that of an image."""
+    if files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
+        if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES), None):
+            raise LiaamError(f"{late}: a model comes before the images, as in 'liaam fit {late.name} {files[0].name}'")
+        return Path(FACE), files
+    if len(files) == 1:
+        raise LiaamError(f"{files[0]}: give the images to fit, too, as in 'liaam fit MODEL IMAGE...'")
+    return files[0], files[1:]
+
+
 def row_of(result: "FitResult") -> tuple[str, ...]:
     """Return the table row of a fit: start, status, quality, median landmark error, iterations and theta."""
     if result.found is None:
@@ -151,6 +181,7 @@ class Outputs:
     folder: Path
     history: bool = False
     ellipses: bool = False
+    scheme: str | None = None
 
 
 def fit_file(
@@ -191,10 +222,13 @@ def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: O
 
     model = fitter.model
     result = fitter.fit(pixels, start, image.name)
-    contours = Contour.all_of(model.contours)
+    points, contours, names = result.landmarks, Contour.all_of(model.contours), result.landmark_names
     scale = start.scale if isinstance(start, Landmarks) else None
-    landmarks = Landmarks(result.landmarks, contours, result.landmark_names, image_name=image.name, scale=scale)
     facts = result.to_dict() | {"image": image.name, "scale": scale}
+    if outputs.scheme is not None:
+        points, contours, names = in_scheme(points, names, outputs.scheme), (), ()
+        facts = {key: value for key, value in facts.items() if not key.startswith("landmark_")}
+    landmarks = Landmarks(points, contours, names, image_name=image.name, scale=scale)
     write_fit(outputs.folder, stem, landmarks, facts, pixels.shape[1::-1])
     drawn = result.landmark_covariances if outputs.ellipses else None
     write_image(outputs.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))

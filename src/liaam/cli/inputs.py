@@ -14,6 +14,7 @@ from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import USUAL, Reading
+from liaam.models import model_file
 
 if TYPE_CHECKING:
     from liaam.photometry import CameraModel
@@ -37,7 +38,15 @@ LandmarkedFolder = Annotated[
     ),
 ]
 """Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
-ModelFile = Annotated[Path, typer.Argument(metavar="MODEL", readable=False, help="Model file of 'liaam train'.")]
+ModelFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MODEL",
+        readable=False,
+        callback=model_file,
+        help="Model file of 'liaam train', or a name of 'liaam models'.",
+    ),
+]
 ImagesOption = Annotated[
     list[str] | None,
     typer.Option("--images", help="Use only images whose name matches, such as '07-[12346]*'; may be repeated."),

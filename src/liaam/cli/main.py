@@ -12,7 +12,7 @@ from liaam.cli.evaluate import evaluate
 from liaam.cli.fit import fit
 from liaam.cli.lamps import lamps
 from liaam.cli.measure import measure
-from liaam.cli.models import info, methods, show
+from liaam.cli.models import info, methods, models, show
 from liaam.cli.photometry import calibrate, invariant, register_command
 from liaam.cli.relight import relight
 from liaam.cli.studio import studio
@@ -23,7 +23,7 @@ from liaam.cli.video import track
 app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
 for command in (
     *(train, fit, evaluate, batch, measure, track, relight, studio, check, lamps),
-    *(show, info, compact, methods, demo, invariant),
+    *(show, info, models, compact, methods, demo, invariant),
 ):
     app.command()(command)
 app.command("register")(register_command)

@@ -1,4 +1,4 @@
-"""The commands ``liaam show``, ``liaam info`` and ``liaam methods``."""
+"""The commands ``liaam show``, ``liaam info``, ``liaam models`` and ``liaam methods``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +13,7 @@ from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
 from liaam.io.files import existing_file
+from liaam.models import MODELS, model_file as file_of
 
 if TYPE_CHECKING:
     from liaam.model import AAM
@@ -23,7 +24,9 @@ def show(
     file: Annotated[
         Path,
         typer.Argument(
-            metavar="FILE", readable=False, help="Model file of 'liaam train', or lamp file of 'liaam lamps'."
+            metavar="FILE",
+            readable=False,
+            help="Model file of 'liaam train', a name of 'liaam models', or lamp file of 'liaam lamps'.",
         ),
     ],
     output: Annotated[
@@ -41,21 +44,25 @@ def show(
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
         raise LiaamError("--image works with lamp files only; leave it out to draw a model")
-    existing_file(file, LiaamError, "model or lamp file")
     path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
+    file = existing_file(file_of(file), LiaamError, "model or lamp file")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
     check_output(path)
+    credit = ""
     with progress_bar() as progress:
         progress(0, 1, f"drawing {file.name}")
         if not lit:
-            figure = figure_of_model(load_model(file))
+            model = load_model(file)
+            figure, credit = figure_of_model(model), model.credit
         elif image is None:
             figure = figure_of_lamps(read_lamps(file))
         else:
             sample = read_sample(image)
             figure = figure_of_lamps(read_lamps(file), sample.read_image(), sample.landmarks.points)
         save_figure(figure, path)
+    if credit:
+        say(f"credit: {credit}")
     say(f"written to {path}")
 
 
@@ -109,6 +116,7 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
         "camera": describe_camera(model.camera),
+        **({"credit": model.credit} if model.credit else {}),
         "core": describe_core(),
     }
 
@@ -127,6 +135,27 @@ def describe_camera(camera: "CameraModel") -> str:
     response = camera.response if isinstance(camera.response, (str, float)) else "measured"
     known = [name for name in ("vignetting", "noise") if getattr(camera, name)]
     return f"response {response}, theta {np.rad2deg(camera.theta):.1f}° ({error})" + "".join(f", {n}" for n in known)
+
+
+def models() -> None:
+    """List the models that come with liaam: what they are for, how accurate they are, and their terms."""
+    from liaam.model import load_model
+
+    table = Table.grid(padding=(0, 2))
+    for name, known in MODELS.items():
+        model = load_model(name)
+        images = f"{model.n_images} images{count_copies(model)}"
+        rows = {
+            "model": name,
+            "for": known.purpose,
+            "accuracy": known.accuracy,
+            "landmarks": f"{model.n_points}, trained on {images}",
+            "credit": model.credit,
+        }
+        for key, value in rows.items():
+            table.add_row(key, cell(value))
+    show_table(table)
+    say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")
 
 
 def methods() -> None:

@@ -1,10 +1,15 @@
-"""Generated heads that come with liaam. ``docs/figures/make_generated_heads.py`` makes the files."""
+"""Pictures that come with liaam: generated heads, and a photograph of a face.
+
+``docs/figures/make_generated_heads.py`` makes the heads. LICENSE-DATA has the source and the terms of the photograph.
+"""
 
 from pathlib import Path
 
-from liaam.datasets.folder import Dataset, load_folder
+from liaam.datasets.folder import Dataset, Sample, load_folder
 
-SOFT_LIGHT, HARD_LIGHT = (Path(__file__).with_name("pictures") / light for light in ("soft-light", "hard-light"))
+SOFT_LIGHT, HARD_LIGHT, FACE = (
+    Path(__file__).with_name("pictures") / name for name in ("soft-light", "hard-light", "face")
+)
 
 
 def load_heads() -> tuple[Dataset, Dataset]:
@@ -24,3 +29,20 @@ def load_heads() -> tuple[Dataset, Dataset]:
     (18, 6)
     """
     return load_folder(SOFT_LIGHT), load_folder(HARD_LIGHT)
+
+
+def load_face() -> Sample:
+    """Load a photograph of a face in a dim room, with landmarks. The face model has not seen it.
+
+    Returns
+    -------
+    Sample
+        Its image has 461×615 pixels. Its 106 landmarks are in another order than those of the face model.
+
+    Examples
+    --------
+    >>> sample = load_face()
+    >>> sample.name, sample.read_image().shape
+    ('lisa', (615, 461, 3))
+    """
+    return load_folder(FACE)[0]

@@ -23,10 +23,11 @@ from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
 from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, start_shape
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
-from liaam.model import AAM, Level, Reliability, View
+from liaam.model import AAM, Level, Reliability, View, load_model
 from liaam.model.mesh import folded_share
 from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, align, diagonal_of
+from liaam.models import MODELS
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
@@ -134,6 +135,12 @@ class Fitter:
     def finder(self) -> Finder:
         """The model's detector (see :mod:`liaam.fitting.search`)."""
         return Finder(self.model, self.rotations)
+
+    def without_restarts(self) -> "Fitter":
+        """Return this fitter without restarts. What is prepared at the first fit, which takes long, serves both."""
+        other = replace(self, restarts=False)
+        vars(other).update(finder=self.finder, objectives=self.objectives)
+        return other
 
     @property
     def _method(self) -> Method:
@@ -556,7 +563,7 @@ def _kept_fitter(
 
 
 def fit(
-    model: AAM,
+    model: AAM | str,
     image,
     init=None,
     method: str | Method = DEFAULT_METHOD,
@@ -571,7 +578,8 @@ def fit(
 
     Parameters
     ----------
-    model : AAM
+    model : AAM or "face"
+        A model, or the name of one that comes with liaam (:data:`liaam.models.MODELS`).
     image : (h, w, 3) uint8, uint16 or float array, or path
     init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
         Start, image pixels (see :meth:`Fitter.fit`). If None, the object is searched for.
@@ -592,6 +600,7 @@ def fit(
     ImageError, StartError, MethodError
         If an argument is invalid.
     """
-    fitter = _kept_fitter(model, method, camera, rotations, restarts, margin, options)
+    known: Any = load_model(model) if isinstance(model, str) and model in MODELS else model
+    fitter = _kept_fitter(known, method, camera, rotations, restarts, margin, options)
     result = fitter.fit(image, init)
     return result if result.image is not None else replace(result, image=image)

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from liaam.model.point_map import PointMap
 from liaam.model.shape import ShapeModel
 from liaam.model.views import MESH, Level, View
 from liaam.model.warp import PiecewiseAffineWarp
+from liaam.models import MODELS, model_file
 from liaam.photometry import CameraModel, Response
 from liaam.photometry.features import Features
 
@@ -51,6 +53,8 @@ class AAM:
         with the method (:func:`liaam.fitting.features_method`).
     is_colour : bool
         Whether the model was trained on colour images.
+    credit : str
+        Whom to credit for the training images, and their licences, for display.
     """
 
     views: dict[str, View]
@@ -66,6 +70,7 @@ class AAM:
     points: PointMap | None = None
     features: Features | None = None
     is_colour: bool = True
+    credit: str = ""
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
@@ -149,9 +154,26 @@ class AAM:
 def load_model(path: str | os.PathLike) -> AAM:
     """Read and validate a model file. No code in the file is executed.
 
+    Parameters
+    ----------
+    path : path or "face"
+        File, or the name of a model that comes with liaam (:data:`liaam.models.MODELS`). The latter is read once.
+        Give a file that has such a name with its folder.
+
     Raises
     ------
     ModelFileError
         If the file is missing, truncated, inconsistent, of another version, or not a liaam model.
+
+    Examples
+    --------
+    >>> model = liaam.load_model("face")
+    >>> model.landmark_names[:2]
     """
-    return AAM(**read_fields(path))
+    name = os.fspath(path)
+    return _included(name) if name in MODELS else AAM(**read_fields(path))
+
+
+@cache
+def _included(name: str) -> AAM:
+    return AAM(**read_fields(model_file(name)))

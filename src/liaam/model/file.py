@@ -43,7 +43,7 @@ UNIT = 0.1
 """Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors."""
 
 LONGEST_NAME = 1000
-"""Largest number of characters of a model's name."""
+"""Largest number of characters of a model's name, its credit and the name of a landmark."""
 
 MAX_BLUR, MAX_LEVELS = 10.0, 10
 """Largest blur, pixels of the reference frame, and largest number of levels."""
@@ -118,6 +118,7 @@ def _header(model: "AAM") -> dict:
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "landmark_names": list(model.landmark_names),
         "name": model.name,
+        **({"credit": model.credit} if model.credit else {}),
         **({} if model.features is None else {"features": model.features.name}),
     }
 
@@ -239,7 +240,8 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "n_images": n_images,
         "contours": _contours(header["contours"], n),
         "landmark_names": _names(header.get("landmark_names", []), n),
-        "name": writable(str(header["name"]))[:LONGEST_NAME],
+        "name": _text(header["name"]),
+        "credit": _text(header.get("credit", "")),
         "n_textures": n_textures,
         "n_lamps": int(header.get("n_lamps", 0)),
         "light": _light(tensors, n) if "light.modes" in tensors else None,
@@ -480,7 +482,11 @@ def _finite(value: float) -> float:
 def _names(names: list, n: int) -> tuple[str, ...]:
     if not isinstance(names, list) or len(names) not in (0, n):
         raise ValueError(f"there are not {n} names of landmarks")
-    return tuple(writable(str(name))[:LONGEST_NAME] for name in names)
+    return tuple(_text(name) for name in names)
+
+
+def _text(value: object) -> str:
+    return writable(str(value))[:LONGEST_NAME]
 
 
 def _contours(rows: list, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:

@@ -1,0 +1,31 @@
+"""Models that come with liaam, by name. Their files are beside this one; ``models/`` of a checkout makes them."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+FACE = "face"
+"""Name of the model that ``liaam fit`` uses if none is given."""
+
+
+@dataclass(frozen=True)
+class Included:
+    """What a model that comes with liaam is for, and how accurate it was measured to be."""
+
+    purpose: str
+    accuracy: str
+
+
+MODELS = {
+    FACE: Included(
+        "faces of any person, frontal, neutral or smiling, in light from any side",
+        "TODO",
+    )
+}
+"""The models by name. Their credit and terms are in the files (:attr:`liaam.model.AAM.credit`)."""
+
+
+def model_file(path: str | os.PathLike) -> Path:
+    """Return the file of the model that comes with liaam under this name or, of any other text, the path itself."""
+    name = os.fspath(path)
+    return Path(__file__).with_name(f"{name}.liaam") if name in MODELS else Path(path)
