@@ -110,6 +110,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
         "--training-lamp",
         "--copies",
         "--methods",
+        "--shapes",
         "-o",
     ),
     "track": ("--init", "--camera", "--response", "-o"),

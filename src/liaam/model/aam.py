@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -51,6 +52,9 @@ class AAM:
         with the method (:func:`liaam.fitting.features_method`).
     is_colour : bool
         Whether the model was trained on colour images.
+    others : tuple of AAM
+        Models of further shapes of the object, of which one Gaussian would not do (such as left and right wings). All
+        other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     """
 
     views: dict[str, View]
@@ -66,18 +70,41 @@ class AAM:
     points: PointMap | None = None
     features: Features | None = None
     is_colour: bool = True
+    others: tuple["AAM", ...] = ()
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
-        return {name: value for name, value in self.__dict__.items() if name != "_fitters"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_fitters", "_first")}
 
     def __repr__(self) -> str:
-        images = count_of(self.n_images, "image")
-        return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {images})"
+        images = count_of(self.n_all_images, "image")
+        shapes = f", {len(self.parts)} shapes" if self.others else ""
+        return f"AAM({self.name!r}, {self.n_points} landmarks{shapes}, {self.n_pixels} pixels, {images})"
 
     def with_view(self, name: str, **changes) -> "AAM":
         """Return a copy of the model with some fields of a view changed."""
         return replace(self, views={**self.views, name: replace(self.views[name], **changes)})
+
+    @property
+    def parts(self) -> tuple["AAM", ...]:
+        """A model for each shape of the object, the most frequent first: in general only this one."""
+        return (self._first, *self.others) if self.others else (self,)
+
+    @cached_property
+    def _first(self) -> "AAM":
+        return replace(self, others=())
+
+    def part_of(self, shape: np.ndarray) -> int:
+        """Return the index of the part under which a shape (n, 2), without missing points, is most likely."""
+        if not self.others:
+            return 0
+        densities = [np.log(part.n_images) + part.shape_model.log_density(shape) for part in self.parts]
+        return int(np.argmax(densities))
+
+    @property
+    def n_all_images(self) -> int:
+        """Number of training images of all shapes."""
+        return sum(part.n_images for part in self.parts)
 
     @property
     def theta(self) -> float:
@@ -149,4 +176,5 @@ def load_model(path: str | os.PathLike) -> AAM:
     ModelFileError
         If the file is missing, truncated, inconsistent, of another version, or not a liaam model.
     """
-    return AAM(**read_fields(path))
+    first, *others = (AAM(**fields) for fields in read_fields(path))
+    return replace(first, others=tuple(others)) if others else first

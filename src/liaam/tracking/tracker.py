@@ -183,8 +183,8 @@ class TrackState:
 
     It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how many
     frames the object has been lost, the wait between searches and the time until the next one in frames, the size
-    (height, width) of the last frame, the last landmarks (n, 2), and the number of the last frame with landmarks,
-    divided by the review interval.
+    (height, width) of the last frame, the last landmarks (n, 2), the number of the last frame with landmarks divided by
+    the review interval, and the index of the model's part (:attr:`liaam.AAM.parts`) that is tracked.
     """
 
     count: int = 0
@@ -195,6 +195,7 @@ class TrackState:
     size: tuple[int, int] | None = None
     last: np.ndarray | None = None
     period: int = 0
+    part: int = 0
 
 
 @dataclass(eq=False)
@@ -239,9 +240,11 @@ class Tracker:
         near = SolverOptions(
             max_iterations=self.options.iterations, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0
         )
-        few = sharpest(self.model, self.options.levels)
-        self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
-        self._motion = Motion(self.fitter.shapes)
+        self._of_parts = []
+        for part in self.fitter.parts:
+            few = sharpest(part.model, self.options.levels)
+            fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
+            self._of_parts.append((fitter, Motion(part.shapes)))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 
@@ -252,6 +255,12 @@ class Tracker:
     def resume(self, state: TrackState) -> None:
         """Continue from the state of a tracker with the same model and method."""
         self.result, self.state = None, replace(state)
+        self._use(state.part)
+
+    def _use(self, part: int) -> None:
+        """Track the shape of one of the model's parts."""
+        self.state.part = part
+        self._near, self._motion = self._of_parts[part]
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -292,6 +301,9 @@ class Tracker:
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
+        part = self.model.part_of(tried.landmarks)
+        if self.state.track is None and part != self.state.part:
+            self._use(part)
         self.state.lost = self.state.wait = self.state.due = 0
         self.state.last, self.state.period = tried.landmarks, self._period_of(index)
         return self._seen(tried, status, index, time)
@@ -343,7 +355,8 @@ class Tracker:
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
         """Fit from the predicted position."""
         start = self._predicted()
-        fitters = (self._near, self.fitter) if self.state.lost == 0 else (self.fitter,)
+        fitter = self.fitter.parts[self.state.part]
+        fitters = (self._near, fitter) if self.state.lost == 0 else (fitter,)
         tried = None
         for fitter in fitters:
             try:
@@ -362,9 +375,10 @@ class Tracker:
         """Return a fit from the mean shape at the same place, if it is clearly better."""
         if np.isnan(followed.quality):
             return None
-        mean = self.model.shape_model.mean
+        fitter = self.fitter.parts[self.state.part]
+        mean = fitter.model.shape_model.mean
         try:
-            anew = self.fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
+            anew = fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
         except (StartError, ImageError):
             return None
         apart, size = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1), diagonal_of(followed.landmarks)
