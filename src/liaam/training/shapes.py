@@ -21,7 +21,7 @@ LEAST_GROUP = 8
 
 GAIN = 1.0
 """Least gain in the mean log-likelihood of a left-out shape for which groups are used. The gain is below 0 for nine
-sets of one kind of object, turned heads among them, 2.0 and 4.0 for wings of two outlines, and 8.3 if every other wing
+sets of one kind of object, turned heads among them, 2.1 and 4.2 for wings of two outlines, and 8.4 if every other wing
 is mirrored."""
 
 POINTS = 30
@@ -61,7 +61,7 @@ def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = A
         return _checked(_clusters(apart, int(wanted)), int(wanted))
     owners = _owners(names, apart)
     best, evidence = everything, _evidence(shapes, owners, everything)
-    for groups in _groupings(apart):
+    for groups in _groupings(apart) if np.isfinite(evidence) else ():
         found = _evidence(shapes, owners, groups)
         if not found - evidence >= GAIN:
             break
@@ -124,7 +124,7 @@ def _evidence(shapes: np.ndarray, owners: np.ndarray, groups: list[np.ndarray]) 
         parts = np.array_split(np.unique(owners[group]), LEFT_OUT_FOLDS)
         folds = [np.flatnonzero(np.isin(owners[group], part)) for part in parts if len(part)]
         if max(map(len, folds)) > len(group) / 2:
-            return -np.inf  # nearly all are of one object: a person is not a kind of shape
+            return -np.inf  # most are of one object, and a person is not a kind of shape
         own = shapes[group]
         density = fit_prior(deviations_from(procrustes_mean(own), own), folds).evidence
         total += len(group) * (density + np.log(len(group) / len(shapes)))
