@@ -244,7 +244,7 @@ class Tracker:
         for part in self.fitter.parts:
             few = sharpest(part.model, self.options.levels)
             fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
-            self._of_parts.append((fitter, Motion(part.shapes)))
+            self._of_parts.append((fitter, part, Motion(part.shapes)))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 
@@ -260,7 +260,7 @@ class Tracker:
     def _use(self, part: int) -> None:
         """Track the shape of one of the model's parts."""
         self.state.part = part
-        self._near, self._motion = self._of_parts[part]
+        self._near, self._far, self._motion = self._of_parts[part]
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -355,8 +355,7 @@ class Tracker:
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
         """Fit from the predicted position."""
         start = self._predicted()
-        fitter = self.fitter.parts[self.state.part]
-        fitters = (self._near, fitter) if self.state.lost == 0 else (fitter,)
+        fitters = (self._near, self._far) if self.state.lost == 0 else (self._far,)
         tried = None
         for fitter in fitters:
             try:
@@ -375,10 +374,9 @@ class Tracker:
         """Return a fit from the mean shape at the same place, if it is clearly better."""
         if np.isnan(followed.quality):
             return None
-        fitter = self.fitter.parts[self.state.part]
-        mean = fitter.model.shape_model.mean
+        mean = self.model.parts[self.state.part].shape_model.mean
         try:
-            anew = fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
+            anew = self.fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
         except (StartError, ImageError):
             return None
         apart, size = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1), diagonal_of(followed.landmarks)
