@@ -212,7 +212,7 @@ def _checked_header(path: Path, text: str) -> dict:
     if header.get("format") != FORMAT:
         raise ModelFileError(f"{path}: this safetensors file is not a liaam model; make one with 'liaam train'")
     if header.get("schema") not in READABLE:
-        readable = " and ".join(map(str, READABLE))
+        readable = f"{READABLE[0]} to {READABLE[-1]}"
         raise ModelFileError(
             f"{path}: the model has schema version {header.get('schema')}, this liaam reads versions {readable}; "
             "train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
