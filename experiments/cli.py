@@ -531,6 +531,19 @@ def assisted(
 
 
 @app.command()
+def shapes(
+    data: Annotated[Path, typer.Option(help="Folder of at least 40 images of one kind of object and their landmarks.")],
+    out: Out,
+    jobs: Jobs = None,
+) -> None:
+    """What do objects of two kinds of shape lose in one Gaussian, and in a model for each kind?"""
+    from experiments import shapes as module
+
+    summary = execute(module.shapes_experiment(data), out, jobs)
+    print_protocol(module.table(summary), summary, out)
+
+
+@app.command()
 def uncertainty(
     out: Out,
     data: Annotated[

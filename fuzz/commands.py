@@ -111,6 +111,7 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
         "--training-lamp",
         "--copies",
         "--methods",
+        "--shapes",
         "-o",
     ),
     "track": ("--init", "--camera", "--response", "-o"),

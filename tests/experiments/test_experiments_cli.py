@@ -85,7 +85,7 @@ def test_help(run_experiments):
         "occlusion",
         "unchanged",
     )
-    for command in ((), *((name,) for name in (*commands, "assisted", "uncertainty", "reproduce"))):
+    for command in ((), *((name,) for name in (*commands, "assisted", "shapes", "uncertainty", "reproduce"))):
         code, out, _ = run_experiments(*command, "--help")
         assert code == 0
         assert "Usage" in out

@@ -12,7 +12,7 @@ from liaam.cli.lamps import LAMPS_SUFFIX, read_lamps
 from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
-from liaam.io.files import existing_file
+from liaam.io.files import count_of, existing_file
 from liaam.models import MODELS, model_file as file_of
 
 if TYPE_CHECKING:
@@ -54,6 +54,8 @@ def show(
         progress(0, 1, f"drawing {file.name}")
         if not lit:
             model = load_model(file)
+            if model.others:
+                say(f"shapes: {describe_shapes(model)}; the figure shows the first")
             figure, credit = figure_of_model(model), model.credit
         elif image is None:
             figure = figure_of_lamps(read_lamps(file))
@@ -106,7 +108,8 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         more["features"] = f"{model.features.name}, a function"
     return {
         "model": f"{model.name or path.stem} ({path.stat().st_size / 1e6:.1f} MB)",
-        "trained on": f"{model.n_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
+        "trained on": f"{model.n_all_images} {'' if model.is_colour else 'grey '}images{count_copies(model)}",
+        **({"shapes": f"{describe_shapes(model)}; below, the first"} if model.others else {}),
         "landmarks": f"{model.n_points}, in {len(model.triangles)} triangles and {len(model.contours)} contours",
         "shape modes": f"{count_modes(model)}, and 4 of position, size and rotation; spread {spread:.1f} px",
         "appearance modes": ", ".join(f"{a.n_modes} {name}" for name, a in appearances.items()),
@@ -121,9 +124,15 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
     }
 
 
+def describe_shapes(model: "AAM") -> str:
+    """Describe the shapes of a model by their shares of the training images, the most frequent first."""
+    shares = (f"{count_of(part.n_images, 'image')} ({part.n_images / model.n_all_images:.0%})" for part in model.parts)
+    return f"{len(model.parts)}, each with a model of its own: {', '.join(shares)}"
+
+
 def count_copies(model: "AAM") -> str:
     """Describe the mirrored or relit copies among the training images."""
-    more = model.n_textures - model.n_images
+    more = sum(part.n_textures - part.n_images for part in model.parts)
     if more <= 0:
         return ""
     return f" and {more} copies under {model.n_lamps} lamps" if model.n_lamps else f" and {more} mirrored copies"

@@ -22,7 +22,7 @@ from liaam.cli.inputs import (
     read_folder,
 )
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
-from liaam.cli.models import count_copies, count_modes
+from liaam.cli.models import count_copies, count_modes, describe_shapes
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
@@ -112,6 +112,13 @@ def train(
         ),
     ] = None,
     methods: MethodsOption = "",
+    shapes: Annotated[
+        str,
+        typer.Option(
+            help="Number of kinds of shape, such as left and right wings, each with a model of its own: 1 to 4. 'auto' "
+            "finds out, from 16 images on."
+        ),
+    ] = AUTO,
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -162,6 +169,7 @@ def train(
             copies=copies,
             points=points,
             methods=parse_methods(methods),
+            shapes=int(shapes) if shapes.isdecimal() else shapes,
             name=name or folder.name,
             leave_out=leave_out,
             progress=progress,
@@ -238,7 +246,9 @@ def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", 
     from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 
     modes = f"shape modes: {count_modes(model)}; pixels: {model.n_pixels}"
-    say(f"{output}: trained on {model.n_images} images{count_copies(model)}; {modes}")
+    say(f"{output}: trained on {model.n_all_images} images{count_copies(model)}; {modes}")
+    if model.others:
+        say(f"kinds of shape: {describe_shapes(model)} (--shapes 1 for one model)")
     if not len(model.shape_model.modes):
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
     if light == AUTO and model.n_lamps:

@@ -21,7 +21,7 @@ from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration, trace
 from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
 from liaam.fitting.solver import SolverOptions, scored
-from liaam.fitting.start import mapped_points, start_shape
+from liaam.fitting.start import mapped_points, part_of_start, start_shape
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
 from liaam.model import AAM, Level, Reliability, View, load_model
 from liaam.model.mesh import folded_share
@@ -124,7 +124,8 @@ class Fitter:
         self.finder  # noqa: B018 (raise errors now, not at the first image)
         if self.camera is not None:
             check_camera(self.camera)
-        self.objectives  # noqa: B018
+        for part in self.parts:
+            part.objectives  # noqa: B018
 
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:
@@ -212,16 +213,50 @@ class Fitter:
         ImageError, StartError
             For invalid input.
         """
-        target, found = self.target(image, init, name)
-        result, prior = self._fit_from(target), 1.0
-        region = self._region(init, target.image)
+        path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
+        parts = self._parts_for(init, name)
+        if len(parts) > 1:
+            image, name = load_picture(image, name)  # once for all
+        firsts = []
+        for part in parts:
+            target, found = part.target(image, init, name)
+            firsts.append((part._fit_from(target), part, target, found))
+        results = []
+        for first, part, target, found in sorted(firsts, key=lambda each: _explained(each[0]), reverse=True):
+            results.append(part._completed(first, target, found, init))
+            if results[-1].status.ok:
+                break
+        result = max(results, key=lambda each: (each.status.ok, np.nan_to_num(each.quality), _explained(each)))
+        return replace(result, image=path)
+
+    def _parts_for(self, init, name: str) -> tuple["Fitter", ...]:
+        """Return the fitters of the shapes that a start may belong to."""
+        given = init.landmarks if isinstance(init, Candidate) else init
+        own = part_of_start(self.model, given, name)
+        return self.parts if own is None else self.parts[own : own + 1]
+
+    @property
+    def parts(self) -> tuple["Fitter", ...]:
+        """A fitter for each shape of the model: in general only this one."""
+        return self._several or (self,)
+
+    @cached_property
+    def _several(self) -> tuple["Fitter", ...]:
+        return tuple(replace(self, model=part) for part in self.model.parts) if self.model.others else ()
+
+    def part_for(self, shape: np.ndarray) -> "Fitter":
+        """Return the fitter of the model's part that a fitted shape (n, 2) belongs to (:meth:`AAM.part_of`)."""
+        return self.parts[self.model.part_of(shape)]
+
+    def _completed(self, result: FitResult, target: Target, found: Candidate | None, init) -> FitResult:
+        """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
+        prior, region = 1.0, self._region(init, target.image)
         if region is not None and self._has_quality(result):
             result, prior, target, found = self._likeliest(target, result, found, region)
         if self.restarts and self._falls_short(_with_prior(result, prior)):
             result = self._fit_again(target, result)
-        path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
         result, model = _with_prior(result, prior), self.model
-        return replace(result, found=found, contours=model.contours, landmark_names=model.landmark_names, image=path)
+        return replace(result, found=found, contours=model.contours, landmark_names=model.landmark_names)
 
     def _fit_from(self, target: Target, options: SolverOptions | None = None) -> FitResult:
         options, points = self.options if options is None else options, self.model.points
@@ -369,6 +404,8 @@ class Fitter:
         dict
             Arrays of :meth:`liaam.fitting.reference.Problem.arrays` at the shape and angles of ``result``.
         """
+        if self.model.others:
+            return self.part_for(result.landmarks).solution_at(image, result)
         objective, encoded, state = self._end_of(result, image)
         if self._method.free_angles == "image" and not np.isfinite(result.theta):
             state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, encoded, state)]))
@@ -388,10 +425,13 @@ class Fitter:
         Returns
         -------
         residual : (n_pixels, k) float32
-            Image minus model, in the raster order of the frame of :attr:`view`; 0 at unusable pixels.
+            Image minus model, in the raster order of the frame of :attr:`view`; 0 at unusable pixels. Of a model of
+            several shapes, :meth:`part_for` gives the fitter with that view.
         usable : (n_pixels,) float32
             1 at usable pixels, else 0.
         """
+        if self.model.others:
+            return self.part_for(result.landmarks).residual(image, result)
         kept, k = self.view.warp.every(0.0), self._method.n_rows
         residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
         if np.isfinite(result.landmarks).all():
@@ -514,6 +554,11 @@ class Fitter:
         if 1.0 - valid.mean() >= max(dark, clipped) * valid.mean():
             return FitStatus.NO_TEXTURE
         return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
+
+
+def _explained(result: FitResult) -> float:
+    """Return the fraction of the image that a fit explains, by which fits of different shapes are compared."""
+    return -np.inf if result.status.lost else float(np.nan_to_num(result.evidence[0], nan=-np.inf))
 
 
 def _odds(probability: float) -> float:

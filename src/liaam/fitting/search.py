@@ -208,6 +208,11 @@ class Finder:
         return shrink(self.model)
 
     @cached_property
+    def parts(self) -> tuple["Finder", ...]:
+        """A detector for each shape of the model."""
+        return tuple(replace(self, model=part) for part in self.model.parts)
+
+    @cached_property
     def templates(self) -> tuple[Template, ...]:
         """All templates of the reduced model."""
         return make_templates(self.small, self.rotations)
@@ -240,6 +245,9 @@ class Finder:
     def find_in(self, linear: LinearImage, *, limit: int | None = 1, least: float = 0.0) -> list[Candidate]:
         """Find the object in an image that is checked already; see :func:`find`."""
         most = MOST if limit is None else min(limit, MOST)
+        if self.model.others:
+            found = [candidate for part in self.parts for candidate in part.find_in(linear, limit=limit, least=least)]
+            return _chosen(sorted(found, key=lambda candidate: -candidate.score), _are_beside, most)
         search = _Search(self, linear, 6 + 4 * most)
         seen = search.for_one(least) if most == 1 else search.for_all()
         seen = seen or [self._in_the_middle(linear.image)]

@@ -61,6 +61,15 @@ def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "imag
     return shape
 
 
+def part_of_start(model: AAM, init, name: str = "image") -> int | None:
+    """Return the index of the model's part that a whole shape belongs to; None for other starts."""
+    if init is None or not model.others:
+        return None
+    shape = _numbers(_by_name(model, init, name), name)
+    whole = shape.shape == (model.n_points, 2) and np.isfinite(shape).all()
+    return model.part_of(shape) if whole else None
+
+
 def mapped_points(model: AAM, init, name: str = "image") -> np.ndarray | None:
     """Map the points of another landmarker to landmarks, (n, 2) float64; None if the start is something else.
 

@@ -2,7 +2,7 @@
 
 import os
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -55,6 +55,9 @@ class AAM:
         Whether the model was trained on colour images.
     credit : str
         Whom to credit for the training images, and their licences, for display.
+    others : tuple of AAM
+        Models of further shapes of the object, of which one Gaussian would not do (such as left and right wings). All
+        other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     """
 
     views: dict[str, View]
@@ -71,14 +74,16 @@ class AAM:
     features: Features | None = None
     is_colour: bool = True
     credit: str = ""
+    others: tuple["AAM", ...] = ()
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
-        return {name: value for name, value in self.__dict__.items() if name != "_fitters"}
+        return {name: value for name, value in self.__dict__.items() if name not in ("_fitters", "_first")}
 
     def __repr__(self) -> str:
-        images = count_of(self.n_images, "image")
-        return f"AAM({self.name!r}, {self.n_points} landmarks, {self.n_pixels} pixels, {images})"
+        images = count_of(self.n_all_images, "image")
+        shapes = f", {len(self.parts)} shapes" if self.others else ""
+        return f"AAM({self.name!r}, {self.n_points} landmarks{shapes}, {self.n_pixels} pixels, {images})"
 
     def with_view(self, name: str, **changes) -> "AAM":
         """Return a copy of the model with some fields of a view changed."""
@@ -88,6 +93,27 @@ class AAM:
     def calibrated(self) -> bool:
         """Whether training has calibrated the quality and covariances of fits on left-out images."""
         return any(view.reliability is not None for view in self.views.values())
+
+    @property
+    def parts(self) -> tuple["AAM", ...]:
+        """A model for each shape of the object, the most frequent first: in general only this one."""
+        return (self._first, *self.others) if self.others else (self,)
+
+    @cached_property
+    def _first(self) -> "AAM":
+        return replace(self, others=())
+
+    def part_of(self, shape: np.ndarray) -> int:
+        """Return the index of the part under which a shape (n, 2), without missing points, is most likely."""
+        if not self.others:
+            return 0
+        densities = [np.log(part.n_images) + part.shape_model.log_density(shape) for part in self.parts]
+        return int(np.argmax(densities))
+
+    @property
+    def n_all_images(self) -> int:
+        """Number of training images of all shapes."""
+        return sum(part.n_images for part in self.parts)
 
     @property
     def theta(self) -> float:
@@ -171,9 +197,14 @@ def load_model(path: str | os.PathLike) -> AAM:
     >>> model.landmark_names[:2]
     """
     name = os.fspath(path)
-    return _included(name) if name in MODELS else AAM(**read_fields(path))
+    return _included(name) if name in MODELS else _read(path)
 
 
 @cache
 def _included(name: str) -> AAM:
-    return AAM(**read_fields(model_file(name)))
+    return _read(model_file(name))
+
+
+def _read(path: str | os.PathLike[str]) -> AAM:
+    first, *others = (AAM(**fields) for fields in read_fields(path))
+    return replace(first, others=tuple(others)) if others else first

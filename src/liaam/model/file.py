@@ -24,11 +24,14 @@ if TYPE_CHECKING:
     from liaam.model.aam import AAM
 
 
-SCHEMA_VERSION = 5
-"""Version of the format; increased when its meaning changes."""
+SCHEMA_VERSION, OF_SHAPES = 5, 6
+"""Versions of the format, increased when its meaning changes: of a model, and of one of several shapes."""
 
-READABLE = (4, 5)
+READABLE = (4, 5, 6)
 """Versions that are read. Version 4 has the appearances of all methods, modes in single precision."""
+
+MOST_SHAPES = 4
+"""Largest number of shapes of a model."""
 
 MAX_DIAGONAL = 2000.0
 """Largest diagonal of a reference frame, pixels."""
@@ -75,11 +78,21 @@ def file_bytes(model: "AAM") -> bytes:
     """Return the content of a model file."""
     from safetensors.numpy import save
 
-    return save(_tensors(model), {"liaam": json.dumps(_header(model))})
+    header, tensors = _header(model), _tensors(model)
+    if model.others:
+        header |= {"schema": OF_SHAPES, "others": [_header(other) for other in model.others]}
+    for i, other in enumerate(model.others):
+        tensors |= {f"{_prefix(i)}{key}": value for key, value in _tensors(other).items()}
+    return save(tensors, {"liaam": json.dumps(header)})
 
 
-def read_fields(path: str | os.PathLike) -> dict[str, Any]:
-    """Read and validate the fields of an :class:`~liaam.model.aam.AAM`; raises like ``load_model``."""
+def _prefix(i: int) -> str:
+    """Start of the names of the tensors of the i-th of the other shapes."""
+    return f"others/{i}/"
+
+
+def read_fields(path: str | os.PathLike) -> list[dict[str, Any]]:
+    """Read and validate the fields of an :class:`~liaam.model.aam.AAM` for each shape; raises like ``load_model``."""
     from liaam.io.tensors import read_tensors
 
     path, make = Path(path), "liaam train FOLDER -o MODEL"
@@ -91,7 +104,7 @@ def read_fields(path: str | os.PathLike) -> dict[str, Any]:
         path, lambda text, _: _checked_header(path, text), ModelFileError, "model file", make, broken
     )
     try:
-        return _fields(header, tensors)
+        return [_fields(header, tensors), *_fields_of_others(header, tensors)]
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, LiaamError) as error:
         raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
 
@@ -200,7 +213,7 @@ def _checked_header(path: Path, text: str) -> dict:
     if header.get("format") != FORMAT:
         raise ModelFileError(f"{path}: this safetensors file is not a liaam model; make one with 'liaam train'")
     if header.get("schema") not in READABLE:
-        readable = " and ".join(map(str, READABLE))
+        readable = f"{READABLE[0]} to {READABLE[-1]}"
         raise ModelFileError(
             f"{path}: the model has schema version {header.get('schema')}, this liaam reads versions {readable}; "
             "train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
@@ -249,6 +262,20 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "features": features,
         "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
     }
+
+
+def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict[str, Any]]:
+    """Fields of the models of the other shapes, which have as many landmarks."""
+    others = header.get("others", [])
+    if not isinstance(others, list) or len(others) >= MOST_SHAPES:
+        raise ValueError(f"there are not 1 to {MOST_SHAPES} shapes")
+    made = []
+    for i, about in enumerate(others):
+        own = {key.removeprefix(_prefix(i)): value for key, value in tensors.items() if key.startswith(_prefix(i))}
+        if own["mean"].shape != tensors["mean"].shape:
+            raise ValueError("the shapes do not have the same number of landmarks")
+        made.append(_fields(about, own))
+    return made
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:

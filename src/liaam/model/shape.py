@@ -132,6 +132,10 @@ def similarity_modes(mean: np.ndarray) -> np.ndarray:
     return np.array([row.ravel() / np.linalg.norm(row) for row in rows])
 
 
+LEAST_NOISE = 0.01
+"""Least variance of a coordinate in the likelihood of shapes, square pixels of the reference frame."""
+
+
 @dataclass(frozen=True, eq=False)
 class ShapeModel:
     """Shapes s(p) = s0 + sum_i p_i s_i (paper eq 2).
@@ -199,6 +203,16 @@ class ShapeModel:
                 break
         return pose(self.shape(self._modes_only(pose.inverse()(shape))))
 
+    def log_density(self, shape: np.ndarray) -> float:
+        """Log-likelihood of a shape (n, 2), whatever its position, size and rotation, up to a constant."""
+        upright = align(shape, self.mean)(shape)
+        p = self.parameters(upright)[:-4]
+        noise = max(0.5 * np.nan_to_num(self.left_out_bound) ** 2, LEAST_NOISE)  # variance of a coordinate
+        variances, n_beyond = self.eigenvalues + noise, 2 * self.n_points - 4 - len(p)
+        beyond = np.square(upright - self.mean).sum() - np.square(p).sum()
+        inside = (np.square(p) / variances + np.log(variances)).sum()
+        return float(-0.5 * (inside + beyond / noise + n_beyond * np.log(noise)))
+
     def _modes_only(self, shape: np.ndarray) -> np.ndarray:
         p = self.parameters(shape)
         p[-4:] = 0.0
@@ -240,14 +254,14 @@ def choose_recipe(mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Seque
     """Choose the settings under which left-out shapes are most likely. The shapes of a fold are left out together."""
     if prior != "smooth":
         return Recipe(prior)
-    plain = fit_prior(_deviations(mean, shapes), folds)
+    plain = fit_prior(deviations_from(mean, shapes), folds)
     # The mean may be asymmetric, such as of turned heads; a single shape may still be symmetric.
     tries = min(MIRRORED_TRIES, MIRRORED_POINTS // len(mean))
     orders = (mirror_order(shape) for shape in (mean, *shapes[:tries]))
     order = next((order for order in orders if order is not None), None)
     if order is None:
         return Recipe(prior, plain)
-    mirrored = fit_prior(_deviations(mean, shapes, order), folds)
+    mirrored = fit_prior(deviations_from(mean, shapes, order), folds)
     return Recipe(prior, mirrored, order) if mirrored.evidence > plain.evidence else Recipe(prior, plain)
 
 
@@ -260,7 +274,7 @@ def shape_model_on(
 ) -> ShapeModel:
     """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
     folds = some_folds(len(shapes)) if folds is None else folds
-    deviations = _deviations(mean, shapes, recipe.mirrored)
+    deviations = deviations_from(mean, shapes, recipe.mirrored)
     if recipe.smooth is not None:
         return _smooth_model(deviations, variance, recipe.smooth, folds)
     own = deviations.own
@@ -275,7 +289,7 @@ def shape_model_on(
     return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
 
 
-def _deviations(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
+def deviations_from(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | None = None) -> Deviations:
     """Deviations of shapes from a mean; also those of the mirrored shapes if an order is given."""
     rigid, n = similarity_modes(mean), len(shapes)
     if order is not None:

@@ -241,7 +241,7 @@ def model_json(
     return {
         "number": current.number,
         "name": facts.get("name", model.name),
-        "n_images": model.n_images,
+        "n_images": model.n_all_images,
         "n_points": model.n_points,
         "trained": facts["trained"],
         "stale": changed + len(lost),

@@ -140,7 +140,7 @@ class _Worker:
         if waiting:
             self._propose(model, waiting)
         without = f", without {', '.join(self.left_out)}" if self.left_out else ""
-        return f"trained on {model.n_images} pictures{without}{self.warned}"
+        return f"trained on {model.n_all_images} pictures{without}{self.warned}"
 
     def _progress(self, phase: str) -> Progress:
         def progress(done: int, total: int, what: str) -> None:

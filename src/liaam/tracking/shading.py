@@ -31,6 +31,7 @@ class ShadingRemover:
     """
 
     fitter: Fitter
+    _part: Fitter = field(init=False, repr=False)
     _before: tuple[np.ndarray, np.ndarray] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -44,9 +45,14 @@ class ShadingRemover:
             raise MethodError(
                 "the model was trained on grey images, and estimating shading needs colour; train on colour images"
             )
+        self._use(self.fitter.parts[0])
+
+    def _use(self, part: Fitter) -> None:
+        """Use the fitter of one of the model's parts."""
         # soft-li determines the appearance from the invariant.
-        self._log = by_invariant(self.fitter) if method.appearance == "soft" else self.fitter
-        self._weights = soft_edge(model)
+        is_soft = part.objectives[-1].method.appearance == "soft"
+        self._part, self._before, self._log = part, None, by_invariant(part) if is_soft else part
+        self._weights = soft_edge(part.model)
 
     def reset(self) -> None:
         """Reset the filter, after the object was lost."""
@@ -74,14 +80,17 @@ class ShadingRemover:
         """
         image = as_colour(image)
         refuse_grey(image, "the video", "estimating shading needs colour; give a colour video", MethodError)
-        if self._log is not self.fitter:
+        part = self.fitter.part_for(result.landmarks)
+        if part is not self._part:
+            self._use(part)
+        if self._log is not part:
             result = replace(result, method=self._log.objectives[-1].method, theta=np.nan)
         seen, appearance = shadow_free(self._log, image, result), self._log.view.levels[-1].appearances["log"]
         now = seen.lam, np.square(seen.deviations)
         if self._before is not None:
             now = filtered(*self._before, *now, CHANGE**2 * appearance.eigenvalues)
         self._before = now
-        model, camera = self.fitter.model, self.fitter.camera or self.fitter.model.camera
+        model, camera = part.model, part.camera or part.model.camera
         from liaam.relighting.blending import blended
 
         log_rgba = np.concatenate([appearance.texture(now[0]), self._weights[:, None]], axis=1)

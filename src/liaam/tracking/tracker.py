@@ -183,8 +183,8 @@ class TrackState:
 
     It holds the number of frames so far (at 0, an invalid frame raises), the estimate of the object's motion, how many
     frames the object has been lost, the wait between searches and the time until the next one in frames, the size
-    (height, width) of the last frame, the last landmarks (n, 2), and the number of the last frame with landmarks,
-    divided by the review interval.
+    (height, width) of the last frame, the last landmarks (n, 2), the number of the last frame with landmarks divided by
+    the review interval, and the index of the model's part (:attr:`liaam.AAM.parts`) that is tracked.
     """
 
     count: int = 0
@@ -195,6 +195,7 @@ class TrackState:
     size: tuple[int, int] | None = None
     last: np.ndarray | None = None
     period: int = 0
+    part: int = 0
 
 
 @dataclass(eq=False)
@@ -239,15 +240,23 @@ class Tracker:
         near = SolverOptions(
             max_iterations=self.options.iterations, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0
         )
-        few = sharpest(self.model, self.options.levels)
-        self._near = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
-        self._motion = Motion(self.fitter.shapes)
+        self._of_parts = []
+        for part in self.fitter.parts:
+            few = sharpest(part.model, self.options.levels)
+            fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
+            self._of_parts.append((fitter, part, Motion(part.shapes)))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
         self.reset()
 
     def reset(self) -> None:
         """Forget the object. The next frame counts as the first one."""
         self.result, self.state = None, TrackState()
+        self._use(self.state.part)
+
+    def _use(self, part: int) -> None:
+        """Track the shape of one of the model's parts."""
+        self.state.part = part
+        self._near, self._far, self._motion = self._of_parts[part]
 
     def update(self, image, time: float = float("nan"), index: int | None = None) -> TrackedFrame:
         """Find the object in the next frame.
@@ -288,6 +297,9 @@ class Tracker:
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
             return _lost(self.model.n_points, index, time, tried)
+        part = self.model.part_of(tried.landmarks)
+        if self.state.track is None and part != self.state.part:
+            self._use(part)
         self.state.lost = self.state.wait = self.state.due = 0
         self.state.last, self.state.period = tried.landmarks, self._period_of(index)
         return self._seen(tried, status, index, time)
@@ -339,7 +351,7 @@ class Tracker:
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
         """Fit from the predicted position."""
         start = self._predicted()
-        fitters = (self._near, self.fitter) if self.state.lost == 0 else (self.fitter,)
+        fitters = (self._near, self._far) if self.state.lost == 0 else (self._far,)
         tried = None
         for fitter in fitters:
             try:
@@ -358,7 +370,7 @@ class Tracker:
         """Return a fit from the mean shape at the same place, if it is clearly better."""
         if np.isnan(followed.quality):
             return None
-        mean = self.model.shape_model.mean
+        mean = self.model.parts[self.state.part].shape_model.mean
         try:
             anew = self.fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
         except (StartError, ImageError):

@@ -69,7 +69,7 @@ def check_images(
     if not grey.any() or grey.all():
         return list(entries), grey
     names, others = ([entry.name for entry, own in zip(entries, grey, strict=True) if own == g] for g in (True, False))
-    warnings.warn(grey_use(names, others), stacklevel=4)  # the caller of train, which is decorated
+    warnings.warn(grey_use(names, others), stacklevel=5)  # the caller of train, which is decorated
     if len(others) < LEAST_COLOUR:
         return [replace(entry, read_image=partial(_read_grey, entry)) for entry in entries], np.ones(len(entries), bool)
     return list(entries), grey

@@ -79,6 +79,8 @@ def keep_only(model: AAM, methods: Sequence[Method]) -> AAM:
         model = model.with_view(name, levels=tuple(levels))
     if model.light is not None:
         model = replace(model, light=replace(model.light, modes=rounded(model.light.modes)))
+    if model.others:
+        model = replace(model, others=tuple(keep_only(other, methods) for other in model.others))
     return model
 
 

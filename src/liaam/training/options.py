@@ -9,7 +9,7 @@ import numpy as np
 
 from liaam.errors import TrainingError, check_options
 from liaam.model import MESH, SURROUNDINGS
-from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS
+from liaam.model.file import MAX_BLUR, MAX_DIAGONAL, MAX_LEVELS, MOST_SHAPES
 from liaam.model.pca import Variance, check_variance
 from liaam.model.shape import check_prior
 from liaam.training.kept import Methods, chosen
@@ -23,6 +23,9 @@ surroundings were measured on unseen persons. They shrink in proportion in frame
 FULL_SIZE, LEAST_BLUR = 150.0, 0.5
 """Diagonal at which the blurs of the surroundings were measured, pixels, and the smallest blur of smaller frames. At a
 diagonal of 90 pixels faces are fitted to 1.8 % with a last blur of 0.6, and to 2.0 % with 1."""
+
+AUTO = "auto"
+"""Value of options that training chooses itself: ``shapes``, and ``lamps`` of :func:`liaam.train`."""
 
 COPIES, MOST_COPIES = 3, 20
 """Default and largest number of relit copies of each image."""
@@ -77,6 +80,9 @@ class TrainingOptions:
         images there are fewer copies of each. Default: 3, or 0 if all of the variance is kept.
     methods : names or Methods, or "all"
         Methods to fit with, besides the default ``soft-li``. Each makes training longer and the model file larger.
+    shapes : int or "auto"
+        Number of kinds of shape, 1 to 4, such as left and right wings. Each has a model of its own
+        (:attr:`liaam.AAM.parts`). ``auto``: more than one if this makes left-out shapes clearly more likely.
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
@@ -90,6 +96,7 @@ class TrainingOptions:
     triangles: np.ndarray | None = None
     copies: int | None = None
     methods: Methods = ()
+    shapes: int | str = AUTO
     leave_out: bool = True
 
     def __post_init__(self) -> None:
@@ -104,6 +111,8 @@ class TrainingOptions:
             raise TrainingError(
                 f"diagonal {self.diagonal:g}: give the size of the reference frame, 16 to {MAX_DIAGONAL:g} pixels"
             )
+        if self.shapes != AUTO and self.shapes not in range(1, MOST_SHAPES + 1):
+            raise TrainingError(f"shapes {self.shapes!r}: give 1 to {MOST_SHAPES}, or '{AUTO}'")
         chosen(self.methods)
         for prior in self.priors(0).values():
             check_prior(prior)

@@ -42,6 +42,13 @@ def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) ->
     return learn_point_map(theirs, np.array([entry.points for entry, _ in known]), mean, folds)
 
 
+def points_of(points: Points | None, group: np.ndarray) -> Points | None:
+    """Return the points of some images (indices ``group``) if they were given for each image in turn."""
+    if points is None or isinstance(points, str | os.PathLike) or callable(points):
+        return points
+    return [points[i] for i in group if i < len(points)]
+
+
 def _of_one_object(known: Sequence[tuple[Entry, np.ndarray]]) -> list[tuple[Entry, np.ndarray]]:
     """Of several objects in an image for which the landmarker found the same points, keep the nearest to them."""
     nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}

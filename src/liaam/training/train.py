@@ -1,7 +1,7 @@
 """Train an active appearance model from landmarked images."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any
@@ -23,15 +23,13 @@ from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.kept import chosen, keep_only, wanted
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
-from liaam.training.options import TrainingOptions
-from liaam.training.points import Points, map_of_points
+from liaam.training.options import AUTO, TrainingOptions
+from liaam.training.points import Points, map_of_points, points_of
+from liaam.training.shapes import shape_groups
 from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.symmetry import describe_offset, sideways_offset
 from liaam.training.textures import level_appearances, sample_all
 from liaam.workers import one_blas_thread
-
-AUTO = "auto"
-"""Value of ``lamps``: those of generated heads if the objects are faces."""
 
 
 @one_blas_thread()
@@ -97,7 +95,36 @@ def train(
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     check_camera(camera)
-    entries, contours, edges, names = read_entries(data)
+    entries, *about = read_entries(data)
+    shapes, names = np.array([entry.points for entry in entries]), [entry.name for entry in entries]
+    groups = shape_groups(shapes, names, options.shapes)
+    if len(groups) > 1 and not isinstance(lamps, str | PathLike | Lamps | None):
+        lamps = list(lamps)  # every model learns from them
+    given = lamps, training_lamp, features
+    models = []
+    for group in groups:
+        theirs = points if len(groups) == 1 else points_of(points, group)
+        own = [entries[i] for i in group]
+        models.append(_train_one(own, about, options, camera, given, theirs, name, progress))
+    return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
+
+
+def _train_one(
+    entries: list[Entry],
+    about: Sequence,
+    options: TrainingOptions,
+    camera: CameraModel,
+    given: tuple[Lamps | Iterable | None, str | None, FeatureFunction | None],
+    points: Points | None,
+    name: str,
+    progress: Progress | bool | None,
+) -> AAM:
+    """Train a model of one kind of shape.
+
+    ``about`` are the contours, edges and names of the landmarks, and ``given`` the lamps, the training lamp and the
+    features, as of :func:`train`.
+    """
+    (contours, edges, names), (lamps, training_lamp, features) = about, given
     shapes, folds = np.array([entry.points for entry in entries]), folds_of([entry.name for entry in entries])
 
     priors = options.priors(shapes.shape[1])
@@ -125,7 +152,7 @@ def train(
     symmetric = mirror_order(mean)
     copied = _copies(lit, symmetric, checked, model, options)
     if copied.offset:
-        warnings.warn(describe_offset(copied.offset), stacklevel=3)
+        warnings.warn(describe_offset(copied.offset), stacklevel=4)
     model = replace(
         model,
         n_textures=len(copied.owners),
