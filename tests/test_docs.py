@@ -204,7 +204,7 @@ def test_the_package_offers_its_public_names_only():
 def test_the_readme_is_short_and_says_how_to_install_and_test():
     text = text_of(ROOT / "README.md")
     assert len(text.splitlines()) <= 80
-    assert "pip install . && liaam demo" in text
+    assert "pip install . && liaam fit src/liaam/datasets/pictures/face/lisa.jpg" in text
     assert 'pip install -e ".[test]" && pytest -n logical' in text
 
 

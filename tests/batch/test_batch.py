@@ -322,9 +322,9 @@ def test_a_stopped_batch_goes_on(world, expected, tmp_path, fitted):
 
 
 def test_ctrl_c_is_no_death_of_the_images_in_progress(world, expected, tmp_path):
-    for _ in range(DEATHS):
+    for n in (3, 6):
         with pytest.raises(KeyboardInterrupt, match="run the same command again to resume"):
-            batch_of(world, tmp_path / "r.csv", jobs=2, progress=stop_at(3))
+            batch_of(world, tmp_path / "r.csv", jobs=2, progress=stop_at(n))
     with Journal(tmp_path / "r.csv.parts") as journal:
         assert journal.suspects() == {}
     batch_of(world, tmp_path / "r.csv", jobs=2)
@@ -401,7 +401,7 @@ def test_pictures_may_come_and_go_while_a_batch_is_stopped(world, tmp_path, fitt
     with pytest.raises(KeyboardInterrupt):
         batch_of(world, tmp_path / "r.csv", pictures[:4], progress=stop_at(2))
     assert batch_of(world, tmp_path / "r.csv", pictures[1:6]).total == 5
-    assert len(fitted) <= 6
+    assert len(fitted) <= 7  # the one in progress is fitted again
     assert {row["path"] for row in rows_of(tmp_path / "r.csv")} == set(pictures[1:6])
 
 

@@ -31,7 +31,7 @@ class _Ready(WorkerPlugin):
         if self.version != __version__:
             raise RuntimeError(f"worker {worker.address} has liaam {__version__}, not {self.version}")
         self.limits = ExitStack()
-        self.limits.enter_context(one_thread())  # a worker has as many threads as it is told to
+        self.limits.enter_context(one_thread())  # dask sets the number of threads
 
     def teardown(self, worker: Worker) -> None:
         self.limits.close()

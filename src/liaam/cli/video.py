@@ -3,7 +3,7 @@
 import signal
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -258,7 +258,7 @@ def caption_of(tracked: "TrackedFrame") -> str:
 
 def frames_of(
     tracker: "Tracker", reader: VideoReader, init: str | None, progress: Progress, stopped: Callable[[], bool]
-) -> Iterator[tuple[VideoFrame, "TrackedFrame"]]:
+) -> Generator[tuple[VideoFrame, "TrackedFrame"], None, None]:
     """Track a video or a camera frame by frame, from the start ``init`` if there is one."""
     pace = Pace()
     with reader:

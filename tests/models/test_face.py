@@ -1,0 +1,152 @@
+"""The face model that comes with liaam."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import liaam
+from liaam.cli.fit import model_and_images
+from liaam.datasets import load_face
+from liaam.errors import LiaamError
+from liaam.io import read_landmarks
+from liaam.models import MODELS, model_file
+from liaam.morphometry import read_specimens
+from liaam.morphometry.schemes import in_scheme
+
+ROOT = Path(__file__).resolve().parents[2]
+MADE_BY = ROOT / "models/face"
+
+EIGHT = {
+    "right_eye_outer": 35,
+    "right_eye_inner": 39,
+    "left_eye_inner": 44,
+    "left_eye_outer": 48,
+    "mouth_right": 86,
+    "mouth_left": 92,
+    "upper_lip_top": 89,
+    "lower_lip_bottom": 103,
+}
+"""Landmarks of the model that the photograph also has, in its own scheme."""
+
+
+@pytest.fixture(scope="module")
+def face():
+    return liaam.load_model("face")
+
+
+def far_from_photograph(names, points) -> float:
+    """Mean distance of the eight common points from those of the photograph, in parts of the eyes' distance."""
+    sample = load_face()
+    truth = sample.landmarks.points[list(EIGHT.values())]
+    own = np.asarray(points)[[list(names).index(name) for name in EIGHT]]
+    eyes = np.linalg.norm(truth[:2].mean(0) - truth[2:4].mean(0))
+    return float(np.linalg.norm(own - truth, axis=1).mean() / eyes)
+
+
+def test_it_names_its_landmarks_and_credits_its_sources(face):
+    assert face is liaam.load_model("face")  # read once
+    assert set(EIGHT) | {"chin"} <= set(face.landmark_names)
+    assert "CC BY 4.0" in face.credit and "10.6084/m9.figshare.5047666" in face.credit
+    assert model_file("face").stat().st_size <= 8e6
+
+
+def test_left_and_right_are_the_persons(face):
+    mean = dict(zip(face.landmark_names, face.shape_model.mean, strict=True))
+    for name in face.landmark_names:
+        if "right" in name:
+            assert mean[name][0] < mean[name.replace("right", "left")][0]
+
+
+def test_it_fits_the_photograph_that_comes_with_liaam():
+    result = liaam.fit("face", load_face().image)
+    assert result.status.ok and result.quality > 0.5
+    assert far_from_photograph(result.landmark_names, result.landmarks) < 0.06
+
+
+def test_fit_without_a_model_takes_it_and_writes_other_schemes(run, tmp_path):
+    code, out, err = run("fit", load_face().image, "-o", tmp_path)
+    assert (code, err) == (0, "") and "converged" in out
+    found = read_landmarks(tmp_path / "lisa.csv")
+    assert far_from_photograph(found.names, found.points) < 0.06
+    assert (tmp_path / "lisa_fit.png").exists()
+    assert run("fit", load_face().image, "--scheme", "ibug-68", "-o", tmp_path)[0] == 0  # over it
+    points = read_landmarks(tmp_path / "lisa.pts").points
+    assert np.allclose(points, in_scheme(found.points, found.names, "ibug-68"), atol=0.01)
+    names = dict(zip((36, 39, 42, 45, 48, 54, 51, 57), EIGHT, strict=True))
+    assert far_from_photograph(names.values(), points[list(names)]) < 0.06
+    fit = json.loads((tmp_path / "lisa.json").read_text())
+    assert len(fit["landmarks"]) == 68 and not any(key.startswith("landmark_") for key in fit)
+    assert len(read_specimens(tmp_path)[0].points) == 68
+
+
+@pytest.mark.parametrize(
+    ("files", "model"),
+    [("a.JPG", "face"), ("a.nef b.png", "face"), ("face a.jpg", "face"), ("m.liaam a.jpg b", "m.liaam"), ("m a", "m")],
+)
+def test_a_first_file_that_is_no_image_is_the_model(files, model):
+    files = [Path(name) for name in files.split()]
+    found, images = model_and_images(files)
+    assert found == Path(model)
+    assert images == files[len(files) - len(images) :] and images
+
+
+def test_a_model_without_images_is_refused(run):
+    code, _, err = run("fit", "face")
+    assert code == 1 and "give the images to fit, too" in err
+
+
+def test_models_info_and_show_tell_its_terms(run, face, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for command in (("models",), ("info", "face"), ("show", "face")):
+        code, out, _ = run(*command)
+        assert code == 0 and "CC BY 4.0" in out and "figshare.5047666" in out
+    assert (tmp_path / "face_model.png").exists()
+    assert all(text in run("models")[1] for text in (MODELS["face"].purpose, MODELS["face"].accuracy))
+
+
+def test_the_credit_is_kept_in_files(face, tmp_path):
+    liaam.compact(face).save(tmp_path / "other.liaam")
+    assert liaam.load_model(tmp_path / "other.liaam").credit == face.credit
+
+
+def test_what_makes_it_agrees_with_it(face):
+    """The names and contours are those of the model, and the smiling faces have all of its landmarks."""
+    made = json.loads((MADE_BY / "points.json").read_text())
+    assert tuple(point["name"] for point in made["points"]) == face.landmark_names
+    lines = [
+        [face.landmark_names[i] for i in line] + [face.landmark_names[line[0]]] * closed
+        for line, closed in face.contours
+    ]
+    assert lines == made["contours"]
+
+
+def test_its_data_and_terms_are_told(face):
+    text = (ROOT / "LICENSE-DATA").read_text()
+    for doi in ("5047666.v5", "4220517.v1", "4055130.v1"):
+        assert doi in text and doi in face.credit
+    assert len(list((ROOT / "src/liaam/datasets/pictures/face").glob("*.jpg"))) <= 12
+    assert load_face().image.stat().st_size <= 40_000
+
+
+def test_a_scheme_refuses_what_it_cannot_use(face):
+    mean = face.shape_model.mean
+    with pytest.raises(LiaamError, match="scheme 'x' is unknown; choose from ibug-68"):
+        in_scheme(mean, face.landmark_names, "x")
+    with pytest.raises(LiaamError, match="jaw_right_1 is missing; use that model, or leave the scheme out"):
+        in_scheme(mean, (), "ibug-68")
+
+
+def test_the_scheme_mirrors_with_the_face(face):
+    """Right and left are exchanged, and nothing else changes."""
+    mean = face.shape_model.mean
+    swapped = [
+        re.sub("right|left", lambda side: {"right": "left", "left": "right"}[side[0]], name)
+        for name in face.landmark_names
+    ]
+    own, other = in_scheme(mean, face.landmark_names, "ibug-68"), in_scheme(mean * [-1, 1], swapped, "ibug-68")
+    assert np.allclose(own[[*range(17)]], other[[*range(16, -1, -1)]] * [-1, 1])
+    assert np.allclose(own[[48, 54, 60, 61, 67]], other[[54, 48, 64, 63, 65]] * [-1, 1])
+    assert np.allclose(own[[36, 37, 41, 31]], other[[45, 44, 46, 35]] * [-1, 1])
