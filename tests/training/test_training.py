@@ -237,16 +237,24 @@ def test_landmarks_on_a_line_are_refused(pairs):
     refused(line, "lie on one line or at one point")
 
 
-def test_a_mirrored_sample_is_refused_by_name(scenes):
+def test_samples_that_fold_the_mesh_are_left_out_by_name(scenes, rng):
     pairs = [(s.image, s.landmarks.copy()) for s in scenes]
     pairs[4] = (pairs[4][0], pairs[4][1] * [-1, 1] + [179, 0])
-    refused(pairs, r"image 5: its landmarks fold the mesh \(.*not mirrored")
+    pairs[6] = (pairs[6][0], rng.permutation(pairs[6][1]))
+    options = {"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,), "leave_out": False}
+    with pytest.warns(
+        UserWarning, match=r"2 of 8 images fold the mesh .*image 5 \(.*image 7 \(.*left out.*not mirrored"
+    ):
+        made = train(pairs, **options)
+    assert made.n_images == 6
+    sound = train([pair for i, pair in enumerate(pairs) if i not in (4, 6)], **options)
+    np.testing.assert_array_equal(made.shape_model.mean, sound.shape_model.mean)
 
 
-def test_a_sample_in_another_order_is_refused_by_name(scenes, rng):
-    pairs = [(s.image, s.landmarks.copy()) for s in scenes]
-    pairs[4] = (pairs[4][0], rng.permutation(pairs[4][1]))
-    refused(pairs, "image 5: its landmarks fold the mesh .*same order")
+def test_samples_that_fold_the_mesh_are_refused_if_too_few_are_left(scenes, rng):
+    pairs = [(s.image, s.landmarks.copy()) for s in scenes[:3]]
+    pairs[2] = (pairs[2][0], rng.permutation(pairs[2][1]))
+    refused(pairs, "of 3 images fold the mesh .*same order")
 
 
 def test_folded_triangles_are_refused(pairs, model):

@@ -3,7 +3,7 @@
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -16,7 +16,7 @@ from liaam.errors import LandmarkError, TrainingError
 from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
 from liaam.model.file import MAX_POINTS
-from liaam.model.mesh import FOLD_TOLERANCE, ReferenceFrame, delaunay, folded_share, signed_areas, triangles_from_edges
+from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align, procrustes_mean
 
 FLATTEST = 0.02
@@ -195,13 +195,25 @@ def mesh_of(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np
     return triangles[:, ::-1].copy() if (signed_areas(mean, triangles) < 0).mean() > 0.5 else triangles
 
 
-def check_fold(entry: Entry, frame: ReferenceFrame) -> None:
-    """Raise if the landmarks of a sample fold the mesh."""
-    upright = align(entry.points, frame.points)(entry.points)
-    share = folded_share(upright, frame.triangles)
-    if share > FOLD_TOLERANCE:
-        raise TrainingError(
-            f"{entry.name}: its landmarks fold the mesh ({share:.0%} of the area is flipped); check that its points "
-            "are in the same order as in the other images, that none is misplaced, and that the image is not mirrored "
-            "('liaam check' finds such points)"
-        )
+def without_folded(entries: Sequence[Entry], mean: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the indices of samples whose landmarks do not fold the mesh, and warn of the others.
+
+    Raises a TrainingError if there are too few of them, or if most samples fold the mesh.
+    """
+    shares = np.array([folded_share(align(entry.points, mean)(entry.points), triangles) for entry in entries])
+    kept = np.flatnonzero(shares <= FOLD_TOLERANCE)
+    if len(kept) == len(entries):
+        return kept
+    folded = [f"{entries[i].name} ({shares[i]:.0%})" for i in np.flatnonzero(shares > FOLD_TOLERANCE)]
+    fault = (
+        f"the landmarks of {len(folded)} of {count_of(len(entries), 'image')} fold the mesh (share of its area that is "
+        f"flipped: {some_names(folded, 20)})"
+    )
+    remedy = (
+        "check that their points are in the same order as in the other images, that none is misplaced, and that the "
+        "images are not mirrored ('liaam check' finds such points)"
+    )
+    if len(kept) < max(_FEWEST, len(folded)):
+        raise TrainingError(f"{fault}; {remedy}")
+    warnings.warn(f"{fault}, and are left out; {remedy}", stacklevel=5)  # the caller of train, which is decorated
+    return kept

@@ -18,7 +18,7 @@ from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
 from liaam.training import faces
-from liaam.training.entries import Entry, check_flat, check_fold, mesh_of, read_entries
+from liaam.training.entries import Entry, check_flat, mesh_of, read_entries, without_folded
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.kept import chosen, keep_only, wanted
@@ -87,8 +87,9 @@ def train(
     Raises
     ------
     TrainingError
-        If there are fewer than 3 shapes, or shapes of different lengths, missing (NaN) or folded landmarks, black
-        images and the like. The message names the sample.
+        If there are fewer than 3 shapes, or shapes of different lengths, missing (NaN) landmarks, black images and the
+        like. The message names the sample. Samples whose landmarks fold the mesh are left out, with a warning, unless
+        most do.
     """
     if not isinstance(options, TrainingOptions | None):
         raise TrainingError(f"options {options!r}: give TrainingOptions, or options, camera and lamps by name")
@@ -144,8 +145,10 @@ def _train_one(
         name=name,
     )
     checked, grey = check_images(entries, model.warp, camera.response)
-    for entry in checked:
-        check_fold(entry, model.frame)
+    sound = without_folded(entries, mean, triangles)
+    if len(sound) < len(entries):
+        rest = [entries[i] for i in sound]
+        return _train_one(rest, about, options, camera, given, points_of(points, sound), name, progress)
 
     encoder = None if features is None else encoder_of(features, checked, mean, camera)
     lit = _lamps(lamps, training_lamp, checked, mean, camera) if options.n_copies else None
