@@ -521,6 +521,12 @@ def test_a_folder_is_not_drawn(run, name):
     assert status == 1 and "is a folder" in err
 
 
+def test_a_folder_is_not_fitted(run, tmp_path):
+    for arguments in ((tmp_path,), ("face", tmp_path)):
+        status, _, err = run("fit", *arguments)
+        assert status == 1 and f"{tmp_path} is a folder; give its images" in err
+
+
 def test_an_image_without_texture_gets_no_advice_on_the_search(run, model_file, tmp_path):
     write_image(tmp_path / "black.png", np.zeros((200, 150, 3), np.uint8))
     code, out, err = run("fit", model_file, tmp_path / "black.png", "-o", tmp_path / "fits")

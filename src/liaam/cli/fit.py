@@ -153,8 +153,8 @@ def fit(
 
 
 def model_and_images(files: list[Path]) -> tuple[Path, list[Path]]:
-    """Split the files of a command: the first is the model, unless its name ends as that of an image."""
-    if files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
+    """Split the files of a command: the first is the model, unless it is a folder, or its name ends as an image's."""
+    if files[0].is_dir() or files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
         if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES), None):
             raise LiaamError(f"{late}: a model comes before the images, as in 'liaam fit {late.name} {files[0].name}'")
         return Path(FACE), files
