@@ -44,8 +44,8 @@ def show(
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
         raise LiaamError("--image works with lamp files only; leave it out to draw a model")
-    path = output or file.with_name(f"{file.stem}_{'lamps' if lit else 'model'}.png")
-    file = existing_file(file_of(file), LiaamError, "model or lamp file")
+    given, file = file, existing_file(file_of(file), LiaamError, "model or lamp file")
+    path = output or given.with_name(f"{given.stem}_{'lamps' if lit else 'model'}.png")
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
     check_output(path)
