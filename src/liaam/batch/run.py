@@ -244,17 +244,18 @@ class _Batch:
         for path in [path for path, deaths in suspects.items() if deaths >= DEATHS]:
             del suspects[path]
             yield path, self.job.row_of_death(path)
-        again: list[str] = []
+        again = []
         with self._pool() as pool:
-            for paths, room in ((journal.todo(), pool.room), (suspects, _alone), (again, _alone)):
-                for path, future in flow(pool.submit, map(journal.begin, paths), room):
-                    try:
-                        yield path, future.result()
-                    except pool.died:
-                        if paths is again:
-                            yield path, self.job.row_of_death(path)
-                        else:
-                            again.append(path)
+            for path, future in flow(pool.submit, map(journal.begin, journal.todo()), pool.room):
+                try:
+                    yield path, future.result()
+                except pool.died:
+                    again.append(path)
+            for path in [*suspects, *again]:  # the row of one is kept before the next begins
+                try:
+                    yield path, pool.submit(journal.begin(path)).result()
+                except pool.died:
+                    yield path, self.job.row_of_death(path)
 
     def _fit(self, journal: Journal) -> Summary:
         """Fit the images that have no row in the journal."""
@@ -276,11 +277,6 @@ class _Batch:
             kept = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
             raise KeyboardInterrupt(f"stopped: {kept}; run the same command again to resume") from None
         return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
-
-
-def _alone() -> int:
-    """Return the number of images in progress at once where each is fitted alone."""
-    return 1
 
 
 def summary_file(output: Path) -> Path:
