@@ -204,7 +204,7 @@ def without_folded(entries: Sequence[Entry], mean: np.ndarray, triangles: np.nda
     kept = np.flatnonzero(shares <= FOLD_TOLERANCE)
     if len(kept) == len(entries):
         return kept
-    folded = [f"{entries[i].name} ({shares[i]:.0%})" for i in np.flatnonzero(shares > FOLD_TOLERANCE)]
+    folded = [f"{entries[i].name} ({shares[i]:.0%})" for i in np.flatnonzero(shares > FOLD_TOLERANCE).tolist()]
     fault = (
         f"the landmarks of {len(folded)} of {count_of(len(entries), 'image')} fold the mesh (share of its area that is "
         f"flipped: {some_names(folded, 20)})"
