@@ -17,9 +17,6 @@ import hashlib
 import io
 import json
 import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -36,7 +33,7 @@ from liaam.io import make_folder, write_text_atomically
 from liaam.io.files import some_names
 from liaam.plotting import save_figure
 from liaam.progress import Progress
-from liaam.workers import all_cores, flow, fresh_interpreters, one_thread
+from liaam.workers import all_cores, flow, fresh_interpreters, obey_parent, one_thread
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -321,7 +318,7 @@ def _in_workers(experiment: Experiment, tasks: list[Task], jobs: int) -> Finishe
     """Run tasks in worker processes. Yield them in order of completion."""
     perform = partial(_perform_alone, experiment.work, experiment.skips_faults)
     try:
-        with ProcessPoolExecutor(jobs, fresh_interpreters(), _obey_parent) as pool:
+        with ProcessPoolExecutor(jobs, fresh_interpreters(), obey_parent) as pool:
             try:
                 for task, future in flow(partial(pool.submit, perform), tasks, lambda: jobs + 1):
                     yield task, future.result()
@@ -334,14 +331,6 @@ def _in_workers(experiment: Experiment, tasks: list[Task], jobs: int) -> Finishe
             "a worker process died (killed, or out of memory); the same command goes on where it stopped, and needs "
             "less memory with fewer jobs"
         ) from None
-
-
-def _obey_parent() -> None:
-    """Ignore Ctrl-C in a worker process, which the parent handles, and end when the parent does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 def _perform_alone(work: Callable[[Any], list[Row]], skips_faults: bool, task: Task) -> Outcome:

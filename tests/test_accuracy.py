@@ -152,6 +152,8 @@ def test_each_image_keeps_its_start_where_others_are_left_out(small, scenes):
     np.testing.assert_array_equal(found.landmarks, whole.landmarks)
     with pytest.raises(LiaamError, match="3 images but 2 starts"):
         liaam.evaluate(small, [first, few, second], starts[:2], "grey")
+    with pytest.raises(LiaamError, match="3 images but 2 starts"):
+        liaam.evaluate(small, [first, few, second], iter(starts[:2]), "grey")
 
 
 def test_of_several_objects_the_nearest_counts(small, scenes):

@@ -424,8 +424,8 @@ def _starts(init: Any, cases: Sequence[_Case], n_images: int) -> Any:
     starts = starts_for(init, n_images)
     if isinstance(starts, repeat):
         return init
-    each = list(starts)
-    return [each[case.number] for case in cases] if len(each) == n_images else each
+    each = list(starts_for(list(starts), n_images))  # the length of a generator is known only now
+    return [each[case.number] for case in cases]
 
 
 def _fits(

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 import time
@@ -47,6 +48,14 @@ def fresh_interpreters() -> SpawnContext:
         import_module("cv2")  # raises where the other thread could not import it
 
     return multiprocessing.get_context("spawn")
+
+
+def obey_parent() -> None:
+    """Ignore Ctrl-C in a process, which its parent handles, and end when the parent does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 def flow(

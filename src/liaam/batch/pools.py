@@ -30,7 +30,7 @@ class Pool:
 
 
 @contextmanager
-def in_threads(job: Job, threads: int) -> Iterator[Pool]:
+def on_threads(job: Job, threads: int) -> Iterator[Pool]:
     """Yield a pool of threads; fits release the interpreter's lock. At the end, wait for running fits."""
     with one_thread(), limited_threads(threads) as pool:
         yield Pool(partial(pool.submit, job.kept_row), lambda: threads)

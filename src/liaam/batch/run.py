@@ -15,7 +15,7 @@ from typing import Any
 from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
-from liaam.batch.pools import Pool, in_threads
+from liaam.batch.pools import Pool, on_threads
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
 from liaam.batch.work import Job, KeptRow, Settings
 from liaam.errors import LiaamError, installing
@@ -230,7 +230,7 @@ class _Batch:
 
     def _pool(self) -> AbstractContextManager[Pool]:
         if self.scheduler is None:
-            return in_threads(self.job, self.jobs)
+            return on_threads(self.job, self.jobs)
         from liaam.batch.cluster import on_cluster  # needs an optional library
 
         return on_cluster(self.job, self.scheduler)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 import os
-import signal
-import threading
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -23,7 +20,7 @@ from liaam.model.shape import diagonal_of
 from liaam.progress import Progress
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Annotated
-from liaam.workers import fresh_interpreters
+from liaam.workers import fresh_interpreters, obey_parent
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -84,10 +81,7 @@ def launch(job: Job) -> tuple[Any, Any]:
 
 def _work(job: Job, pipe: Any) -> None:
     """Run a job in the training process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the server, which terminates this process
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+    obey_parent()  # the server terminates this process
     with suppress(AttributeError, OSError):
         os.nice(5)  # requests of the user have priority
     with suppress(BrokenPipeError, ConnectionError):

@@ -24,7 +24,7 @@ FLATTEST = 0.02
 rods: the search finds those up to 20 times as long as wide, and fits from a start converge up to 40 times."""
 
 
-_FEWEST = 3
+FEWEST = 3
 """Fewest images to learn from."""
 
 
@@ -60,7 +60,7 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
         if names:
             named.setdefault(tuple(sorted(names)), (names, entry.name))
     entries = _complete(entries)
-    if len(entries) < _FEWEST:
+    if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
     edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
@@ -89,7 +89,7 @@ def _complete(entries: list[Entry]) -> list[Entry]:
     complete = [entry for entry in entries if not np.isnan(entry.points).any()]
     names = some_names([entry.name for entry in lacking])
     have, are = ("image has", "is") if len(lacking) == 1 else ("images have", "are")
-    if len(complete) >= _FEWEST:
+    if len(complete) >= FEWEST:
         warnings.warn(f"{len(lacking)} {have} missing landmarks and {are} left out: {names}", stacklevel=4)
         return complete
     points = placed_by_others(np.array([entry.points for entry in entries]))
@@ -213,7 +213,7 @@ def without_folded(entries: Sequence[Entry], mean: np.ndarray, triangles: np.nda
         "check that their points are in the same order as in the other images, that none is misplaced, and that the "
         "images are not mirrored ('liaam check' finds such points)"
     )
-    if len(kept) < max(_FEWEST, len(folded)):
+    if len(kept) < max(FEWEST, len(folded)):
         raise TrainingError(f"{fault}; {remedy}")
     warnings.warn(f"{fault}, and are left out; {remedy}", stacklevel=5)  # the caller of train, which is decorated
     return kept

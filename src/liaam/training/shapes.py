@@ -13,6 +13,7 @@ from liaam.errors import TrainingError
 from liaam.model.file import MOST_SHAPES
 from liaam.model.shape import deviations_from, procrustes_mean
 from liaam.model.shape_prior import fit_prior, spread_points
+from liaam.training.entries import FEWEST
 from liaam.training.left_out import LEFT_OUT_FOLDS, objects_of
 from liaam.training.options import AUTO
 
@@ -29,9 +30,6 @@ POINTS = 30
 
 SAME = 1e-5
 """Distance below which two shapes are of copies of one image."""
-
-LEAST_IMAGES = 3
-"""Fewest images of a model."""
 
 
 def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = AUTO) -> list[np.ndarray]:
@@ -132,10 +130,10 @@ def _evidence(shapes: np.ndarray, owners: np.ndarray, groups: list[np.ndarray]) 
 
 
 def _checked(groups: list[np.ndarray], wanted: int) -> list[np.ndarray]:
-    if len(groups) < wanted or len(groups[-1]) < LEAST_IMAGES:
+    if len(groups) < wanted or len(groups[-1]) < FEWEST:
         sizes = ", ".join(str(len(group)) for group in groups)
         raise TrainingError(
-            f"shapes {wanted}: the images form groups of {sizes}, and a model needs {LEAST_IMAGES} images; ask for "
+            f"shapes {wanted}: the images form groups of {sizes}, and a model needs {FEWEST} images; ask for "
             "fewer shapes, or add images"
         )
     return groups
