@@ -1,6 +1,8 @@
 """Errors for invalid input. Each message names the file or argument, the fault and the remedy.
 
-A failed fit does not raise. It returns a :class:`liaam.fitting.FitResult` with a ``status``.
+All are also the built-in errors that other libraries would raise: :exc:`ValueError`, :exc:`FileNotFoundError` where a
+file is missing, and :exc:`TypeError` for a misspelt keyword. A failed fit does not raise. It returns a
+:class:`liaam.fitting.FitResult` with a ``status``.
 """
 
 import difflib
@@ -12,8 +14,12 @@ def installing(extra: str) -> str:
     return f'pip install ".[{extra}]" in a checkout of liaam'
 
 
-class LiaamError(Exception):
+class LiaamError(ValueError):
     """Base class of every error that liaam raises on purpose."""
+
+
+class MissingFileError(LiaamError, FileNotFoundError):
+    """A file or folder does not exist."""
 
 
 class ImageError(LiaamError):
@@ -48,17 +54,49 @@ class VideoError(LiaamError):
     """A video or camera cannot be read, or a video cannot be written."""
 
 
-def check_options(
-    given: Iterable[str], known: Sequence[str], error: type[LiaamError], remedies: Mapping[str, str] | None = None
-) -> None:
-    """Raise `error` for the first given option that is not known, and suggest a known one.
+class MissingImageError(ImageError, MissingFileError):
+    """An image does not exist."""
+
+
+class MissingLandmarksError(LandmarkError, MissingFileError):
+    """A landmark file does not exist."""
+
+
+class MissingModelError(ModelFileError, MissingFileError):
+    """A model file does not exist."""
+
+
+class MissingCameraError(CameraError, MissingFileError):
+    """A camera file, or one to calibrate a camera from, does not exist."""
+
+
+class MissingVideoError(VideoError, MissingFileError):
+    """A video does not exist."""
+
+
+class OptionError(LiaamError, TypeError):
+    """A keyword is unknown."""
+
+
+def missing(error: type[LiaamError]) -> type[LiaamError]:
+    """Return the kind of an error that is raised where a file does not exist."""
+    if error is LiaamError:
+        return MissingFileError
+    return next((each for each in error.__subclasses__() if issubclass(each, MissingFileError)), error)
+
+
+def check_options(given: Iterable[str], known: Sequence[str], remedies: Mapping[str, str] | None = None) -> None:
+    """Raise for the first given option that is not known, and suggest a known one.
 
     Parameters
     ----------
     given, known : names of options
-    error : type of LiaamError
     remedies : mapping of str to str, optional
         Remedies for some unknown names.
+
+    Raises
+    ------
+    OptionError
     """
     for name in given:
         if name in known:
@@ -66,4 +104,4 @@ def check_options(
         close = difflib.get_close_matches(name, known, n=1)
         remedy = (remedies or {}).get(name) or (f"did you mean {close[0]!r}?" if close else "")
         listed = f"unknown option {name!r}; choose from {', '.join(known)}"
-        raise error(f"{listed}; {remedy}" if remedy else listed)
+        raise OptionError(f"{listed}; {remedy}" if remedy else listed)

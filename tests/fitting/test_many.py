@@ -150,13 +150,17 @@ def test_a_single_image_is_refused(model, single):
     [
         ({"workers": 0}, "workers 0 is too small; give 1 or more"),
         ({"errors": "ignore"}, "unknown errors 'ignore'; choose from raise, return"),
-        ({"iterations": 3}, "unknown option 'iterations'"),
         ({"method": "magic"}, "choose from soft-li, grey"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(model, options, message):
     with pytest.raises(MethodError, match=message):
         fit_many(model, [], **options)
+
+
+def test_unknown_options_are_refused_without_images(model):
+    with pytest.raises(TypeError, match="unknown option 'iterations'"):
+        fit_many(model, [], iterations=3)
 
 
 def test_no_images_give_no_results(model):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.errors import MethodError
+from liaam.errors import MethodError, OptionError
 from liaam.fitting import METHODS, Fitter, Method, fit, get_method
 from liaam.model.appearance import CHANNELS
 from liaam.photometry import invariant_row
@@ -158,9 +158,7 @@ def test_methods_that_learn_light_need_a_model_that_has(fine_model):
 
 
 def test_unknown_options_are_listed(model, scenes):
-    with pytest.raises(
-        MethodError, match=r"unknown option 'max_iteration'; choose from camera, .*max_iterations, tolerance"
-    ):
+    with pytest.raises(OptionError, match=r"'max_iteration'; choose from camera, .*max_iterations, tolerance"):
         fit(model, scenes[0].image, scenes[0].landmarks, max_iteration=3)
     with pytest.raises(MethodError, match="finite"):
         fit(model, scenes[0].image, scenes[0].landmarks, tolerance=float("nan"))
@@ -171,3 +169,10 @@ def test_rows_are_compared_by_what_they_do():
     assert copy == METHODS["soft-li"] and hash(copy) == hash(METHODS["soft-li"])
     assert replace(copy, loss="huber") != METHODS["soft-li"]
     assert len(set(METHODS.values())) == len(METHODS)
+
+
+def test_the_table_of_methods_prints_a_line_for_each():
+    lines = str(METHODS).splitlines()
+    assert len(lines) == len(METHODS)
+    assert lines[0].startswith("soft-li  ")
+    assert lines[0].endswith(METHODS["soft-li"].summary)

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import liaam
-from liaam.errors import ImageError, MethodError
+from liaam.errors import ImageError
 from liaam.fitting import Fitter, fit_many
 from liaam.io import write_image
 from setups import disturb
@@ -79,8 +79,6 @@ def test_fit_and_fit_many_take_what_a_fitter_takes(model, image, lit_scene):
     (many,) = fit_many(model, [image], start, "li", **settings)
     np.testing.assert_array_equal(one.landmarks, many.landmarks)
     np.testing.assert_array_equal(one.landmarks, Fitter.of(model, "li", **settings).fit(image, start).landmarks)
-    with pytest.raises(MethodError, match=r"unknown option 'iterations'; choose from camera, .*max_iterations"):
-        liaam.fit(model, image, start, iterations=2)
 
 
 def test_a_result_whose_image_has_gone_says_so(model, image, lit_scene, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from liaam.datasets import Sample
-from liaam.errors import ImageError, TrainingError
+from liaam.errors import ImageError, OptionError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.io import Contour, Landmarks, read_image, write_fit, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
@@ -32,7 +32,7 @@ def pairs(scenes) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def refused(pairs, match: str, **options) -> None:
-    with pytest.raises(TrainingError, match=match):
+    with pytest.raises((TrainingError, OptionError), match=match):
         train(pairs, **({"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,)} | options))
 
 

@@ -27,7 +27,7 @@ from liaam.datasets.advice import (
     unread_images,
     unread_landmarks,
 )
-from liaam.errors import ImageError, LandmarkError, LiaamError
+from liaam.errors import ImageError, LandmarkError, LiaamError, MissingImageError
 from liaam.evaluation import short_repr
 from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import read_image, size_and_orientation
@@ -304,8 +304,10 @@ def _pair(root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Pa
 def _list_files(root: Path, recursive: bool) -> list[Path]:
     """List the visible files in natural order."""
     if not root.is_dir():
-        what = "is a file, not a folder" if root.exists() else "does not exist"
-        raise ImageError(f"{root} {what}: name the folder with the images and their landmarks.")
+        what, error = (
+            ("is a file, not a folder", ImageError) if root.exists() else ("does not exist", MissingImageError)
+        )
+        raise error(f"{root} {what}: name the folder with the images and their landmarks.")
     try:
         paths = root.rglob("*") if recursive else root.iterdir()
         seen = (path for path in paths if not any(part.startswith(".") for part in path.relative_to(root).parts))

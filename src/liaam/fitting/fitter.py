@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import ImageError, MethodError, StartError, check_options
+from liaam.errors import ImageError, StartError, check_options
 from liaam.fitting.angles import best_image_angle
 from liaam.fitting.level_image import MARGIN, NEAR, LevelImage
 from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, is_sane, solve_levels
@@ -117,7 +117,7 @@ class Fitter:
     ) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
         own = ("camera", "rotations", "restarts", "margin")
-        check_options(options, [*own, *(option.name for option in fields(SolverOptions))], MethodError)
+        check_options(options, [*own, *(option.name for option in fields(SolverOptions))])
         return cls(model, method, SolverOptions(**options), camera, margin, restarts, rotations)
 
     def __post_init__(self) -> None:

@@ -257,8 +257,16 @@ def _check(what: str, value: str, known) -> None:
         raise MethodError(f"unknown {what} {value!r}; choose from {', '.join(known)}")
 
 
-METHODS: dict[str, Method] = {
-    method.name: method
+class MethodTable(dict[str, Method]):
+    """Methods by name; printed as a table."""
+
+    def __repr__(self) -> str:
+        width = max(map(len, self))
+        return "\n".join(f"{name:{width}}  {method.summary}" for name, method in self.items())
+
+
+METHODS = MethodTable(
+    (method.name, method)
     for method in (
         Method(
             "soft-li",
@@ -347,7 +355,7 @@ METHODS: dict[str, Method] = {
             "orientation",
         ),
     )
-}
+)
 """All methods by name, in the order of the table."""
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import ImageError, LiaamError
+from liaam.errors import ImageError, LiaamError, missing
 
 MAX_PIXELS = 200_000_000
 """Default limit on width x height. Larger images are rejected before decoding."""
@@ -65,19 +65,30 @@ def real_path(path: str | os.PathLike[str]) -> Path:
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
     """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
     path = Path(path)
+    if not _exists(path):
+        raise missing(error)(f"{path} does not exist. {_closest(path)}")
+    if fault := _fault_of(path, kind):
+        raise error(f"{path} {fault}")
+    return path
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # it does, in a folder that may not be read
+        return True
+
+
+def _fault_of(path: Path, kind: str) -> str | None:
     try:
         if path.is_dir():
             os.scandir(path).close()  # report missing permissions first
-            raise error(f"{path} is a folder; give the name of one {kind} inside it.")
-        if not path.exists():
-            raise error(f"{path} does not exist. {_closest(path)}")
+            return f"is a folder; give the name of one {kind} inside it."
         if not path.is_file():  # reading a pipe or a device could block
-            raise error(f"{path} is not a regular file: give a file on disk.")
-        if path.stat().st_size == 0:
-            raise error(f"{path} is empty (0 bytes): copy or export it again.")
+            return "is not a regular file: give a file on disk."
+        return "is empty (0 bytes): copy or export it again." if path.stat().st_size == 0 else None
     except OSError as fault:
-        raise error(f"{path} cannot be read ({fault.strerror or fault}): check the name and permissions.") from fault
-    return path
+        return f"cannot be read ({fault.strerror or fault}): check the name and permissions."
 
 
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:

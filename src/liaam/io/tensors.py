@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, missing
 from liaam.io.images import image_kind
 
 Shapes = dict[str, tuple[int, ...]]
@@ -28,12 +28,15 @@ def read_tensors(
     try:
         if not path.is_file():
             what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
-            raise error(f"{path}: the {kind} {what}; make one with '{make}'")
+            fitting = error if path.exists() else missing(error)
+            raise fitting(f"{path}: the {kind} {what}; make one with '{make}'")
         with safe_open(path, framework="numpy") as file:
             keys = list(file.keys())
             shapes = {key: tuple(file.get_slice(key).get_shape()) for key in keys}
             header = parse((file.metadata() or {}).get("liaam", ""), shapes)
             return header, {key: file.get_tensor(key) for key in keys}
+    except LiaamError:
+        raise
     except (SafetensorError, AttributeError, TypeError) as fault:  # the last two for number types that numpy lacks
         if image := image_kind(path):
             remedy = f"give a {kind} in its place, or make one with '{make}'"

@@ -205,7 +205,7 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
     try:
         data = read_bytes(existing_file(path, CameraError, "camera file"), CameraError, LARGEST)
     except CameraError as fault:
-        raise CameraError(f"{fault} Camera files are made with 'liaam calibrate'.") from fault
+        raise type(fault)(f"{fault} Camera files are made with 'liaam calibrate'.") from fault
     facts = json_object(data) or {}
     if facts.get("format") != FORMAT:
         raise CameraError(f"{path}: this is not a camera file; make one with 'liaam calibrate'")

@@ -124,7 +124,7 @@ class TrainingOptions:
     def changed(self, changes: Mapping[str, Any]) -> "TrainingOptions":
         """Return a copy with some options replaced by name; raises for unknown names."""
         known = [*(field.name for field in fields(self)), *ARGUMENTS]
-        check_options(changes, known, TrainingError, CAMERA_OPTIONS)
+        check_options(changes, known, CAMERA_OPTIONS)
         return replace(self, **changes)
 
     @property

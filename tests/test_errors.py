@@ -1,0 +1,54 @@
+"""Errors are those that users of other libraries expect, too."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import liaam
+from liaam import errors
+from liaam.errors import LiaamError
+
+ABSENT = "no/such/file"
+
+
+@pytest.mark.parametrize(
+    ("kind", "read"),
+    [
+        (errors.ImageError, lambda: liaam.read_image(f"{ABSENT}.png")),
+        (errors.ImageError, lambda: liaam.load_folder(ABSENT)),
+        (errors.LandmarkError, lambda: liaam.read_landmarks(f"{ABSENT}.pts")),
+        (errors.ModelFileError, lambda: liaam.load_model(f"{ABSENT}.liaam")),
+        (errors.CameraError, lambda: liaam.load_camera(f"{ABSENT}.json")),
+        (errors.ImageError, lambda: liaam.fit(liaam.load_model("face"), f"{ABSENT}.jpg")),
+    ],
+)
+def test_a_missing_file_is_a_file_not_found_error(kind, read):
+    with pytest.raises(FileNotFoundError) as caught:
+        read()
+    assert isinstance(caught.value, kind)
+    assert str(caught.value).startswith(ABSENT)
+
+
+def test_invalid_input_is_a_value_error(tmp_path):
+    (tmp_path / "empty.png").touch()
+    with pytest.raises(ValueError, match="is empty"):
+        liaam.read_image(tmp_path / "empty.png")
+    with pytest.raises(ValueError, match="unknown method"):
+        liaam.Fitter(liaam.load_model("face"), "no-method")
+
+
+def test_a_misspelt_keyword_is_a_type_error_with_a_suggestion():
+    model = liaam.load_model("face")
+    with pytest.raises(TypeError, match="did you mean 'damping'"):
+        liaam.fit(model, np.zeros((64, 64, 3), np.uint8), dampin=1.0)
+    with pytest.raises(TypeError, match="did you mean 'variance'"):
+        liaam.train([], varience=0.9)
+
+
+def test_each_kind_of_error_survives_pickling():
+    kinds = [each for each in vars(errors).values() if isinstance(each, type) and issubclass(each, LiaamError)]
+    for kind in kinds:
+        error = pickle.loads(pickle.dumps(kind("a sentence")))
+        assert type(error) is kind
+        assert str(error) == "a sentence"
