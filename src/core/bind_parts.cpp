@@ -117,6 +117,7 @@ nb::dict thresholds_of() {
     all["EARLY_EXPECTED_STEPS"] = kEarlyExpectedSteps;
     all["EARLY_OWN"] = kEarlyOwn;
     all["EARLY_OWN_STEPS"] = kEarlyOwnSteps;
+    all["EARLY_SCORED"] = kEarlyScored;
     all["COARSE"] = kCoarse;
     all["COARSE_RELATIVE"] = kCoarseRelative;
     all["LEAST_GROWTH"] = kLeastGrowth;

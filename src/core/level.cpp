@@ -140,13 +140,29 @@ std::vector<Contrast> contrast_of(const Objective& objective, const Workspace& w
     return sums;
 }
 
-Controls controls_of(const Options& options, bool expected, bool reweighs, bool evaluate_last, double blur) {
-    const double fraction = expected ? kEarlyExpected : kEarlyOwn;
+// Tolerance of the first steps of a level, as a fraction of the blur, and their number.
+struct Early {
+    double fraction = 0.0;
+    int steps = 0;
+};
+
+Early early_of(const Options& options, StepKind step, bool is_finest, bool is_scored) {
+    Early early;
+    if (step == StepKind::expected) early = {kEarlyExpected, kEarlyExpectedSteps};
+    else if (!is_finest) early = {kEarlyOwn, kEarlyOwnSteps};
+    else if (is_scored) early = {kEarlyScored, options.max_iterations};
+    // else these steps are the last: they converge slowly, and need the full tolerance
+    if (early.steps > 0 && options.early_tolerance >= 0.0) early.fraction = options.early_tolerance;
+    return early;
+}
+
+Controls controls_of(const Options& options, bool expected, bool reweighs, bool evaluate_last, double blur,
+                     const Early& early) {
     Controls controls;
     controls.max_iterations = options.max_iterations;
     controls.tolerance = options.tolerance;
-    controls.early_tolerance = blur * (options.early_tolerance < 0.0 ? fraction : options.early_tolerance);
-    controls.early_steps = blur > 0.0 ? (expected ? kEarlyExpectedSteps : kEarlyOwnSteps) : 0;
+    controls.early_tolerance = blur * early.fraction;
+    controls.early_steps = early.steps;
     controls.relative_tolerance = options.relative_tolerance;
     controls.damping = options.damping;
     controls.shape_prior = options.shape_prior;
@@ -283,12 +299,11 @@ LevelFit solve_level(const Objective& objective, const LevelImage& image, const 
     const int scoring = options.scoring < 0 ? kScoringSteps : options.scoring;
     const int more = objective.method.step == StepKind::scored ? std::min(scoring, options.max_iterations) : 0;
     work.begin(objective, start);
-    // Steps with the image's own gradient converge slowly: if no others follow, they need the full tolerance.
-    const bool early = expected || !evaluate_last || more > 0;
-    Trace trace = run_level(objective, image, controls_of(options, expected, reweighs, evaluate_last, early ? blur : 0.0),
-                            work, interrupted);
+    const Early early = early_of(options, objective.method.step, evaluate_last, more > 0);
+    Trace trace = run_level(objective, image, controls_of(options, expected, reweighs, evaluate_last, blur, early), work,
+                            interrupted);
     if (more > 0 && !trace.flat) {
-        Controls controls = controls_of(options, true, reweighs && options.scoring >= 0, evaluate_last, 0.0);
+        Controls controls = controls_of(options, true, reweighs && options.scoring >= 0, evaluate_last, blur, {});
         controls.max_iterations = more;
         controls.damping = 0.0;
         score(objective, image, controls, trace, work, interrupted);

@@ -22,6 +22,7 @@ constexpr double kEarlyExpected = 0.25;    // tolerance of the first steps, as a
 constexpr int kEarlyExpectedSteps = 3;     // gradient, and the number of these steps
 constexpr double kEarlyOwn = 0.1;          // the same with the image's own gradient, which converges slowly
 constexpr int kEarlyOwnSteps = 10;
+constexpr double kEarlyScored = 0.4;       // the same at the finest level if steps with the expected gradient follow
 constexpr double kCoarse = 10.0;           // factor on the tolerance at all levels but the finest: they only start it
 constexpr double kCoarseRelative = 5.0;    // factor on the relative tolerance there; 10 loses distant starts
 

@@ -35,6 +35,7 @@ THRESHOLDS: dict[str, float] = {
     "EARLY_EXPECTED_STEPS": 3,
     "EARLY_OWN": 0.1,
     "EARLY_OWN_STEPS": 10,
+    "EARLY_SCORED": 0.4,
     "COARSE": 10.0,
     "COARSE_RELATIVE": 5.0,
     "LEAST_GROWTH": 1.0 / 3.0,
@@ -378,18 +379,28 @@ def solve_level(
     loop = Loop(problem, objective)
     scoring = int(T["SCORING_STEPS"]) if options.scoring is None else options.scoring
     more = min(scoring, options.max_iterations) if step == "scored" else 0
-    # Steps with the image's own gradient converge slowly: if no others follow, they need the full tolerance.
-    early = expected or not evaluate_last or more > 0
-    fraction, steps = (T[f"EARLY_{'EXPECTED' if expected else 'OWN'}{suffix}"] for suffix in ("", "_STEPS"))
-    fraction = fraction if options.early_tolerance is None else options.early_tolerance
-    reweighs, own = objective.method.reweighs, (blur * fraction, steps if blur > 0.0 else 0) if early else (0.0, 0)
-    controls = Controls(options, options.max_iterations, *own, options.damping, expected, reweighs, evaluate_last)
+    fraction, steps = early_of(options, step, evaluate_last, more > 0)
+    early, reweighs = (blur * fraction, steps), objective.method.reweighs
+    controls = Controls(options, options.max_iterations, *early, options.damping, expected, reweighs, evaluate_last)
     trace = loop.run(controls)
     if more and not trace.flat:
         # With fixed weights, unless ``scoring`` was set.
         reweighs = reweighs and options.scoring is not None
         score(loop, trace, Controls(options, more, 0.0, 0, 0.0, True, reweighs, evaluate_last))
     return collect(loop, trace)
+
+
+def early_of(options: Any, step: str, is_finest: bool, is_scored: bool) -> tuple[float, float]:
+    """Return the tolerance of the first steps of a level, as a fraction of the blur, and their number."""
+    if step == "expected":
+        fraction, steps = T["EARLY_EXPECTED"], T["EARLY_EXPECTED_STEPS"]
+    elif not is_finest:
+        fraction, steps = T["EARLY_OWN"], T["EARLY_OWN_STEPS"]
+    elif is_scored:
+        fraction, steps = T["EARLY_SCORED"], options.max_iterations
+    else:  # these steps are the last: they converge slowly, and need the full tolerance
+        return 0.0, 0
+    return fraction if options.early_tolerance is None else options.early_tolerance, steps
 
 
 def score(loop: Loop, trace: Trace, controls: Controls) -> None:

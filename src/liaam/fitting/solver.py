@@ -30,7 +30,8 @@ class SolverOptions:
     early_tolerance : float, optional
         Tolerance in the first steps of a level, as a fraction of its blur; 0 disables it. By default 0.25 in the first
         3 steps with the expected gradient, and 0.1 in the first 10 of the other kind. Most fits get so near after two
-        or three steps. The others are difficult, and continue until ``tolerance``.
+        or three steps. The others are difficult, and continue until ``tolerance``. At the finest level, steps that
+        others with the expected gradient follow stop at 0.4.
     relative_tolerance : float
         Stop also when a step is shorter than this fraction of its own standard deviation, root mean square over the
         parameters. Applies to ``soft-li``, which estimates that deviation. Measured on IMM: 0.03 saves a third of the
