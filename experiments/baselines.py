@@ -270,7 +270,7 @@ def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_bars(groups, "median error of the landmarks, px")
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """One table for each situation."""
     parts = ["Do the paper's references help where their papers say so, against the plain comparison of luminance?"]
     for situation in SITUATIONS:

@@ -263,7 +263,7 @@ def _curves(rows: list[Row], summary: dict[str, Any], name: str) -> dict[str, li
     }
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the fractions."""
     question = (
         "From how far away do fits find the object? Models of one person each, of "

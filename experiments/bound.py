@@ -185,7 +185,7 @@ def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     )
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """One table for each light."""
     parts = ["What is the least error that noise leaves to an unbiased estimator that measures a picture in each way?"]
     for light in UNDER:

@@ -203,7 +203,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_bars(groups, "median error of theta, degrees", lambda kind: PLAIN if "plain" in kind else OURS)
 
 
-def report(rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Table of all cells."""
     lines = [
         "Error of the angle in degrees (median, 95th percentile), the median standard error that was stated, the share "

@@ -206,7 +206,7 @@ def shown(summary: dict[str, Any]) -> dict[str, list[tuple[float, float | None]]
     return {method: [(float(i), found["median"][i]) for i in SHOWN] for method, found in summary["methods"].items()}
 
 
-def report(light: str, _rows: list[Row], summary: dict[str, Any]) -> str:
+def report(light: str, summary: dict[str, Any]) -> str:
     """Format the question and the medians at some iterations."""
     return (
         f"How fast do fits converge when the light has changed between training and fitting (here: {light})? (Paper "

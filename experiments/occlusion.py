@@ -279,7 +279,7 @@ def draw_pictures(request: Request, case: Case) -> "Figure":
     return figure_of_pictures([{"uncovered": image, **patched}])
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"What does a patch over a fifth of the face cost? Models of one person each, of {len(summary['persons'])} "

@@ -295,7 +295,7 @@ def draw_pictures(request: Request, unseen: bool) -> "Figure":
     )
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"How do we compare with a peer on its own protocol, {_persons(summary['unseen'])}? The rows of menpofit are "

@@ -143,9 +143,9 @@ def recognise(request: GenericRequest, task: UnderLight) -> list[Row]:
 def recognise_experiment(
     data: Path,
     test: Path,
-    lamps: Path | None,
     training_lamp: str,
-    diagonal: float,
+    lamps: Path | None = None,
+    diagonal: float = 150.0,
     far: tuple[str, ...] = (),
     starts: tuple[str, ...] = ("none", "box"),
 ) -> Experiment:
@@ -173,7 +173,7 @@ def recognise_experiment(
         columns=dict.fromkeys(("method", "direction", "start", "light", "object", "rank", "of", "status"), ""),
         summarise=partial(summarise, training_lamp, far),
         draw=lambda _, summary: draw(summary),
-        report=lambda _, summary: tell(str(__doc__).strip(), table(summary)),
+        report=lambda summary: tell(str(__doc__).strip(), table(summary)),
         left_out=left_out,
     )
 

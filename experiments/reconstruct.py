@@ -308,7 +308,7 @@ def _pictures(setup: Setup, task: Any) -> dict[str, np.ndarray | None]:
     }
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Errors of log light by kind of image and method."""
     header = ["pictures", "method", "landmarks, px", "input", "rebuilt", "model"]
     rows = [

@@ -278,7 +278,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_errors(errors, bounds.values(), CONVERGED)
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     header = ["method", "median NME, %", "90th percentile, %", "converged, %", "iterations"]
     table = [

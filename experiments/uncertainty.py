@@ -363,7 +363,7 @@ def _roc(right: np.ndarray, wrong: np.ndarray) -> list[tuple[float, float | None
     return [(100 * float(np.mean(wrong >= limit)), 100 * float(np.mean(right >= limit))) for limit in limits]
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the results."""
     question = (
         "Do the ellipses that a fit states of its landmarks hold the true ones, and does its quality tell whether it "

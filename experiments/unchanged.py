@@ -133,7 +133,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_errors(errors, bounds.values(), CONVERGED)
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"What does invariance cost where the light is that of training? For each of {len(summary['persons'])} persons "
