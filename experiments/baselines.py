@@ -202,18 +202,7 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
 def baselines_experiment(
     data: Path | None = None, trials: int = 24, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of one person's images. By default generated images.
-    trials : int
-        Draws per situation.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_trials(solver, trials)
     return Experiment(
         name="baselines",

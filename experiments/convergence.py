@@ -123,19 +123,7 @@ def convergence_experiment(
     seed: int = 0,
     solver: str = "paper",
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of the spot protocol, or of one person's images. By default generated scenes.
-    methods : sequence of str
-    trials : int
-        Number of random starts; per person in the spot protocol.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_request(tuple(methods), solver, trials)
     setup = Setup(data, tuple(methods), solver, trials, seed)
     light, facts, tasks, work, choices, left_out = _plan(setup)

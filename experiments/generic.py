@@ -321,26 +321,7 @@ def generic_experiment(
     starts: Sequence[str] = STARTED[:1],
     unit: str = UNITS[0],
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images with landmarks; named ``NN-Js.*``, as in the spot protocol, without `test` or `first`.
-    methods : sequence of str
-    trials : int
-        Starts per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    test, first, lamps, training_lamp, diagonal, starts, unit
-        Fields of :class:`GenericRequest`.
-
-    Raises
-    ------
-    LiaamError
-        If there are too few images, or the options are invalid.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     light = {"test": test, "first": first, "lamps": lamps, "training_lamp": training_lamp}
     more = {**light, "diagonal": diagonal, "starts": tuple(starts), "unit": unit}
     request = GenericRequest(data, tuple(methods), trials, seed, solver, **more)

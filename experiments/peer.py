@@ -205,21 +205,7 @@ def peer_experiment(
     solver: str = "liaam",
     unseen: bool = False,
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images named after persons (``01_03``) with landmarks, as the IMM frontal face database.
-    methods : sequence of str
-    trials : int
-        Starts per image and light.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    unseen : bool
-        Whether to fit unseen persons.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data, tuple(methods), trials, seed, solver)
     folds, left_out = get_folds(data, unseen)
     samples = sorted({s for fold in folds for s in (*fold.training, *fold.tested)}, key=lambda sample: sample.name)

@@ -149,15 +149,7 @@ def recognise_experiment(
     far: tuple[str, ...] = (),
     starts: tuple[str, ...] = ("none", "box"),
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data, test, lamps, training_lamp, diagonal, starts
-        See :class:`GenericRequest`.
-    far : tuple of str
-        Lights that are also reported together.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request, settings, left_out = request_of_folders(data, test, lamps, training_lamp, diagonal, starts=starts)
     shown = [each for pictures in get_folds(request)[0][0].tested.values() for each in pictures]
     lights = sorted({each.light for each in shown})

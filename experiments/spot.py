@@ -211,19 +211,7 @@ def fit_person(methods: Sequence[str], trials: int, seed: int, solver: str, pers
 def spot_experiment(
     data: Path, methods: Sequence[str] = METHODS, trials: int = 3, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images ``NN-Js.*`` with landmarks.
-    methods : sequence of str
-    trials : int
-        Starts per person.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_request(methods, solver, trials)
     persons, left_out = find_persons(data)
     return Experiment(

@@ -256,18 +256,7 @@ def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[
 def uncertainty_experiment(
     data: Path | None = None, heads: int = 4, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of the spot protocol. By default only generated heads.
-    heads : int
-        Number of generated heads.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
     persons, missing = find_persons(data) if data else ((), ())
     subjects = [Subject("generated", str(i)) for i in range(heads)]

@@ -63,19 +63,7 @@ def unchanged_experiment(
     seed: int = 0,
     solver: str = "liaam",
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images ``NN-Js.*`` with landmarks, as in the spot protocol.
-    methods : sequence of str
-    trials : int
-        Starts per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)
     return Experiment(
