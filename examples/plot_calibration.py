@@ -42,7 +42,7 @@ figure_of_invariants(
 )
 
 # %%
-# A wrong angle leaves shadows in the image. This is the sweep that ``liaam invariant --sweep`` draws.
+# A wrong angle leaves shadows in the image. This is the sweep that ``liaam camera invariant --sweep`` draws.
 
 figure_of_sweep(images["lamp"], model)
 

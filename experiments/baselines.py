@@ -202,18 +202,7 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
 def baselines_experiment(
     data: Path | None = None, trials: int = 24, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of one person's images. By default generated images.
-    trials : int
-        Draws per situation.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_trials(solver, trials)
     return Experiment(
         name="baselines",
@@ -270,7 +259,7 @@ def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_bars(groups, "median error of the landmarks, px")
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """One table for each situation."""
     parts = ["Do the paper's references help where their papers say so, against the plain comparison of luminance?"]
     for situation in SITUATIONS:

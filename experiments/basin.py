@@ -173,19 +173,7 @@ def _distance(shape: np.ndarray, reference: np.ndarray) -> float:
 def basin_experiment(
     data: Path, methods: Sequence[str] = METHODS, trials: int = 20, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of the spot protocol, or of images named after persons (``01_03``), six or more each.
-    methods : sequence of str
-    trials : int
-        Starts per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data, tuple(methods), trials, seed, solver)
     splits, left_out = find_splits(data)
     samples = [sample for split in splits for sample in (*split.training, *split.tested)]
@@ -263,7 +251,7 @@ def _curves(rows: list[Row], summary: dict[str, Any], name: str) -> dict[str, li
     }
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the fractions."""
     question = (
         "From how far away do fits find the object? Models of one person each, of "

@@ -83,18 +83,7 @@ def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
 def bound_experiment(
     data: Path | None = None, trials: int = 24, seed: int = 0, sigmas: Sequence[float] = SIGMAS
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of one person's images. By default generated images.
-    trials : int
-        Draws of image and shadow: those of the other simulated experiments with the same seed.
-    seed : int
-    sigmas : sequence of float
-        Noise, 8-bit units.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_trials("paper", trials)
     return Experiment(
         name="bound",
@@ -185,7 +174,7 @@ def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
     )
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """One table for each light."""
     parts = ["What is the least error that noise leaves to an unbiased estimator that measures a picture in each way?"]
     for light in UNDER:

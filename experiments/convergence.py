@@ -123,19 +123,7 @@ def convergence_experiment(
     seed: int = 0,
     solver: str = "paper",
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of the spot protocol, or of one person's images. By default generated scenes.
-    methods : sequence of str
-    trials : int
-        Number of random starts; per person in the spot protocol.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_request(tuple(methods), solver, trials)
     setup = Setup(data, tuple(methods), solver, trials, seed)
     light, facts, tasks, work, choices, left_out = _plan(setup)
@@ -206,7 +194,7 @@ def shown(summary: dict[str, Any]) -> dict[str, list[tuple[float, float | None]]
     return {method: [(float(i), found["median"][i]) for i in SHOWN] for method, found in summary["methods"].items()}
 
 
-def report(light: str, _rows: list[Row], summary: dict[str, Any]) -> str:
+def report(light: str, summary: dict[str, Any]) -> str:
     """Format the question and the medians at some iterations."""
     return (
         f"How fast do fits converge when the light has changed between training and fitting (here: {light})? (Paper "

@@ -307,29 +307,24 @@ def fit_object(request: GenericRequest, task: HeldOut) -> list[Row]:
 
 
 def generic_experiment(
-    data: Path, methods: Sequence[str] = METHODS, trials: int = 1, seed: int = 0, solver: str = "liaam", **options: Any
+    data: Path,
+    methods: Sequence[str] = METHODS,
+    trials: int = 1,
+    seed: int = 0,
+    solver: str = "liaam",
+    *,
+    test: Path | None = None,
+    first: int | None = None,
+    lamps: Path | None = None,
+    training_lamp: str | None = None,
+    diagonal: float = 150.0,
+    starts: Sequence[str] = STARTED[:1],
+    unit: str = UNITS[0],
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images with landmarks; named ``NN-Js.*``, as in the spot protocol, without `test` or `first`.
-    methods : sequence of str
-    trials : int
-        Starts per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    **options
-        Further fields of :class:`GenericRequest`.
-
-    Raises
-    ------
-    LiaamError
-        If there are too few images, or the options are invalid.
-    """
-    request = GenericRequest(data, tuple(methods), trials, seed, solver, **options)
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
+    light = {"test": test, "first": first, "lamps": lamps, "training_lamp": training_lamp}
+    more = {**light, "diagonal": diagonal, "starts": tuple(starts), "unit": unit}
+    request = GenericRequest(data, tuple(methods), trials, seed, solver, **more)
     folds, left_out = get_folds(request)
     tasks = tuple(HeldOut(i, name) for i, fold in enumerate(folds) for name in fold.tested)
     shown = [each for fold in folds for pictures in fold.tested.values() for each in pictures]
@@ -436,7 +431,7 @@ def draw_pictures(request: GenericRequest) -> "Figure":
     return figure_of_pictures([shown])
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"What does another light cost a generic model? It is fitted to {len(summary['objects'])} objects that it has "

@@ -192,19 +192,7 @@ def fit_case(request: Request, case: Case) -> list[Row]:
 def occlusion_experiment(
     data: Path, methods: Sequence[str] = METHODS, trials: int = 2, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images ``NN-Js.*`` with landmarks, as in the spot protocol.
-    methods : sequence of str
-    trials : int
-        Starts and patches per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)
     cases = tuple(case for turn, person in enumerate(persons) for case in cases_of(turn, person))
@@ -279,7 +267,7 @@ def draw_pictures(request: Request, case: Case) -> "Figure":
     return figure_of_pictures([{"uncovered": image, **patched}])
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"What does a patch over a fifth of the face cost? Models of one person each, of {len(summary['persons'])} "

@@ -205,21 +205,7 @@ def peer_experiment(
     solver: str = "liaam",
     unseen: bool = False,
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images named after persons (``01_03``) with landmarks, as the IMM frontal face database.
-    methods : sequence of str
-    trials : int
-        Starts per image and light.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    unseen : bool
-        Whether to fit unseen persons.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data, tuple(methods), trials, seed, solver)
     folds, left_out = get_folds(data, unseen)
     samples = sorted({s for fold in folds for s in (*fold.training, *fold.tested)}, key=lambda sample: sample.name)
@@ -295,7 +281,7 @@ def draw_pictures(request: Request, unseen: bool) -> "Figure":
     )
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"How do we compare with a peer on its own protocol, {_persons(summary['unseen'])}? The rows of menpofit are "

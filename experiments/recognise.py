@@ -143,21 +143,13 @@ def recognise(request: GenericRequest, task: UnderLight) -> list[Row]:
 def recognise_experiment(
     data: Path,
     test: Path,
-    lamps: Path | None,
     training_lamp: str,
-    diagonal: float,
+    lamps: Path | None = None,
+    diagonal: float = 150.0,
     far: tuple[str, ...] = (),
     starts: tuple[str, ...] = ("none", "box"),
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data, test, lamps, training_lamp, diagonal, starts
-        See :class:`GenericRequest`.
-    far : tuple of str
-        Lights that are also reported together.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request, settings, left_out = request_of_folders(data, test, lamps, training_lamp, diagonal, starts=starts)
     shown = [each for pictures in get_folds(request)[0][0].tested.values() for each in pictures]
     lights = sorted({each.light for each in shown})
@@ -173,7 +165,7 @@ def recognise_experiment(
         columns=dict.fromkeys(("method", "direction", "start", "light", "object", "rank", "of", "status"), ""),
         summarise=partial(summarise, training_lamp, far),
         draw=lambda _, summary: draw(summary),
-        report=lambda _, summary: tell(str(__doc__).strip(), table(summary)),
+        report=lambda summary: tell(str(__doc__).strip(), table(summary)),
         left_out=left_out,
     )
 

@@ -202,20 +202,7 @@ def reconstruct_experiment(
     seed: int = 0,
     solver: str = "liaam",
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of the spot protocol, or of one person's images. By default generated scenes.
-    methods : sequence of str
-        Methods with the ``log`` appearance.
-    trials : int
-        Number of images of each kind.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     for method in methods:
         if get_method(method).appearance != "log":
             raise MethodError(
@@ -308,7 +295,7 @@ def _pictures(setup: Setup, task: Any) -> dict[str, np.ndarray | None]:
     }
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Errors of log light by kind of image and method."""
     header = ["pictures", "method", "landmarks, px", "input", "rebuilt", "model"]
     rows = [

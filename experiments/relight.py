@@ -149,7 +149,9 @@ def relight_object(request: GenericRequest, task: HeldOut) -> list[Row]:
     return rows
 
 
-def relight_experiment(data: Path, test: Path, lamps: Path | None, training_lamp: str, diagonal: float) -> Experiment:
+def relight_experiment(
+    data: Path, test: Path, training_lamp: str, lamps: Path | None = None, diagonal: float = 150.0
+) -> Experiment:
     """Make the experiment; the parameters are those of :class:`GenericRequest`."""
     request, settings, left_out = request_of_folders(data, test, lamps, training_lamp, diagonal)
     return Experiment(
@@ -161,7 +163,7 @@ def relight_experiment(data: Path, test: Path, lamps: Path | None, training_lamp
         columns={"method": "", "object": "", "light": "", **dict.fromkeys(MEASURES, ".6f"), "status": ""},
         summarise=summarise,
         draw=lambda _, summary: draw(summary),
-        report=lambda _, summary: tell(str(__doc__).strip(), table(summary)),
+        report=lambda summary: tell(str(__doc__).strip(), table(summary)),
         left_out=left_out,
     )
 

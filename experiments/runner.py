@@ -87,7 +87,7 @@ class Experiment:
     draw : callable
         From (rows, summary) to a figure.
     report : callable
-        From (rows, summary) to the report's body in markdown: the question and a table of the results.
+        From the summary to the report's body in markdown: the question and a table of the results.
     pictures : callable, optional
         Returns a figure of the fitted images for the report.
     choices : tuple of str
@@ -106,7 +106,7 @@ class Experiment:
     columns: Mapping[str, str]
     summarise: Callable[[list[Row]], dict[str, Any]]
     draw: Callable[[list[Row], dict[str, Any]], "Figure"]
-    report: Callable[[list[Row], dict[str, Any]], str]
+    report: Callable[[dict[str, Any]], str]
     pictures: Callable[[], "Figure"] | None = None
     choices: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -365,7 +365,7 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
     save_figure(experiment.draw(rows, summary), out / "figure.png", out / "figure.svg")
     if experiment.pictures:
         save_figure(experiment.pictures(), out / PICTURES)
-    write_text_atomically(out / "report.md", _report(experiment, rows, summary))
+    write_text_atomically(out / "report.md", _report(experiment, summary))
     write_text_atomically(out / "summary.json", json.dumps(summary, indent=2, allow_nan=False) + "\n")
     return summary
 
@@ -385,12 +385,12 @@ def markdown_table(header: list[str], rows: list[list[str]], numbers: bool = Tru
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (header, rule, *rows))
 
 
-def _report(experiment: Experiment, rows: list[Row], summary: dict[str, Any]) -> str:
+def _report(experiment: Experiment, summary: dict[str, Any]) -> str:
     """Return report.md with the experiment's own body."""
     settings = [[key, _in_words(value)] for key, value in experiment.settings.items()]
     parts = [
         f"# {experiment.title}",
-        experiment.report(rows, summary).strip(),
+        experiment.report(summary).strip(),
         f"![{experiment.title}](figure.png)",
         *(["## What was fitted", f"![What was fitted]({PICTURES})"] if experiment.pictures else []),
         *_bullets("Choices where the paper leaves it open", experiment.choices),

@@ -463,7 +463,7 @@ def draw_pictures(setup: Setup) -> "Figure":
     return figure_of_pictures([{**pair, **scaled}])
 
 
-def report(sweep: Sweep, _rows: list[Row], summary: dict[str, Any]) -> str:
+def report(sweep: Sweep, summary: dict[str, Any]) -> str:
     """Format the question, the medians and the efficiencies."""
     parts = [sweep.question]
     for quantity, what in QUANTITIES.items():

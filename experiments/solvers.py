@@ -118,7 +118,7 @@ def check_request(methods: Sequence[str], solver: str, trials: int, lamps: bool 
                 "'python -m experiments generic --lamps' and 'python -m experiments baselines' compare it"
             )
     if not methods:
-        raise MethodError("no method is given; see 'liaam methods' for those that exist")
+        raise MethodError("no method is given; see 'liaam fit --help' for those that exist")
     if len(set(methods)) < len(methods):
         raise MethodError(f"a method is given twice: {', '.join(methods)}")
     check_trials(solver, trials)

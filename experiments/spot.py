@@ -211,19 +211,7 @@ def fit_person(methods: Sequence[str], trials: int, seed: int, solver: str, pers
 def spot_experiment(
     data: Path, methods: Sequence[str] = METHODS, trials: int = 3, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images ``NN-Js.*`` with landmarks.
-    methods : sequence of str
-    trials : int
-        Starts per person.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     check_request(methods, solver, trials)
     persons, left_out = find_persons(data)
     return Experiment(
@@ -278,7 +266,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_errors(errors, bounds.values(), CONVERGED)
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     header = ["method", "median NME, %", "90th percentile, %", "converged, %", "iterations"]
     table = [

@@ -256,18 +256,7 @@ def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[
 def uncertainty_experiment(
     data: Path | None = None, heads: int = 4, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path, optional
-        Folder of the spot protocol. By default only generated heads.
-    heads : int
-        Number of generated heads.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
     persons, missing = find_persons(data) if data else ((), ())
     subjects = [Subject("generated", str(i)) for i in range(heads)]
@@ -363,7 +352,7 @@ def _roc(right: np.ndarray, wrong: np.ndarray) -> list[tuple[float, float | None
     return [(100 * float(np.mean(wrong >= limit)), 100 * float(np.mean(right >= limit))) for limit in limits]
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the results."""
     question = (
         "Do the ellipses that a fit states of its landmarks hold the true ones, and does its quality tell whether it "

@@ -63,19 +63,7 @@ def unchanged_experiment(
     seed: int = 0,
     solver: str = "liaam",
 ) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    data : Path
-        Folder of images ``NN-Js.*`` with landmarks, as in the spot protocol.
-    methods : sequence of str
-    trials : int
-        Starts per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
+    """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)
     return Experiment(
@@ -133,7 +121,7 @@ def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
     return figure_of_errors(errors, bounds.values(), CONVERGED)
 
 
-def report(_rows: list[Row], summary: dict[str, Any]) -> str:
+def report(summary: dict[str, Any]) -> str:
     """Format the question and the medians."""
     question = (
         f"What does invariance cost where the light is that of training? For each of {len(summary['persons'])} persons "

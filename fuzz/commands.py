@@ -95,7 +95,6 @@ _OUTPUTS = (
 )
 _COMMANDS: dict[str, tuple[str, ...]] = {
     "fit": ("--init", "--camera", "--response", "--method", "--rotations", "--iterations", "--scheme", "--all", "-o"),
-    "info": (),
     "show": ("--image", "-o"),
     "compact": ("--methods", "-o"),
     "check": ("--images", "--recursive"),
@@ -115,19 +114,17 @@ _COMMANDS: dict[str, tuple[str, ...]] = {
         "-o",
     ),
     "track": ("--init", "--camera", "--response", "-o"),
-    "invariant": ("--camera", "--theta", "--response", "-o"),
+    "camera invariant": ("--camera", "--theta", "--response", "-o"),
     "measure": ("--scale", "--replicates", "--resample", "--slide", "-o"),
     "lamps": ("--training-lamp", "--recursive", "-o"),
-    "register": ("--camera", "--response", "-o"),
+    "camera register": ("--camera", "--response", "-o"),
     "relight": ("--init", "--camera", "--like", "-o"),
-    "calibrate angle": ("--camera", "--response", "-o"),
-    "calibrate response": ("--camera", "--patches", "-o"),
-    "calibrate noise": ("--camera", "-o"),
-    "models": (),
-    "methods": (),
+    "camera scene": ("--camera", "--response", "-o"),
+    "camera response": ("--camera", "--patches", "-o"),
+    "camera noise": ("--camera", "-o"),
     "nonsense": (),
 }
-_SOUND = ("methods", "--version", "fit --help", "invariant x.png -o out.png")
+_SOUND = ("show", "--version", "fit --help", "camera invariant x.png -o out.png")
 _FLAGS = ("--all", "--recursive")
 _FILED = ("--init", "--camera", "--list", "--image", "--lamps", "--like", "--patches")
 
@@ -225,7 +222,12 @@ def _text(stream: io.TextIOWrapper) -> str:
 def _prepare() -> None:
     from liaam.errors import LiaamError
 
-    for arguments in (["methods"], ["check", "folder"], ["invariant", "x.png", "-o", "warm.png"], ["info", "x.png"]):
+    for arguments in (
+        ["show"],
+        ["check", "folder"],
+        ["camera", "invariant", "x.png", "-o", "warm.png"],
+        ["show", "x.png"],
+    ):
         try:
             check(arguments)
         except LiaamError:

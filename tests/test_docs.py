@@ -95,7 +95,7 @@ def test_python_in_pages_names_what_exists(path):
 
 
 def options_of(words: list[str]) -> set[str]:
-    """Options of a command that is written out, such as liaam calibrate chart A B --rows 4."""
+    """Options of a command that is written out, such as liaam camera chart A B --rows 4."""
     command: Any = typer.main.get_command(app)
     while hasattr(command, "commands"):
         assert words, "the command is not named"

@@ -75,8 +75,8 @@ COMMANDS = {
     "track mp4": ("track {model} {clip} -m grey --init {start} --frames 4 --video {out}/t.mp4", None),
     "show": ("show {model} -o {out}/m.png", "m.png"),
     "relight": ("relight {model} {picture} --init {start} -o {out}/lit.png", None),
-    "invariant": ("invariant {picture} --theta 122 -o {out}", "face0_invariant.png"),
-    "register": ("register {picture} {other} -o {out}/same.png", "same.png"),
+    "invariant": ("camera invariant {picture} --theta 122 -o {out}", "face0_invariant.png"),
+    "register": ("camera register {picture} {other} -o {out}/same.png", "same.png"),
     "lamps": ("lamps {lamps} --training-lamp 0 -o {out}/x.lamps", "x.lamps"),
 }
 

@@ -2,7 +2,7 @@
 
 All show generated scenes. They are the figures that commands write, made by the same code: ``demo.png`` by ``liaam
 demo``, ``shadow.png`` and ``noise.png`` by ``python -m experiments noise``, ``reconstruct.png`` by
-``python -m experiments reconstruct``, ``calibration.png`` by ``liaam calibrate pair``; the experiments take a few
+``python -m experiments reconstruct``, ``calibration.png`` by ``liaam camera scene``; the experiments take a few
 trials only.
 """
 

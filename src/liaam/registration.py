@@ -206,7 +206,9 @@ def register(
     if method.encoding == "soft":
         raise MethodError(f"method {method.name} needs a trained model, not a second image; use li, igo or grey")
     if callable(method.encoding):
-        raise MethodError(f"method {method.name}: registration takes the methods of 'liaam methods', not functions")
+        raise MethodError(
+            f"method {method.name}: registration takes the methods that 'liaam fit --help' lists, not functions"
+        )
     if method.encoding == "log" and method.bias == "none":
         # Constants for the white balance. Without them, gains of (1.3, 1, 0.8) multiply the errors of ``li`` by six.
         method = replace(method, bias="rows")

@@ -1,5 +1,7 @@
 """The angle from peak wavelengths and from sensitivity curves (bar: Wien to 0.1°, real curves to 1°)."""
 
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -127,6 +129,14 @@ def test_daylight_is_that_of_the_standard():
     )
     np.testing.assert_allclose(daylight(nm, 6504.0)[0], d65, rtol=5e-4)
     assert (daylight(np.array([299.0, 831.0]), 6504.0) == 0).all()
+
+
+def test_without_colour_science_the_message_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "colour", None)
+    nm = np.arange(380.0, 731.0, 5.0)
+    with pytest.raises(CameraError, match=r"\[spectral\]"):
+        theta_from_sensitivities(nm, bells(nm, (600, 540, 460), 30))
+    assert theta_from_sensitivities(nm, bells(nm, (600, 540, 460), 30), "planckian").observable
 
 
 BAD_CURVES = {
@@ -294,12 +304,3 @@ def test_the_stated_error_is_the_spread_over_a_real_colour_chart(colour, name):
     lights = np.stack([colour.sd_blackbody(kelvin, shape).values for kelvin in 1e6 / np.linspace(100, 400, 16)])
     off = [degrees_apart(direct((patch * lights) @ curves), found.theta) for patch in chart]
     assert 0.5 < np.sqrt(np.mean(np.square(off))) / np.rad2deg(found.standard_error) < 2.0
-
-
-def test_the_daylight_table_is_colour_sciences(colour):
-    basis = colour.colorimetry.SDS_BASIS_FUNCTIONS_CIE_ILLUMINANT_D_SERIES
-    nm = np.arange(300.0, 831.0, 5.0)
-    for kelvin in (4000.0, 6504.0, 7000.5, 9300.0):
-        xy = colour.temperature.CCT_to_xy_CIE_D(kelvin)
-        theirs = colour.sd_CIE_illuminant_D_series(xy, M1_M2_rounding=False, shape=basis["S0"].shape)
-        np.testing.assert_allclose(daylight(nm, kelvin)[0], theirs[nm], atol=1e-9)

@@ -48,26 +48,25 @@ def test_compact_writes_a_small_model_and_says_what_it_fits_with(run, model_file
     assert code == 1 and "method grey: the model was trained for soft-li; train it again with '--methods grey'" in err
     out = run("compact", model_file, "-o", small, "--methods", "grey, igo")[1]
     assert "fits with soft-li, grey, rgb, grey-plain, grey-norm, igo" in out
-    assert "grey-norm" in run("info", small)[1]
+    assert "grey-norm" in run("show", small)[1]
 
 
 def box_around(points):
     return ",".join(f"{v:.0f}" for v in [*points.min(0) - 3, *points.max(0) + 3])
 
 
-def test_train_info_show(run, portraits, tmp_path):
+def test_train_and_show(run, portraits, tmp_path):
     model = tmp_path / "m.safetensors"
     code, out, err = run("train", portraits[0], "-o", model, "--images", "face[0-4]*", "--diagonal", 80, "--name", "me")
     assert (code, err) == (0, "")
     assert "5 samples" in out
     assert "trained on 5 images and 5 mirrored copies; shape modes: " in out
     assert "limit of accuracy: fits to new images are off by at least about" in out
-    code, out, _ = run("info", model)
+    code, out, _ = run("show", model, "-o", tmp_path / "drawn.png")
     assert code == 0
     assert "me (" in out
     assert "5 images" in out
-    assert run("show", model)[0] == 0
-    assert read_image(tmp_path / "m_model.png").shape[2] == 3
+    assert read_image(tmp_path / "drawn.png").shape[2] == 3
 
 
 def test_another_landmarkers_points_start_fits(run, portraits, tmp_path):
@@ -88,7 +87,7 @@ def test_another_landmarkers_points_start_fits(run, portraits, tmp_path):
     assert code == 0
     assert "the other landmarker's 29 points: mapped to the landmarks with an error of" in out
     assert "the quality and the ellipses of fits are not calibrated (--no-leave-out)" in out
-    info = run("info", model)[1]
+    info = run("show", model)[1]
     assert "29 points of another landmarker" in info and "not calibrated" in info
     code, out, err = run("fit", model, image, "--init", tmp_path / "new.pts", "-o", tmp_path / "fits")
     assert (code, err) == (0, "")
@@ -116,7 +115,7 @@ def test_ctrl_c_while_options_are_read_is_reported(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("typer.core.TyperOption.process_value", stop)
-    code, _, err = run("methods")
+    code, _, err = run("show")
     assert (code, err) == (130, "stopped\n")
 
 
@@ -125,7 +124,7 @@ def test_ctrl_c_between_the_steps_of_typer_is_reported(run, monkeypatch):
         raise SystemExit(130)  # what typer makes of it
 
     monkeypatch.setattr("liaam.cli.terminal._Commands.invoke", stop)
-    code, _, err = run("methods")
+    code, _, err = run("show")
     assert (code, err) == (130, "stopped\n")
 
 
@@ -161,10 +160,10 @@ def test_a_prior_of_no_view_is_refused(run, portraits, tmp_path):
     assert "unknown view 'ears'; choose from mesh, surroundings" in err
 
 
-def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tmp_path):
+def test_fit_writes_landmarks_and_overlay(run, portraits, model_file, tmp_path):
     truth = read_landmarks(portraits[2]).points
     out = tmp_path / "fits"
-    code, text, err = run("fit", model_file, portraits[1], "--init", box_around(truth), "-o", out, "--history")
+    code, text, err = run("fit", model_file, portraits[1], "--init", box_around(truth), "-o", out)
     assert (code, err) == (0, "")
     assert "converged" in text or "light unobservable" in text
     assert sorted(p.name for p in out.iterdir()) == [
@@ -173,7 +172,6 @@ def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tm
         "new.pts",
         "new.tps",
         "new_fit.png",
-        "new_history.csv",
     ]
     found = read_landmarks(out / "new.pts").points
     assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
@@ -183,7 +181,6 @@ def test_fit_writes_landmarks_overlay_and_history(run, portraits, model_file, tm
     assert facts["theta_deg"] is None  # taken from the camera, not estimated
     assert 0.5 < facts["quality"] <= 1.0
     assert all(0 < deviation < 20 for deviation in facts["landmark_deviations_px"])
-    assert len((out / "new_history.csv").read_text().splitlines()) >= 3
 
 
 def test_fit_with_li_tells_the_angle(run, portraits, model_file, tmp_path):
@@ -221,13 +218,11 @@ def test_fit_says_how_it_was_started(run, portraits, model_file, tmp_path):
 def test_fit_all_numbers_what_it_finds(run, portraits, model_file, tmp_path):
     picture, truth = read_image(portraits[1]), read_landmarks(portraits[2]).points
     write_image(tmp_path / "two.png", np.concatenate([picture, picture[::-1], picture], axis=1))
-    code, text, _ = run(
-        "fit", model_file, tmp_path / "two.png", "--all", "-m", "igo", "-o", tmp_path / "o", "--history"
-    )
+    code, text, _ = run("fit", model_file, tmp_path / "two.png", "--all", "-m", "igo", "-o", tmp_path / "o")
     assert code == 0
     assert text.count("found, 0.") >= 2
     names = {path.name for path in (tmp_path / "o").iterdir()}
-    assert {"two_1.pts", "two_1_fit.png", "two_1_history.csv", "two_2.pts", "two_2.json"} <= names
+    assert {"two_1.pts", "two_1_fit.png", "two_2.pts", "two_2.json"} <= names
     assert "two.pts" not in names
     shapes = [read_landmarks(path).points for path in (tmp_path / "o").glob("*.pts")]
     for shift in (0, 2 * picture.shape[1]):
@@ -296,8 +291,8 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "m.png"), "a model ends in .liaam, not in .png; give a name such as m.liaam"),
         (("train", "{portraits}", "-o", "m.tps"), "a model ends in .liaam"),
         (("train", "{portraits}", "-o", "m", "--training-lamp", "07"), "give that folder with --lamps, or leave"),
-        (("info", "{missing}"), "does not exist; make one with 'liaam train"),
-        (("info", "{image}"), "is a PNG image, not a model file; give a model file in its place"),
+        (("show", "{missing}"), "does not exist; make one with 'liaam train"),
+        (("show", "{image}"), "is a PNG image, not a model file; give a model file in its place"),
         (("fit", "{image}", "{model}"), "a model comes before the images, as in 'liaam fit face.safetensors new.png'"),
         (("train", "{portraits}", "-o", "m", "--lamps", "no"), "a lamp file, a folder, 'auto' or 'none'"),
         (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
@@ -360,7 +355,7 @@ def test_train_does_not_overwrite_a_picture(run, portraits, tmp_path):
 def test_names_with_brackets_are_printed_as_they_are(run, portraits, tmp_path):
     model = tmp_path / "m.liaam"
     assert run("train", portraits[0], "-o", model, "--diagonal", 60, "--name", "head [/b]")[0] == 0
-    code, out, _ = run("info", model)
+    code, out, _ = run("show", model)
     assert code == 0
     assert "head [/b]" in out
 
@@ -382,8 +377,7 @@ def test_help_and_methods(run):
         assert "Usage" in out
     for command, argument in (("train", "FOLDER"), ("lamps", "FOLDER"), ("show", "FILE"), ("studio", "FOLDER")):
         assert argument in run(command, "--help")[1]  # as in messages and in the reference
-    code, out, _ = run("methods")
-    assert code == 0
+    out = run("fit", "--help")[1]
     assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))
 
 
@@ -405,14 +399,14 @@ LONG = "a" * 300
         ["fit", "{model}", "{picture}", "--init", LONG],
         ["fit", "{model}", "{picture}", "--init", "1,2,3", "--camera", LONG],
         ["fit", "{model}", "{picture}", "--init", "1,2,3", "-o", LONG],
-        ["info", LONG],
+        ["show", LONG],
         ["show", LONG],
         ["show", "{model}", "-o", f"{LONG}.png"],
         ["train", LONG, "-o", "x.liaam"],
         ["train", "{folder}", "-o", LONG],
         ["train", "{folder}", "-o", f"{LONG}/x.liaam"],
         ["check", LONG],
-        ["invariant", f"{LONG}.png"],
+        ["camera", "invariant", f"{LONG}.png"],
         ["lamps", "{folder}", "-o", f"{LONG}.lamps"],
         ["batch", "{model}", f"{LONG}.png", "-o", "x.csv"],
         ["batch", "{model}", "{picture}", "-o", f"{LONG}.csv"],
@@ -436,11 +430,11 @@ def test_a_name_that_no_file_can_have_is_one_line(run, portraits, model_file, tm
     "arguments",
     [
         ["fit", "{model}", "loop.png", "--init", "1,2,3"],
-        ["invariant", "loop.png"],
-        ["invariant", "{picture}", "--camera", "loop.json"],
+        ["camera", "invariant", "loop.png"],
+        ["camera", "invariant", "{picture}", "--camera", "loop.json"],
         ["relight", "loop.liaam", "{picture}", "-o", "loop.png"],
-        ["register", "loop.png", "loop.png", "-o", "loop.png"],
-        ["calibrate", "noise", "loop.png", "-o", "loop.json"],
+        ["camera", "register", "loop.png", "loop.png", "-o", "loop.png"],
+        ["camera", "noise", "loop.png", "-o", "loop.json"],
         ["check", "loop", "-o", "loop.png"],
         ["track", "{model}", "loop.mp4", "-o", "loop.csv"],
     ],
@@ -460,7 +454,7 @@ def test_rights_that_are_missing_are_one_line(run, portraits, model_file, monkey
         raise PermissionError(13, "Permission denied", "secret/face.liaam")
 
     monkeypatch.setattr("liaam.model.load_model", forbidden)
-    status, _, err = run("info", "face.liaam")
+    status, _, err = run("show", "face.liaam")
     assert status == 1
     remedy = "check the name, the permissions and the free space"
     assert err.strip() == f"error: secret/face.liaam: Permission denied; {remedy}"
@@ -481,7 +475,7 @@ def test_folders_without_permission_are_one_line(portraits, tmp_path):
     (tmp_path / "locked" / "x.png").write_bytes(b"x")
     (tmp_path / "locked").chmod(0)
     try:
-        for command in (["info", "locked/x.png"], ["check", "locked/sub"], ["lamps", ".", "-o", "locked/x.lamps"]):
+        for command in (["show", "locked/x.png"], ["check", "locked/sub"], ["lamps", ".", "-o", "locked/x.lamps"]):
             done = subprocess.run(
                 [sys.executable, "-c", WITHOUT_POWERS, *command],
                 cwd=tmp_path,
@@ -504,13 +498,13 @@ def test_escape_sequences_of_a_models_name_do_not_reach_the_terminal(run, portra
     from liaam.training import train
 
     train(load_folder(portraits[0]), diagonal=50, leave_out=False, name=EVIL).save(tmp_path / "evil.liaam")
-    _, out, _ = run("info", tmp_path / "evil.liaam")
+    _, out, _ = run("show", tmp_path / "evil.liaam")
     assert not set("\x1b\x07\x9b\u202e") & set(out)
     assert "red" in out and "face" in out
 
 
 def test_what_is_said_has_no_escape_sequences(run):
-    for arguments in (["info", f"{EVIL}.liaam"], ["nonsense" + EVIL], ["fit", "x", "y", "--iterations", EVIL]):
+    for arguments in (["show", f"{EVIL}.liaam"], ["nonsense" + EVIL], ["fit", "x", "y", "--iterations", EVIL]):
         status, out, err = run(*arguments)
         assert status and not set("\x1b\x07\x9b\u202e") & set(out + err)
 
@@ -519,6 +513,12 @@ def test_what_is_said_has_no_escape_sequences(run):
 def test_a_folder_is_not_drawn(run, name):
     status, _, err = run("show", name)
     assert status == 1 and "is a folder" in err
+
+
+@pytest.mark.parametrize("late", ["face", "other.liaam"])
+def test_a_model_after_the_images_is_told_where_it_belongs(run, portraits, late):
+    status, _, err = run("fit", portraits[1], late)
+    assert status == 1 and f"as in 'liaam fit {late} {portraits[1].name}'" in err
 
 
 def test_a_folder_is_not_fitted(run, tmp_path):

@@ -76,4 +76,4 @@ def test_the_pose_does_not_count_as_shape(lit):
 
 def test_a_light_that_no_image_has_is_an_error(lit):
     with pytest.raises(LiaamError, match=r"no image under the light dusk; choose from 1m, 5m"):
-        recognise_experiment(lit / "data", lit / "test", None, "1m", 60.0, far=("dusk",))
+        recognise_experiment(lit / "data", lit / "test", "1m", None, 60.0, far=("dusk",))

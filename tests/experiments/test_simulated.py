@@ -131,10 +131,3 @@ def test_a_milder_shadow_leaves_more_light_and_a_negative_one_is_refused():
     assert mild.mean() > deep.mean() + 0.01
     with pytest.raises(LiaamError, match=r"strength 0.5: give the shadow's change of log light"):
         displacement_experiment(None, ("li",), 1, strength=0.5)
-
-
-def test_the_command_line_offers_the_same_methods():
-    """Which it has as text, so that it starts without the engine."""
-    from experiments.cli import SIMULATED
-
-    assert tuple(SIMULATED.split(",")) == simulated.METHODS

@@ -93,12 +93,12 @@ def test_a_file_that_makes_no_sense_is_refused(tmp_path, facts, fault):
 def test_a_file_that_is_no_camera_is_refused(tmp_path, text):
     path = tmp_path / "camera.json"
     path.write_text(text)
-    with pytest.raises(CameraError, match=r"(not a camera file; make one|is empty.* made) with 'liaam calibrate'"):
+    with pytest.raises(CameraError, match=r"(not a camera file; make one|is empty.* made) with 'liaam camera'"):
         load_camera(path)
 
 
 def test_a_missing_file_names_the_remedy(tmp_path):
-    with pytest.raises(CameraError, match=r"none.json.*liaam calibrate"):
+    with pytest.raises(CameraError, match=r"none.json.*liaam camera"):
         load_camera(tmp_path / "none.json")
 
 

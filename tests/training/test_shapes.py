@@ -190,5 +190,5 @@ def test_the_command_line_says_how_many_kinds_there_are(samples, tmp_path, run):
     quick = "--no-leave-out", "--copies", "0", "--diagonal", "50"
     code, out, _ = run("train", folder, "-o", tmp_path / "m.liaam", *quick)
     assert code == 0 and "kinds of shape: 2, each with a model of its own: 9 images (50%), 9 images (50%)" in out
-    code, out, _ = run("info", tmp_path / "m.liaam")
+    code, out, _ = run("show", tmp_path / "m.liaam")
     assert code == 0 and "9 images (50%), 9 images (50%); below, the first" in out and "18 images" in out

@@ -13,7 +13,7 @@ from liaam.calibration.radiometry import (
     calibrate_response,
     vignetting_from_flat_field,
 )
-from liaam.calibration.scatter import least_squares_angle, theta_from_scene
+from liaam.calibration.scatter import theta_from_scene
 from liaam.calibration.spectral import (
     SpectralEstimate,
     read_sensitivities,
@@ -40,7 +40,6 @@ __all__ = [
     "chart_patches",
     "entropy_curve",
     "homographies_between",
-    "least_squares_angle",
     "noise_from_flat",
     "noise_from_image",
     "noise_from_pair",

@@ -25,64 +25,32 @@ from liaam.photometry.response import Response
 Entropy = Literal["quadratic", "shannon"]
 """Renyi's quadratic entropy of a kernel density; Shannon's of a histogram."""
 
-THETAS = np.deg2rad(np.arange(180.0))
-"""Angles of a curve, radians."""
-
-KEPT = 0.98
-"""Central fraction of the projected values that is used; the papers use 0.9."""
-
-FINENESS = 0.25
-"""Width of a bin, and twice the kernel's standard deviation, in units of Scott's width."""
-
-SMOOTHING = 2.0
-"""Standard deviation, in pixels, of the blur of log-RGB, since noise and JPEG blocks blur the peaks."""
-
-MOST_PIXELS = 310_000
-"""Largest number of pixels; larger images are averaged in blocks, in linear light."""
-
-FEWEST_PIXELS = 1000
-"""Least number of well-exposed pixels."""
-
-FEWEST_VALUES = 100
-"""Least number of pixels for a curve."""
-
-LEAST_COLOUR = 1e-3
-"""Standard deviation of log-chromaticity below which an image has one colour only."""
-
-SUBDIVISION = 2
-"""Cells of a histogram per bin; Shannon's entropy is averaged over as many origins of the bins."""
-
-WIDEST_HISTOGRAM = 6000
-"""Largest number of cells of a histogram, in case of distant outliers."""
-
-BLOCKS = 8
-"""Number of blocks along each axis of the image, which the bootstrap draws."""
-
-REPLICATES = 40
-"""Number of bootstrap replicates."""
-
+THETAS = np.deg2rad(np.arange(180.0))  # Angles of a curve, radians
+KEPT = 0.98  # Central fraction of the projected values that is used; the papers use 0.9
+FINENESS = 0.25  # Width of a bin, and twice the kernel's standard deviation, in units of Scott's width
+SMOOTHING = 2.0  # Standard deviation, in pixels, of the blur of log-RGB, since noise and JPEG blocks blur the peaks
+MOST_PIXELS = 310_000  # Largest number of pixels; larger images are averaged in blocks, in linear light
+FEWEST_PIXELS = 1000  # Least number of well-exposed pixels
+FEWEST_VALUES = 100  # Least number of pixels for a curve
+LEAST_COLOUR = 1e-3  # Standard deviation of log-chromaticity below which an image has one colour only
+SUBDIVISION = 2  # Cells of a histogram per bin; Shannon's entropy is averaged over as many origins of the bins
+WIDEST_HISTOGRAM = 6000  # Largest number of cells of a histogram, in case of distant outliers
+BLOCKS = 8  # Number of blocks along each axis of the image, which the bootstrap draws
+REPLICATES = 40  # Number of bootstrap replicates
+# Error that the bootstrap does not include, radians: broad sensors and coloured surfaces
 MODEL_ERROR = float(np.deg2rad(1.0))
-"""Error that the bootstrap does not include, radians: broad sensors and coloured surfaces."""
-
-NEAR = float(np.deg2rad(10.0))
-"""Distance up to which angles belong to one minimum, radians."""
-
+NEAR = float(np.deg2rad(10.0))  # Distance up to which angles belong to one minimum, radians
+# Limit of the spread over bootstrap replicates, and of the difference between the two entropies, radians
 WIDEST_SPREAD = float(np.deg2rad(5.0))
-"""Limit of the spread over bootstrap replicates, and of the difference between the two entropies, radians."""
-
-LEAST_MARGIN = 0.1
-"""Least difference to the next minimum, bits."""
-
+LEAST_MARGIN = 0.1  # Least difference to the next minimum, bits
+# Least change of log(R / B) at one value of the invariant that distinguishes light from noise and texture
 LEAST_CHANGE = 0.15
-"""Least change of log(R / B) at one value of the invariant that distinguishes light from noise and texture."""
-
+# Least correlation of redness and brightness, at one value of the invariant, that indicates a change of light.
+# Colours aligned by chance have none, and pigments, as warm shadows, a negative one
 LEAST_BLUER = 0.2
-"""Least correlation of redness and brightness, at one value of the invariant, that indicates a change of light. Colours
-aligned by chance have none, and pigments, as warm shadows, a negative one."""
-
+# Ratio of the spread across and along the main direction of all colours, below which they lie on a line, as those of
+# skin and wood
 LINE = 0.4
-"""Ratio of the spread across and along the main direction of all colours, below which they lie on a line, as those of
-skin and wood."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,14 +5,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate, axis_difference
+from liaam.calibration.statistics import huber_location, in_normal_units
 from liaam.errors import CameraError
 from liaam.fitting import FitResult, FitStatus
 
-FEWEST_FITS = 5
-"""Least number of fits for a pooled angle."""
-
-HUBER = 1.5
-"""Scale of Huber's loss for the pooled angle, in standard deviations."""
+FEWEST_FITS = 5  # Least number of fits for a pooled angle
 
 
 def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
@@ -50,32 +47,11 @@ def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
         return AngleEstimate(nan, float("inf"), message, nan, len(used))
     angles = np.array([r.theta for r in used])
     centre = float(np.angle(np.exp(2j * angles).mean()) / 2 % np.pi)  # angles have a period of pi
-    offset, error = _huber_location(np.array([axis_difference(angle, centre) for angle in angles]))
-    from scipy.stats import t  # heavy: imported when first needed
-
+    offset, error = huber_location(np.array([axis_difference(angle, centre) for angle in angles]))
     theta, spread = (centre + offset) % np.pi, np.rad2deg(error * np.sqrt(len(used)))
-    error *= float(t.ppf(0.975, len(used) - 1)) / 1.96
+    error = in_normal_units(error, len(used) - 1)
     message = f"the angles of {len(used)} fits have a standard deviation of {spread:.2f}°; {unused}"
     if error > WIDEST_ERROR:
         message = f"{message}: the standard error is too large; {remedy}"
         return AngleEstimate(theta, float("inf"), message, nan, len(used))
     return AngleEstimate(theta, error, message, nan, len(used)).with_warning()
-
-
-def _huber_location(values: np.ndarray) -> tuple[float, float]:
-    """Huber's estimate of location and its standard error."""
-    centre = float(np.median(values))
-    # The median deviation may be 0, since half of a few values can be equal. The mean deviation bounds it from
-    # below; the standard deviation would let a single outlier widen the scale.
-    deviations = np.abs(values - centre)
-    scale = max(1.4826 * float(np.median(deviations)), 0.25 * float(deviations.mean()), 1e-9)
-    for _ in range(50):
-        moved = float(np.clip((values - centre) / scale, -HUBER, HUBER).mean() * scale)
-        centre += moved
-        if abs(moved) < 1e-12:
-            break
-    u = (values - centre) / scale
-    inside = float((np.abs(u) < HUBER).mean())
-    psi = np.clip(u, -HUBER, HUBER)
-    n = len(values)
-    return centre, scale * float(np.sqrt(np.square(psi).sum() / (n - 1) / n)) / max(inside, 0.1)

@@ -12,61 +12,32 @@ from functools import lru_cache
 
 import numpy as np
 
+from liaam.calibration.statistics import jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import NoiseModel
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, stored_values
 from liaam.photometry.response import Response, log_slope, to_linear
 
-SIDE = 8
-"""Side of a block, pixels."""
-
-ENOUGH_BLOCKS = 20_000
-"""Largest number of blocks; those of larger images are subsampled evenly."""
-
-FEWEST = 24
-"""Least number of values (blocks times channels) for an estimate."""
-
+SIDE = 8  # Side of a block, pixels
+ENOUGH_BLOCKS = 20_000  # Largest number of blocks; those of larger images are subsampled evenly
+FEWEST = 24  # Least number of values (blocks times channels) for an estimate
+# Energy of a block's variation below which it is synthetic or clipped, since every real block has noise
 CONSTANT = 1e-14
-"""Energy of a block's variation below which it is synthetic or clipped, since every real block has noise."""
-
-TREND = 2
-"""Degree of the polynomial that models the light in a block; higher degrees count as noise."""
-
+TREND = 2  # Degree of the polynomial that models the light in a block; higher degrees count as noise
+# For a single image: degrees from which a block has little texture, and from which noise is estimated
 COARSE, FINE = 7, 9
-"""For a single image: degrees from which a block has little texture, and from which noise is estimated."""
-
-WEAKEST = 0.1
-"""For a single image: fraction of the blocks to use, those of the weakest texture."""
-
+WEAKEST = 0.1  # For a single image: fraction of the blocks to use, those of the weakest texture
+# Largest number of classes of brightness within which textures are compared, and least number of values in each
 BINS, BIN = 24, 100
-"""Largest number of classes of brightness within which textures are compared, and least number of values in each."""
-
-BEND = 0.1
-"""Relative deviation from the line at which the loss changes from quadratic to linear."""
-
-ROUNDED = 0.4
-"""Standard deviation, in steps of stored values, below which rounding hides noise."""
-
-ENDS = (0.05, 0.8)
-"""Range of brightness, as fractions of white, in which the line has to be known."""
-
-VAGUE = 0.25
-"""Largest relative standard error of the standard deviation at both ends of the range."""
-
-NARROW = 1.5
-"""Ratio of the brightest to the darkest blocks below which they count as one brightness."""
-
-COLOURED = 1.5
-"""Ratio of coarse to fine noise above which it is not white."""
-
-FLICKER = 0.1
-"""Largest relative difference in brightness of two images of the same exposure."""
-
-MOVED = 0.25
-"""Fraction of blocks with differences above the noise from which a pair is rejected."""
-
-GROUPS, CLASSES = 40, 12
-"""Numbers of groups of the jackknife: of positions, and of brightnesses in a single image."""
+BEND = 0.1  # Relative deviation from the line at which the loss changes from quadratic to linear
+ROUNDED = 0.4  # Standard deviation, in steps of stored values, below which rounding hides noise
+ENDS = (0.05, 0.8)  # Range of brightness, as fractions of white, in which the line has to be known
+VAGUE = 0.25  # Largest relative standard error of the standard deviation at both ends of the range
+NARROW = 1.5  # Ratio of the brightest to the darkest blocks below which they count as one brightness
+COLOURED = 1.5  # Ratio of coarse to fine noise above which it is not white
+FLICKER = 0.1  # Largest relative difference in brightness of two images of the same exposure
+MOVED = 0.25  # Fraction of blocks with differences above the noise from which a pair is rejected
+GROUPS, CLASSES = 40, 12  # Numbers of groups of the jackknife: of positions, and of brightnesses in a single image
 
 
 @dataclass(frozen=True)
@@ -369,9 +340,7 @@ def _line(
 
 def _jackknife(blocks: _Blocks, groups: np.ndarray, estimate: Callable[[_Blocks], np.ndarray]) -> np.ndarray:
     """Jackknife covariance (k, k) of an estimate over groups (n,) of blocks."""
-    numbers = np.unique(groups)
-    draws = np.array([estimate(blocks[groups != number]) for number in numbers])
-    return (len(numbers) - 1) * np.cov(draws.T, bias=True)
+    return jackknife(np.array([estimate(blocks[groups != number]) for number in np.unique(groups)]))
 
 
 def _estimate(blocks: _Blocks, response: Response, single: bool = False) -> NoiseEstimate:

@@ -22,6 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from liaam.calibration.statistics import robust_deviation
 from liaam.errors import CameraError
 from liaam.evaluation import root_mean_square
 from liaam.photometry.camera import falloff_at, least_share, squared_radius
@@ -30,72 +31,44 @@ from liaam.photometry.invariant import CHROMATICITY
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import Response, ResponseCurve, to_linear
 
-LOWEST = 6 / 255
-"""Stored value at which the fitted curve starts; below it continues as a power law."""
-
+LOWEST = 6 / 255  # Stored value at which the fitted curve starts; below it continues as a power law
+# The curve is a spline of log((v + toe) / (top - v)), which resolves dark values and the shoulder finely
 TOE, TOP = 0.02, 1.1
-"""The curve is a spline of log((v + toe) / (top - v)), which resolves dark values and the shoulder finely."""
-
-KNOTS = 17
-"""Number of equidistant knots of the spline."""
-
+KNOTS = 17  # Number of equidistant knots of the spline
+# Standard deviation (of log light) and correlation length (along the curve) of the prior's Gaussian process
 SMOOTH, REACH = 0.3, 0.35
-"""Standard deviation (of log light) and correlation length (along the curve) of the prior's Gaussian process."""
-
+# Assumed range of log light between the stored values 8 and 250 if the power is unknown, and its relative standard
+# deviation: sRGB has 6.0, a gamma of 2.2 has 7.6
 USUAL_RANGE, RANGE_SPREAD = 6.6, 0.15
-"""Assumed range of log light between the stored values 8 and 250 if the power is unknown, and its relative standard
-deviation: sRGB has 6.0, a gamma of 2.2 has 7.6."""
-
-TERMS = 3
-"""Number of vignetting coefficients: r^2, r^4, r^6."""
-
+TERMS = 3  # Number of vignetting coefficients: r^2, r^4, r^6
+# Prior standard deviations of a vignetting coefficient, and of the logs of an image's white balance and exposure
 TERM_SPREAD, BALANCE_SPREAD, EXPOSURE_SPREAD = 0.5, 0.1, 5.0
-"""Prior standard deviations of a vignetting coefficient, and of the logs of an image's white balance and exposure."""
-
-BLOCK = 8
-"""Side of the blocks that are averaged, pixels; up to twice as large in large images."""
-
-MOST_BLOCKS = 4000
-"""Largest number of blocks."""
-
+BLOCK = 8  # Side of the blocks that are averaged, pixels; up to twice as large in large images
+MOST_BLOCKS = 4000  # Largest number of blocks
+# Largest relative standard deviation within a block, since averaging of stored values is not linear in light
 TEXTURE = 0.05
-"""Largest relative standard deviation within a block, since averaging of stored values is not linear in light."""
-
+# Fraction of the standard deviation within a block that counts as noise, for small registration errors
 UNREGISTERED = 0.03
-"""Fraction of the standard deviation within a block that counts as noise, for small registration errors."""
-
-OUTLYING = 4.0
-"""Residual, in standard deviations, at which the weight is a quarter."""
+OUTLYING = 4.0  # Residual, in standard deviations, at which the weight is a quarter
 
 MOST_STEPS = 40
 
+# Lower bounds of the curve's increments, of the scale of the residuals, and of the relative light
 LEAST_INCREMENT, LEAST_SCALE, LEAST_SHARE = 1e-3, 0.3, 0.1
-"""Lower bounds of the curve's increments, of the scale of the residuals, and of the relative light."""
-
-EXACT = 1e-4
-"""Standard deviation of the assumed range of log light if the power is unknown."""
-
-POINTS = 33
-"""Number of points of the resulting curve."""
-
+EXACT = 1e-4  # Standard deviation of the assumed range of log light if the power is unknown
+POINTS = 33  # Number of points of the resulting curve
+# Least number of blocks of an image, difference of log exposures, and difference of r^2, for an estimate
 FEWEST, LEAST_CONTRAST, LEAST_RADII = 20, 0.1, 0.05
-"""Least number of blocks of an image, difference of log exposures, and difference of r^2, for an estimate."""
-
+# Largest standard errors of an estimate: of log light over the observed stored values, of the relative light in the
+# corners, and of log exposures
 WIDEST_RESPONSE, WIDEST_CORNER, LOOSEST = 0.1, 0.05, 0.5
-"""Largest standard errors of an estimate: of log light over the observed stored values, of the relative light in the
-corners, and of log exposures."""
-
+# Largest residuals in log exposure of an estimate, if noise does not explain them and if it does
 WORST_RMS, WORST_NOISE = 0.06, 0.3
-"""Largest residuals in log exposure of an estimate, if noise does not explain them and if it does."""
-
+# Standard error of log light and exposure by mixed light in blocks and clipped noise, from simulations
 SYSTEMATIC = 1.5e-3
-"""Standard error of log light and exposure by mixed light in blocks and clipped noise, from simulations."""
-
-MISFIT = 4.0
-"""Ratio of residuals to noise above which noise does not explain them; JPEG of quality 75 gives 4 to 6."""
-
+MISFIT = 4.0  # Ratio of residuals to noise above which noise does not explain them; JPEG of quality 75 gives 4 to 6
+# Root mean square residual in log light, not explained by noise, above which an image is not a flat field
 UNEVEN = 0.05
-"""Root mean square residual in log light, not explained by noise, above which an image is not a flat field."""
 
 WHITE_WALL = "use an image of an evenly lit white wall, out of focus."
 
@@ -271,7 +244,7 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     start = np.concatenate([np.zeros(TERMS), np.linalg.lstsq(tilted, log_light, rcond=None)[0]])
     found = least_squares(residuals, start, loss="cauchy", f_scale=OUTLYING, x_scale="jac")
     standard = residuals(found.x)[: len(radius2)]
-    scale = max(_robust_deviation(standard), LEAST_SCALE)
+    scale = max(robust_deviation(standard), LEAST_SCALE)
     covariance = scale**2 * np.linalg.inv(found.jac.T @ found.jac)[:TERMS, :TERMS]
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=_robust(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
@@ -616,7 +589,7 @@ def _solve(problem: _Problem) -> _Fit:
         before, z = z, _bounded(gram, rows.T @ values, problem.sizes[0])
         residual = np.where(measured.usable, design_rest @ z + known_rest, 0.0)
         standard = residual / (noise * np.sqrt(np.maximum(1.0 - own, 0.05)))
-        scale = max(_robust_deviation(standard[measured.usable]), LEAST_SCALE)
+        scale = max(robust_deviation(standard[measured.usable]), LEAST_SCALE)
         robust = _robust(measured.over_channels(standard) / scale)
         rms = float(np.sqrt(np.average(np.square(residual), weights=robust * measured.usable)))
         radiance = (own * (design @ z + known)).sum(axis=0)
@@ -640,10 +613,6 @@ def _bounded(gram: np.ndarray, moment: np.ndarray, increments: int) -> np.ndarra
 def _robust(standard: np.ndarray) -> np.ndarray:
     """Weights of Geman and McClure, which reject outliers, unlike Cauchy's."""
     return 1.0 / np.square(1.0 + np.square(standard / OUTLYING))
-
-
-def _robust_deviation(values: np.ndarray) -> float:
-    return float(1.4826 * np.median(np.abs(values)))
 
 
 def _spread(values: np.ndarray, usable: np.ndarray) -> np.ndarray:

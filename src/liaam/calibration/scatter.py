@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate
+from liaam.calibration.statistics import in_normal_units, jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, refuse_grey, stored_values
@@ -19,47 +20,25 @@ from liaam.photometry.invariant import temperature_direction
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope, to_linear
 
-GRID = np.deg2rad(np.arange(0.0, 180.0, 1.0))
-"""Angles at which the cost is evaluated before the best is refined."""
-
-CAUCHY = 2.385
-"""Scale of Cauchy's loss, in standard deviations: 95 % efficient for Gaussian errors."""
-
-FEWEST = 6
-"""Least number of surfaces for an estimate."""
-
-FEW = 2000
-"""Approximate number of surfaces for the search on the grid; all surfaces are used for refinement."""
-
-CONVERGED = 1e-6
-"""Change of the angle, radians, at which the iteration of angle and errors stops."""
-
-BLOCK_NOISE = 0.05
-"""Target standard deviation of a block's logarithm; its bias is then about 0.001."""
-
-MOST_BLOCKS = 10_000
-"""Largest number of blocks of an image."""
-
-CLUSTERS = 6
-"""Number of regions along each axis for the jackknife, since errors of neighbouring blocks are correlated."""
-
-COLOURS = 20
-"""Number of bins of invariant values that group surfaces by colour."""
-
+GRID = np.deg2rad(np.arange(0.0, 180.0, 1.0))  # Angles at which the cost is evaluated before the best is refined
+CAUCHY = 2.385  # Scale of Cauchy's loss, in standard deviations: 95 % efficient for Gaussian errors
+FEWEST = 6  # Least number of surfaces for an estimate
+FEW = 2000  # Approximate number of surfaces for the search on the grid; all surfaces are used for refinement
+CONVERGED = 1e-6  # Change of the angle, radians, at which the iteration of angle and errors stops
+BLOCK_NOISE = 0.05  # Target standard deviation of a block's logarithm; its bias is then about 0.001
+MOST_BLOCKS = 10_000  # Largest number of blocks of an image
+CLUSTERS = 6  # Number of regions along each axis for the jackknife, since errors of neighbouring blocks are correlated
+COLOURS = 20  # Number of bins of invariant values that group surfaces by colour
+# Difference of the light's colour between neighbouring blocks, in standard deviations, that indicates an edge. Noise
+# alone gives a range of 3 among nine blocks
 EDGE = 5.0
-"""Difference of the light's colour between neighbouring blocks, in standard deviations, that indicates an edge. Noise
-alone gives a range of 3 among nine blocks."""
-
+# Mean square difference of the lights along the temperature direction, in units of its error variance, below which
+# the angle counts as unobservable; errors alone give 1
 WEAKEST_SIGNAL = 2.0
-"""Mean square difference of the lights along the temperature direction, in units of its error variance, below which
-the angle counts as unobservable; errors alone give 1."""
-
+# The same limit if white balance is free, so that only spatial variation counts. Broad sensors and coloured surfaces
+# cause variation too
 WEAKEST_VARIATION = 16.0
-"""The same limit if white balance is free, so that only spatial variation counts. Broad sensors and coloured surfaces
-cause variation too."""
-
-SURE = 0.7
-"""Quantile of the F distribution above which the standard error is that over colours and not over regions."""
+SURE = 0.7  # Quantile of the F distribution above which the standard error is that over colours and not over regions
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,22 +284,6 @@ def _estimated(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float
     return scatter, theta
 
 
-def least_squares_angle(images: Sequence[np.ndarray], camera: CameraModel | None = None) -> float:
-    """Estimate the angle by plain least squares over the pixels of two registered images, as a baseline.
-
-    Returns radians in [0, pi), biased towards the angle of least noise.
-    """
-    first, second = as_pictures(images)[:2]
-    response = (camera or CameraModel()).response
-    stored = np.stack([stored_values(picture, np.float64) for picture in (first, second)])
-    usable = ((stored >= DARK) & (stored <= SATURATED)).all(axis=(0, 3))
-    logs = np.log(to_linear(stored[:, usable], response))
-    moments = (logs[0] - logs[1]).T @ (logs[0] - logs[1])
-    thetas = np.linspace(0.0, np.pi, 3600, endpoint=False)
-    rows = _unit_rows(thetas)
-    return float(thetas[np.einsum("kc,cd,kd->k", rows, moments, rows).argmin()])
-
-
 @dataclass(frozen=True, eq=False)
 class _Scatter:
     """Whitened scatter of surfaces as a function of the angle."""
@@ -435,7 +398,7 @@ def _error(scatter: _Scatter, theta: float) -> float:
     Errors of neighbouring surfaces are correlated, and so are those of surfaces of one colour, since broad sensors
     shift with the colour. The jackknife over colours is used if its error is clearly larger.
     """
-    from scipy.stats import f, t  # heavy: imported when first needed
+    from scipy.stats import f  # heavy: imported when first needed
 
     by_place, places = _jackknife(scatter, theta, scatter.surfaces.clusters)
     by_colour, colours = _jackknife(scatter, theta, _colours(scatter, theta))
@@ -443,7 +406,7 @@ def _error(scatter: _Scatter, theta: float) -> float:
         return float("inf")
     use_colours = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
     error, degrees = (by_colour, colours) if use_colours else (by_place, places)
-    return error * float(t.ppf(0.975, degrees)) / 1.96
+    return in_normal_units(error, degrees)
 
 
 def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
@@ -466,9 +429,7 @@ def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[f
     if len(slope) < 3 or not (rest > 0).all():
         return float("inf"), 1.0
     # One Newton step from all surfaces to those without a cluster.
-    moved = slope / rest
-    k = len(slope)
-    error = float(np.sqrt((k - 1) / k * np.square(moved - moved.mean()).sum()))
+    error = float(np.sqrt(jackknife(slope / rest)))
     # Clusters with little change of light hardly add degrees of freedom.
     effective = float(np.square(np.abs(bend).sum()) / np.square(bend).sum())
     return error, max(effective - 1.0, 1.0)

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from liaam.calibration.estimate import AngleEstimate, axis_difference
-from liaam.errors import CameraError
+from liaam.errors import CameraError, installing
 from liaam.evaluation import root_mean_square
 from liaam.io.files import existing_file, is_number, read_bytes
 from liaam.photometry.invariant import CHROMATICITY, wien_theta
@@ -22,51 +22,18 @@ from liaam.photometry.invariant import CHROMATICITY, wien_theta
 Lights = Literal["both", "planckian", "daylight", "wien"]
 """Planckian radiators, CIE daylights, both; ``wien``: radiators by Wien's approximation, as in the paper."""
 
-KELVIN = (2500.0, 10000.0)
-"""Coldest and hottest light of a series."""
-
-COLDEST_DAYLIGHT = 4000.0
-"""Lowest temperature of CIE daylights, kelvin."""
-
-MIRED_STEP = 10.0
-"""Distance of neighbouring lights in reciprocal megakelvin, in which colour changes uniformly."""
-
-K2_NM = 1.438776877e7
-"""Second radiation constant, nm K (CODATA 2018)."""
-
+KELVIN = (2500.0, 10000.0)  # Coldest and hottest light of a series
+COLDEST_DAYLIGHT = 4000.0  # Lowest temperature of CIE daylights, kelvin
+MIRED_STEP = 10.0  # Distance of neighbouring lights in reciprocal megakelvin, in which colour changes uniformly
+K2_NM = 1.438776877e7  # Second radiation constant, nm K (CODATA 2018)
+# Standard deviation of a broad sensor's sensitivity, nm, since peak wavelengths do not determine the width
 SENSOR_WIDTH = 40.0
-"""Standard deviation of a broad sensor's sensitivity, nm, since peak wavelengths do not determine the width."""
-
+# Difference between the effective and the peak wavelength of a sensor, nm, since real curves are asymmetric
 PEAK_OFFSET = 10.0
-"""Difference between the effective and the peak wavelength of a sensor, nm, since real curves are asymmetric."""
-
-VISIBLE = (300.0, 830.0)
-"""Wavelengths of the daylight table, nm; sensitivities outside are ignored."""
-
-FEWEST = 8
-"""Least number of wavelengths of sensitivity curves."""
-
-COARSEST = 25.0
-"""Largest gap between wavelengths of sensitivity curves, nm."""
-
-LARGEST_TABLE = 10_000_000
-"""Largest size of a table of sensitivities, bytes."""
-
-# Components S0, S1, S2 of daylight from 300 to 830 nm in steps of 10 nm: CIE 15:2004, table T.2, after Judd,
-# MacAdam and Wyszecki, "Spectral distribution of typical daylight", JOSA 1964.
-_DAYLIGHT = (
-    (0.04, 0.02, 0.0), (6.0, 4.5, 2.0), (29.6, 22.4, 4.0), (55.3, 42.0, 8.5), (57.3, 40.6, 7.8), (61.8, 41.6, 6.7),
-    (61.5, 38.0, 5.3), (68.8, 42.4, 6.1), (63.4, 38.5, 3.0), (65.8, 35.0, 1.2), (94.8, 43.4, -1.1),
-    (104.8, 46.3, -0.5), (105.9, 43.9, -0.7), (96.8, 37.1, -1.2), (113.9, 36.7, -2.6), (125.6, 35.9, -2.9),
-    (125.5, 32.6, -2.8), (121.3, 27.9, -2.6), (121.3, 24.3, -2.6), (113.5, 20.1, -1.8), (113.1, 16.2, -1.5),
-    (110.8, 13.2, -1.3), (106.5, 8.6, -1.2), (108.8, 6.1, -1.0), (105.3, 4.2, -0.5), (104.4, 1.9, -0.3),
-    (100.0, 0.0, 0.0), (96.0, -1.6, 0.2), (95.1, -3.5, 0.5), (89.1, -3.5, 2.1), (90.5, -5.8, 3.2), (90.3, -7.2, 4.1),
-    (88.4, -8.6, 4.7), (84.0, -9.5, 5.1), (85.1, -10.9, 6.7), (81.9, -10.7, 7.3), (82.6, -12.0, 8.6),
-    (84.9, -14.0, 9.8), (81.3, -13.6, 10.2), (71.9, -12.0, 8.3), (74.3, -13.3, 9.6), (76.4, -12.9, 8.5),
-    (63.3, -10.6, 7.0), (71.7, -11.6, 7.6), (77.0, -12.2, 8.0), (65.2, -10.2, 6.7), (47.7, -7.8, 5.2),
-    (68.6, -11.2, 7.4), (65.0, -10.4, 6.8), (66.0, -10.6, 7.0), (61.0, -9.7, 6.4), (53.3, -8.3, 5.5),
-    (58.9, -9.3, 6.1), (61.9, -9.8, 6.5),
-)  # fmt: skip
+VISIBLE = (300.0, 830.0)  # Wavelengths of the daylight table, nm; sensitivities outside are ignored
+FEWEST = 8  # Least number of wavelengths of sensitivity curves
+COARSEST = 25.0  # Largest gap between wavelengths of sensitivity curves, nm
+LARGEST_TABLE = 10_000_000  # Largest size of a table of sensitivities, bytes
 
 _COLUMNS = {
     "wavelength_nm": "wavelength_nm", "wavelength": "wavelength_nm", "lambda": "wavelength_nm", "nm": "wavelength_nm",
@@ -249,16 +216,13 @@ def planckian(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float, *, wien: b
 
 def daylight(wavelengths_nm: np.ndarray, kelvin: np.ndarray | float) -> np.ndarray:
     """Compute the spectral power (m, n) of daylights of 4000 to 25000 K, 100 at 560 nm (CIE 15:2004, section 3.1)."""
-    t = 1e3 / np.atleast_1d(kelvin).astype(np.float64)
-    warm = 0.244063 + 0.09911 * t + 2.9678 * t**2 - 4.6070 * t**3
-    cold = 0.237040 + 0.24748 * t + 1.9018 * t**2 - 2.0064 * t**3
-    x = np.where(t >= 1 / 7.0, warm, cold)
-    y = -3.000 * x**2 + 2.870 * x - 0.275
-    common = 0.0241 + 0.2562 * x - 0.7341 * y
-    first, second = -1.3515 - 1.7703 * x + 5.9114 * y, 0.0300 - 31.4424 * x + 30.0717 * y
-    table = np.arange(VISIBLE[0], VISIBLE[1] + 1, 10.0)
-    parts = np.stack([np.interp(wavelengths_nm, table, s, 0.0, 0.0) for s in np.transpose(_DAYLIGHT)])
-    return np.stack([np.ones_like(x), first / common, second / common], axis=1) @ parts
+    try:
+        import colour  # heavy: imported when first needed
+    except ImportError as fault:
+        raise CameraError(f"the spectra of daylight come from colour-science; run {installing('spectral')}") from fault
+    xy = colour.temperature.CCT_to_xy_CIE_D(np.atleast_1d(kelvin))
+    days = [colour.sd_CIE_illuminant_D_series(each, M1_M2_rounding=False) for each in xy]
+    return np.stack([np.interp(wavelengths_nm, day.wavelengths, day.values, 0.0, 0.0) for day in days])
 
 
 def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[str, np.ndarray]:

@@ -36,7 +36,7 @@ def batch(
             "searched for."
         ),
     ] = None,
-    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
     camera_file: CameraOption = None,

@@ -78,7 +78,7 @@ def evaluate(
             min=0.01,
         ),
     ] = None,
-    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
     camera_file: CameraOption = None,
     response: ResponseOption = None,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
+from typer.core import TyperCommand
 
 from liaam.cli.inputs import (
     LOW_SCORE,
@@ -30,11 +31,10 @@ from liaam.io import (
     read_image,
     write_fit,
     write_image,
-    write_text_atomically,
 )
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.results import FIT_SUFFIXES, corrected_file, read_fit
-from liaam.models import FACE
+from liaam.models import FACE, MODELS
 from liaam.morphometry.schemes import in_scheme
 
 SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
@@ -50,14 +50,38 @@ if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
 
 
+class FitCommand(TyperCommand):
+    """The command with the table of methods at the end of its help."""
+
+    @property
+    def epilog(self) -> str:  # the engine is loaded for the help only
+        """Lines on all methods."""
+        from liaam.fitting import METHODS
+        from liaam.fitting.methods import LOSSES, NOISE_SUFFIX
+
+        return "\n\n".join(
+            [
+                "Methods:",
+                *(f"{method.name}: {method.summary}" for method in METHODS.values()),
+                "For occlusion, add a robust loss to any method, as in grey+tukey: "
+                f"{', '.join(f'+{name}' for name in LOSSES)}. Methods on logarithms can also weight pixels by image "
+                f"noise: +{NOISE_SUFFIX}, as in li+{NOISE_SUFFIX}.",
+            ]
+        )
+
+    @epilog.setter
+    def epilog(self, _text: str | None) -> None:
+        pass
+
+
 def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
             metavar="[MODEL] IMAGE...",
             readable=False,
-            help="Model file of 'liaam train', or a name of 'liaam models'; then the images to fit. If the first name "
-            "ends as that of an image does, there is no MODEL, and the model 'face' is used, which comes with liaam.",
+            help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images to fit. If the first "
+            "name ends as that of an image does, there is no MODEL, and 'face' is used, which comes with liaam.",
         ),
     ],
     init: Annotated[
@@ -71,7 +95,7 @@ def fit(
     every: Annotated[
         bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
     ] = False,
-    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; they are listed below.")] = "soft-li",
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
     scheme: Annotated[
         str | None,
@@ -79,9 +103,6 @@ def fit(
     ] = None,
     rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
-    history: Annotated[
-        bool, typer.Option("--history", help="Also write the cost and shape of each iteration.")
-    ] = False,
     ellipses: EllipsesOption = False,
     camera_file: CameraOption = None,
     response: ResponseOption = None,
@@ -107,7 +128,7 @@ def fit(
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: defaultdict[str, list[str]] = defaultdict(list)
     failed, uncalibrated = 0, False
-    outputs = Outputs(output, history, ellipses, scheme)
+    outputs = Outputs(output, ellipses, scheme)
     low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
     quick = None if every or init is not None else fitter.without_restarts()
 
@@ -145,7 +166,7 @@ def fit(
     if table.row_count:
         show_table(table)
         if uncalibrated:
-            say("the quality is unknown, and errors and ellipses are not calibrated: see 'liaam info'")
+            say("the quality is unknown, and errors and ellipses are not calibrated: see 'liaam show MODEL'")
         say(f"written to {output}")
     say_advice(advice)
     if failed:
@@ -155,7 +176,7 @@ def fit(
 def model_and_images(files: list[Path]) -> tuple[Path, list[Path]]:
     """Split the files of a command: the first is the model, unless it is a folder, or its name ends as an image's."""
     if files[0].is_dir() or files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
-        if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES), None):
+        if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES or file.name in MODELS), None):
             raise LiaamError(f"{late}: a model comes before the images, as in 'liaam fit {late.name} {files[0].name}'")
         return Path(FACE), files
     if len(files) == 1:
@@ -179,7 +200,6 @@ class Outputs:
     """Output folder and optional outputs."""
 
     folder: Path
-    history: bool = False
     ellipses: bool = False
     scheme: str | None = None
 
@@ -232,8 +252,6 @@ def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: O
     write_fit(outputs.folder, stem, landmarks, facts, pixels.shape[1::-1])
     drawn = result.landmark_covariances if outputs.ellipses else None
     write_image(outputs.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))
-    if outputs.history:
-        write_history(outputs.folder / f"{stem}_history.csv", result)
     return result
 
 
@@ -251,14 +269,3 @@ def refuse_to_overwrite(output: Path, stem: str) -> None:
             raise LiaamError(
                 f"{output / stem}{suffix} exists and is not from an earlier fit; give another folder with -o to keep it"
             )
-
-
-def write_history(path: Path, result: "FitResult") -> None:
-    """Write one row per accepted iteration: level, cost, theta and all landmarks."""
-    numbers = range(1, len(result.landmarks) + 1)
-    lines = [",".join(["iteration", "level", "cost", "theta_deg", *(f"{a}{i}" for i in numbers for a in "xy")])]
-    for i, step in enumerate(result.history):
-        theta = f"{np.rad2deg(step.theta):.4f}" if np.isfinite(step.theta) else ""
-        coordinates = (f"{v:.3f}" for v in step.landmarks.ravel())
-        lines.append(",".join([str(i), str(step.level), f"{step.cost:.8g}", theta, *coordinates]))
-    write_text_atomically(path, "\n".join(lines) + "\n")

@@ -44,7 +44,7 @@ ModelFile = Annotated[
         metavar="MODEL",
         readable=False,
         callback=model_file,
-        help="Model file of 'liaam train', or a name of 'liaam models'.",
+        help="Model file of 'liaam train', or a name that 'liaam show' lists.",
     ),
 ]
 ImagesOption = Annotated[

@@ -38,7 +38,7 @@ def lamps(
 ) -> None:
     """Learn the effect of lamps from a few objects, for 'liaam train --lamps'. The file stores no image.
 
-    'liaam show' draws the effect of each lamp on plain grey, or on a landmarked image.
+    'liaam show -o' draws the effect of each lamp on plain grey, or on a landmarked image.
     """
     check_output(output)
     if output.suffix.lower() != LAMPS_SUFFIX:
@@ -46,7 +46,7 @@ def lamps(
     learnt = read_lamps(folder, training_lamp, recursive)
     learnt.save(output)
     say(f"{output}: {len(learnt)} lamps for objects with {len(learnt.mean)} landmarks")
-    say(f"draw them with 'liaam show {output}'")
+    say(f"draw them with 'liaam show {output} -o lamps.png'")
 
 
 def read_lamps(

@@ -6,14 +6,14 @@ import typer
 
 from liaam import __version__
 from liaam.cli.batch import batch
+from liaam.cli.camera import group as camera
 from liaam.cli.check import check
 from liaam.cli.demo import demo
 from liaam.cli.evaluate import evaluate
-from liaam.cli.fit import fit
+from liaam.cli.fit import FitCommand, fit
 from liaam.cli.lamps import lamps
 from liaam.cli.measure import measure
-from liaam.cli.models import info, methods, models, show
-from liaam.cli.photometry import calibrate, invariant, register_command
+from liaam.cli.models import show
 from liaam.cli.relight import relight
 from liaam.cli.studio import studio
 from liaam.cli.terminal import make_app, run_app, say
@@ -21,13 +21,10 @@ from liaam.cli.train import compact, train
 from liaam.cli.video import track
 
 app = make_app(help="Fit deformable models of faces and other objects to colour images under any light.")
-for command in (
-    *(train, fit, evaluate, batch, measure, track, relight, studio, check, lamps),
-    *(show, info, models, compact, methods, demo, invariant),
-):
+for command in (train, evaluate, batch, measure, track, relight, studio, check, lamps, show, compact, demo):
     app.command()(command)
-app.command("register")(register_command)
-app.add_typer(calibrate, name="calibrate")
+app.command(cls=FitCommand)(fit)
+app.add_typer(camera, name="camera")
 
 
 def version(show: bool) -> None:

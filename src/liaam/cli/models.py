@@ -1,5 +1,6 @@
-"""The commands ``liaam show``, ``liaam info``, ``liaam models`` and ``liaam methods``."""
+"""The command ``liaam show``."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,73 +8,90 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from liaam.cli.inputs import ModelFile, read_sample
+from liaam.cli.inputs import read_sample
 from liaam.cli.lamps import LAMPS_SUFFIX, read_lamps
-from liaam.cli.terminal import cell, progress_bar, say, show_table, table_of
+from liaam.cli.terminal import cell, progress_bar, say, show_table
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, existing_file
+from liaam.io.files import count_of
 from liaam.models import MODELS, model_file as file_of
 
+FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
+
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from liaam.model import AAM
     from liaam.photometry import CameraModel
 
 
 def show(
     file: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
-            metavar="FILE",
+            metavar="[FILE]",
             readable=False,
-            help="Model file of 'liaam train', a name of 'liaam models', or lamp file of 'liaam lamps'.",
+            help="Model file of 'liaam train', name of a model that comes with liaam, or lamp file of 'liaam lamps'.",
         ),
-    ],
+    ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Figure to write. By default beside the input file.")
+        Path | None,
+        typer.Option("--output", "-o", help="Also draw the model, or the effect of each lamp: .png, .svg or .pdf."),
     ] = None,
     image: Annotated[
         Path | None,
         typer.Option(help="For lamps: image to draw them on, with landmarks beside it. By default plain grey."),
     ] = None,
 ) -> None:
-    """Draw a model (mean, mesh, shape and appearance modes), or the effect of each lamp in a lamp file."""
-    from liaam.model import load_model
-    from liaam.plotting import figure_of_lamps, figure_of_model, save_figure
-
+    """Describe a model or a lamp file, and draw it with -o. Without a file, list the models that come with liaam."""
+    if file is None:
+        list_models()
+        return
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
         raise LiaamError("--image works with lamp files only; leave it out to draw a model")
-    given, file = file, existing_file(file_of(file), LiaamError, "model or lamp file")
-    path = output or given.with_name(f"{given.stem}_{'lamps' if lit else 'model'}.png")
-    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise LiaamError(f"{path}: give a name that ends in .png, .svg or .pdf")
-    check_output(path)
-    credit = ""
+    file = file_of(file)
+    if output is not None and output.suffix.lower() not in FIGURE_SUFFIXES:
+        raise LiaamError(f"{output}: give a name that ends in .png, .svg or .pdf")
+    if output is not None:
+        check_output(output)
+    draw = show_lamps(file, image) if lit else show_model(file)
+    if output is None:
+        return
+    from liaam.plotting import save_figure
+
     with progress_bar() as progress:
         progress(0, 1, f"drawing {file.name}")
-        if not lit:
-            model = load_model(file)
-            if model.others:
-                say(f"shapes: {describe_shapes(model)}; the figure shows the first")
-            figure, credit = figure_of_model(model), model.credit
-        elif image is None:
-            figure = figure_of_lamps(read_lamps(file))
-        else:
-            sample = read_sample(image)
-            figure = figure_of_lamps(read_lamps(file), sample.read_image(), sample.landmarks.points)
-        save_figure(figure, path)
-    if credit:
-        say(f"credit: {credit}")
-    say(f"written to {path}")
+        save_figure(draw(), output)
+    say(f"written to {output}")
 
 
-def info(model_file: ModelFile) -> None:
-    """Describe a model file."""
+def show_model(file: Path) -> "Callable[[], Figure]":
+    """Print what a model holds. Return what draws it: of several shapes, the first."""
     from liaam.model import load_model
+    from liaam.plotting import figure_of_model
 
+    model = load_model(file)
+    print_rows(describe(model, file))
+    return lambda: figure_of_model(model)
+
+
+def show_lamps(file: Path, image: Path | None) -> "Callable[[], Figure]":
+    """Print what a lamp file holds. Return what draws the lamps on an image."""
+    from liaam.plotting import figure_of_lamps
+
+    lamps = read_lamps(file)
+    print_rows({"lamps": ", ".join(lamps.names), "landmarks": f"{len(lamps.mean)}"})
+    if image is None:
+        return lambda: figure_of_lamps(lamps)
+    sample = read_sample(image)
+    return lambda: figure_of_lamps(lamps, sample.read_image(), sample.landmarks.points)
+
+
+def print_rows(rows: dict[str, str]) -> None:
+    """Print labels and texts."""
     table = Table.grid(padding=(0, 2))
-    for key, value in describe(load_model(model_file), model_file).items():
+    for key, value in rows.items():
         table.add_row(key, cell(value))
     show_table(table)
 
@@ -146,37 +164,13 @@ def describe_camera(camera: "CameraModel") -> str:
     return f"response {response}, theta {np.rad2deg(camera.theta):.1f}° ({error})" + "".join(f", {n}" for n in known)
 
 
-def models() -> None:
+def list_models() -> None:
     """List the models that come with liaam: what they are for, how accurate they are, and their terms."""
     from liaam.model import load_model
 
-    table = Table.grid(padding=(0, 2))
     for name, known in MODELS.items():
         model = load_model(name)
-        images = f"{model.n_images} images{count_copies(model)}"
-        rows = {
-            "model": name,
-            "for": known.purpose,
-            "accuracy": known.accuracy,
-            "landmarks": f"{model.n_points}, trained on {images}",
-            "credit": model.credit,
-        }
-        for key, value in rows.items():
-            table.add_row(key, cell(value))
-    show_table(table)
+        trained = f"{model.n_points}, trained on {model.n_images} images{count_copies(model)}"
+        rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
+        print_rows({**rows, "credit": model.credit})
     say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")
-
-
-def methods() -> None:
-    """List the fitting methods."""
-    from liaam.fitting import METHODS
-    from liaam.fitting.methods import LOSSES, NOISE_SUFFIX
-
-    table = table_of("method", "compares")
-    for method in METHODS.values():
-        table.add_row(method.name, method.summary)
-    show_table(table)
-    say(
-        f"For occlusion, add a robust loss to any method, as in grey+tukey: {', '.join(f'+{n}' for n in LOSSES)}. "
-        f"Methods on logarithms can also weight pixels by image noise: +{NOISE_SUFFIX}, as in li+{NOISE_SUFFIX}."
-    )

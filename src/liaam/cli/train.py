@@ -48,7 +48,7 @@ MethodsOption = Annotated[
     str,
     typer.Option(
         help="Methods to fit with, besides soft-li, such as li,grey, or 'all'. Each makes the file larger; see "
-        "'liaam methods'."
+        "'liaam fit --help'."
     ),
 ]
 
@@ -80,7 +80,7 @@ def train(
     diagonal: Annotated[float, typer.Option(help="Diagonal of the object's box in the model, in pixels.")] = 150.0,
     camera_file: Annotated[
         Path | None,
-        typer.Option("--camera", help="Camera file of 'liaam calibrate' (angle, response, vignetting, noise)."),
+        typer.Option("--camera", help="Camera file of 'liaam camera' (angle, response, vignetting, noise)."),
     ] = None,
     theta: Annotated[
         float | None, typer.Option(help="Angle of the training camera in degrees; 122 for an unknown camera.")
@@ -125,7 +125,7 @@ def train(
             help="Fit left-out images to calibrate the quality and covariance of later fits. Doubles the time."
         ),
     ] = True,
-    name: Annotated[str | None, typer.Option(help="Name of the model, for 'liaam info'.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the model, for 'liaam show'.")] = None,
     strict: StrictOption = False,
     category: CategoryOption = None,
     group: GroupOption = None,

@@ -57,7 +57,7 @@ def track(
     start: Annotated[int, typer.Option(help="First frame, counted from 0.", min=0)] = 0,
     end: Annotated[int | None, typer.Option(help="Stop before this frame.", min=1)] = None,
     frames: Annotated[int | None, typer.Option(help="Maximum number of frames; instead of --end.", min=1)] = None,
-    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam methods'.")] = "soft-li",
+    method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     smooth: Annotated[bool, typer.Option(help="Smooth the landmarks over time, weighted by their covariance.")] = True,
     review: Annotated[
         int | None,

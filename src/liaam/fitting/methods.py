@@ -399,7 +399,7 @@ def get_method(method: str | Method) -> Method:
     method = "+".join(part.strip() for part in method.split("+"))
     base, *suffixes = method.split("+")
     if base not in METHODS:
-        raise MethodError(f"unknown method {method!r}; choose from {', '.join(METHODS)} (see 'liaam methods')")
+        raise MethodError(f"unknown method {method!r}; choose from {', '.join(METHODS)} (see 'liaam fit --help')")
     changes: dict = {}
     for suffix in suffixes:
         key, value = ("weights", "noise") if suffix == NOISE_SUFFIX else ("loss", suffix)

@@ -205,14 +205,14 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
     try:
         data = read_bytes(existing_file(path, CameraError, "camera file"), CameraError, LARGEST)
     except CameraError as fault:
-        raise type(fault)(f"{fault} Camera files are made with 'liaam calibrate'.") from fault
+        raise type(fault)(f"{fault} Camera files are made with 'liaam camera'.") from fault
     facts = json_object(data) or {}
     if facts.get("format") != FORMAT:
-        raise CameraError(f"{path}: this is not a camera file; make one with 'liaam calibrate'")
+        raise CameraError(f"{path}: this is not a camera file; make one with 'liaam camera'")
     if facts.get("version") != VERSION:
         raise CameraError(
             f"{path}: the camera file has version {facts.get('version')}, this liaam reads version {VERSION}; make it "
-            "again with 'liaam calibrate'"
+            "again with 'liaam camera'"
         )
     unknown = set(facts) - {"format", "version", *CameraModel().describe()}
     if unknown or "theta_deg" not in facts:

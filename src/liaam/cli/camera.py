@@ -1,11 +1,11 @@
-"""The commands ``liaam calibrate``, ``liaam invariant`` and ``liaam register``."""
+"""The commands ``liaam camera ...``: calibrations, invariant images and registration."""
 
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from liaam.calibration import AngleEstimate, Averaged, VignettingEstimate
     from liaam.photometry import CameraModel
 
-calibrate = typer.Typer(
-    help="Calibrate a camera: its angle theta, response, vignetting and noise. "
-    "Writes a camera file for --camera of train, fit, invariant and register, and an image to check it.",
+group = typer.Typer(
+    help="Calibrate a camera (its angle theta, response, vignetting and noise), and use it: invariant images, and "
+    "images of one scene aligned. Calibrations write a camera file for --camera of train and fit, and an image to "
+    "check it.",
     no_args_is_help=True,
 )
 
@@ -36,7 +37,6 @@ ResponseOption = Annotated[
     str | None,
     typer.Option("--response", help="Response: srgb, linear, or a gamma. By default that of --camera, or else srgb."),
 ]
-Trust = Annotated[bool, typer.Option("--trust", help="Write the angle even if it is implausible or uncertain.")]
 Align = Annotated[bool, typer.Option("--align/--no-align", help="Align the images with the first one.")]
 FreeBalance = Annotated[
     bool,
@@ -45,12 +45,13 @@ FreeBalance = Annotated[
     ),
 ]
 CAMERA_FILE = Path("camera.json")
+BLOCK = 2  # pixels: comparisons average so many across, against noise and rounding
 
 FAR = 0.04
 """Movement, as a fraction of the image size, above which to warn that the scene may not be flat."""
 
 
-@calibrate.command()
+@group.command()
 def spectral(
     peaks: Annotated[
         str | None, typer.Option(help="Peak wavelengths of the red, green and blue sensors in nm: 610,540,450.")
@@ -60,7 +61,6 @@ def spectral(
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
-    trust: Trust = False,
 ) -> None:
     """Compute the angle from peak wavelengths (Wien's approximation) or sensitivities of the sensors."""
     from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
@@ -73,25 +73,10 @@ def spectral(
         estimate, source = theta_from_sensitivities(*read_sensitivities(curves)), f"sensitivities of {curves.name}"
     else:
         raise CameraError("give one of --peaks 610,540,450 and --curves FILE.csv")
-    finish_angle(estimate, camera_for([], start, None), f"spectral, {source}", output, trust)
+    finish_angle(estimate, camera_for([], start, None), f"spectral, {source}", output)
 
 
-@calibrate.command()
-def pair(
-    first: Annotated[Path, typer.Argument(metavar="A", help="Image of a scene under one light.")],
-    second: Annotated[Path, typer.Argument(metavar="B", help="Image of the same scene under another light.")],
-    output: Output = CAMERA_FILE,
-    start: Start = None,
-    response: ResponseOption = None,
-    align: Align = True,
-    free_balance: FreeBalance = False,
-    trust: Trust = False,
-) -> None:
-    """Estimate the angle from two images of one scene under lights of different colour."""
-    scene([first, second], output, start, response, align, free_balance, trust)
-
-
-@calibrate.command()
+@group.command()
 def scene(
     images: Pictures,
     output: Output = CAMERA_FILE,
@@ -99,9 +84,8 @@ def scene(
     response: ResponseOption = None,
     align: Align = True,
     free_balance: FreeBalance = False,
-    trust: Trust = False,
 ) -> None:
-    """Estimate the angle from several images of one scene under lights of different colour."""
+    """Estimate the angle from two or more images of one scene under lights of different colour."""
     from liaam.calibration import STILL, align_pictures, theta_from_scene
 
     check_camera_output(output, start, images)
@@ -118,17 +102,18 @@ def scene(
     with progress_bar() as progress:
         progress(0, 1, "estimating the angle")
         estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=masks)
-    camera = finish_angle(estimate, camera, f"scene, {names_of(images)}", output, trust)
+    camera = finish_angle(estimate, camera, f"scene, {names_of(images)}", output)
     write_check(output, pictures, images, camera)
 
 
-@calibrate.command()
+@group.command()
 def chart(
     images: Pictures,
     corners: Annotated[
         list[str] | None,
         typer.Option(
-            help="Centres of the chart's four corner patches, clockwise from the first patch: x0,y0,x1,y1,x2,y2,x3,y3. "
+            help="Centres of the four corner patches of a chart of 4 by 6, clockwise from the first patch: "
+            "x0,y0,x1,y1,x2,y2,x3,y3. "
             "Give it once for all images, or once per image in the same order."
         ),
     ] = None,
@@ -136,13 +121,10 @@ def chart(
         list[Path] | None,
         typer.Option(help="CSV file with a row x0,y0,x1,y1 per patch. Give it once for all images, or once per image."),
     ] = None,
-    rows: Annotated[int, typer.Option(help="Number of rows in the chart.", min=2)] = 4,
-    columns: Annotated[int, typer.Option(help="Number of columns in the chart.", min=2)] = 6,
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
     free_balance: FreeBalance = False,
-    trust: Trust = False,
 ) -> None:
     """Estimate the angle from images of a colour chart under lights of different colour, without alignment."""
     from liaam.calibration import chart_patches, theta_from_chart
@@ -153,7 +135,7 @@ def chart(
             "give one of --corners (the centres of the chart's four corner patches) and --patches FILE.csv"
         )
     if corners:
-        quads = [chart_patches(numbers_in(text, 8, "--corners").reshape(4, 2), rows, columns) for text in corners]
+        quads = [chart_patches(numbers_in(text, 8, "--corners").reshape(4, 2)) for text in corners]
     else:
         quads = [read_patches(path) for path in patches or []]
     camera, pictures = read_pictures(images, start, response, at_least=2)
@@ -161,34 +143,28 @@ def chart(
         raise CameraError(f"{len(quads)} charts for {len(images)} images: give one for all, or one per image")
     quads = quads * len(images) if len(quads) == 1 else quads
     estimate = theta_from_chart(pictures, quads, camera, free_balance=free_balance)
-    camera = finish_angle(estimate, camera, f"chart, {names_of(images)}", output, trust)
+    camera = finish_angle(estimate, camera, f"chart, {names_of(images)}", output)
     write_check(output, pictures, images, camera, quads)
 
 
-@calibrate.command()
+@group.command()
 def image(
     picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image with shadows.")],
     output: Output = CAMERA_FILE,
     start: Start = None,
     response: ResponseOption = None,
-    kind: Annotated[Literal["quadratic", "shannon"], typer.Option(help="Entropy to minimise.")] = "quadratic",
-    trust: Trust = False,
 ) -> None:
     """Estimate the angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
     from liaam.calibration import theta_from_image
 
     check_camera_output(output, start, [picture])
     camera, (pixels,) = read_pictures([picture], start, response)
-    estimate = theta_from_image(pixels, camera.response, kind)
-    if trust and not estimate.observable:
-        say(f"theta {degrees(estimate.theta)}: {estimate.message}")
-        write_camera(replace(camera, theta=estimate.theta, theta_deviation=None), output, f"image, {picture.name}")
-    else:
-        camera = finish_angle(estimate, camera, f"image, {picture.name}", output, trust)
-    write_check(output, [pixels], [picture], replace(camera, theta=estimate.theta))
+    estimate = theta_from_image(pixels, camera.response)
+    camera = finish_angle(estimate, camera, f"image, {picture.name}", output)
+    write_check(output, [pixels], [picture], camera)
 
 
-@calibrate.command()
+@group.command()
 def faces(
     model_file: ModelFile,
     images: Pictures,
@@ -201,7 +177,6 @@ def faces(
     ] = "li-pcs",
     output: Output = CAMERA_FILE,
     start: Start = None,
-    trust: Trust = False,
 ) -> None:
     """Estimate the angle from fits of a model to many images under lights other than the training light."""
     from liaam.calibration import theta_from_fits
@@ -219,10 +194,10 @@ def faces(
         for i, path in enumerate(images):
             progress(i, len(images), path.name)
             results.append(fitter.fit(*read_with_start(path, init), path.name))
-    finish_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output, trust)
+    finish_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output)
 
 
-@calibrate.command("response")
+@group.command("response")
 def response_command(
     images: Pictures,
     exposures: Annotated[
@@ -262,7 +237,7 @@ def response_command(
     say(f"{check_picture(output)}: the response beside sRGB, for checking")
 
 
-@calibrate.command("vignetting")
+@group.command("vignetting")
 def vignetting_command(
     picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image of an evenly lit, plain surface.")],
     output: Output = CAMERA_FILE,
@@ -290,7 +265,7 @@ def corner_sentence(lens: "VignettingEstimate") -> str:
     return f"the corners receive {lens.corner:.1%} ± {lens.corner_error:.1%} of the light. {lens.message}"
 
 
-@calibrate.command("noise")
+@group.command("noise")
 def noise_command(
     images: Pictures,
     flat: Annotated[
@@ -359,16 +334,14 @@ def read_patches(path: Path) -> np.ndarray:
     return boxes
 
 
-def finish_angle(
-    estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path, trust: bool
-) -> "CameraModel":
+def finish_angle(estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path) -> "CameraModel":
     """Print the estimate and write the camera. Raise if the angle is not observable."""
     if not estimate.observable:
         raise CameraError(f"nothing was written: {estimate.message}")
-    if not estimate.physical and not trust:
+    if not estimate.physical:
         raise CameraError(
             f"nothing was written: theta {degrees(estimate.theta)} ± {degrees(estimate.standard_error)}; "
-            f"{estimate.message} (--trust writes it anyway)"
+            f"{estimate.message}"
         )
     low, high = estimate.interval
     say(f"theta {degrees(estimate.theta)} ± {degrees(estimate.standard_error, 2)}")
@@ -406,10 +379,11 @@ def write_check(
     say(f"{path}: the images and their invariant images, which should look alike")
 
 
+@group.command()
 def invariant(
     images: Pictures,
     theta: Annotated[float | None, typer.Option(help="Camera angle in degrees; 122 for an unknown camera.")] = None,
-    camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of 'liaam calibrate'.")] = None,
+    camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of the other commands.")] = None,
     response: ResponseOption = None,
     sweep: Annotated[
         bool, typer.Option("--sweep", help="Also draw invariant images over theta, and the entropy curve.")
@@ -417,19 +391,11 @@ def invariant(
     compare: Annotated[
         bool, typer.Option("--compare", help="Also compare the images, which must be registered and of one size.")
     ] = False,
-    block: Annotated[
-        int, typer.Option(help="For --compare: average blocks of this many pixels across first.", min=1)
-    ] = 2,
-    dark: Annotated[
-        float, typer.Option(help="For --compare: ignore pixels below this value of 255.", min=0, max=250)
-    ] = 8.0,
-    mask: Annotated[Path | None, typer.Option(help="For --compare: image that is white where pixels count.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-invariant"),
 ) -> None:
     """Write the invariant image of each image: .png for viewing, .tif (float) and .npy for computing."""
     from liaam.calibration import averaged
     from liaam.photometry import invariant_image
-    from liaam.photometry.encoding import stored_values
     from liaam.plotting.photometry import figure_of_sweep, invariant_picture, save_figure
 
     camera, pictures = read_pictures(images, camera_file, response)
@@ -440,9 +406,7 @@ def invariant(
     # Fail before writing anything if the images cannot be compared.
     averages = None
     if compare:
-        white = None if mask is None else stored_values(read_image(mask)[..., 0]) > 0.5
-        names = [path.name for path in images]
-        averages = averaged(pictures, camera, block=block, dark=dark / 255.0, mask=white, names=names)
+        averages = averaged(pictures, camera, block=BLOCK, names=[path.name for path in images])
     make_folder(output)
     stems = unique_stems(images)
     with progress_bar() as progress:
@@ -483,20 +447,20 @@ def compare_pictures(pictures: Sequence[np.ndarray], paths: Sequence[Path], seen
     say("median correlation: invariant {:.3f}, log grey {:.3f}".format(*medians))
 
 
-def register_command(
+@group.command()
+def register(
     first: Annotated[Path, typer.Argument(metavar="A", help="Reference image.")],
     second: Annotated[Path, typer.Argument(metavar="B", help="Image to align with A.")],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Image to write. By default B_registered.png.")
     ] = None,
-    method: Annotated[str | None, typer.Option("--method", "-m", help="Fitting method. By default igo+tukey.")] = None,
-    group: Annotated[str, typer.Option("--warp", help="homography, affine, similarity or translation.")] = "homography",
-    camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of 'liaam calibrate'.")] = None,
+    warp: Annotated[str, typer.Option(help="homography, affine, similarity or translation.")] = "homography",
+    camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of the other commands.")] = None,
     response: ResponseOption = None,
 ) -> None:
     """Align two images of a flat or distant scene, even under different lights."""
     from liaam.plotting.photometry import checkerboard
-    from liaam.registration import METHOD, register
+    from liaam.registration import register as align
 
     output = output or Path(f"{second.stem}_registered.png")
     check_output(output)
@@ -505,7 +469,7 @@ def register_command(
     camera, (a, b) = read_pictures([first, second], camera_file, response)
     with progress_bar() as progress:
         progress(0, 2, f"registering {second.name}")
-        found = register(a, b, method or METHOD, group=group, response=camera.response, theta=camera.theta)
+        found = align(a, b, group=warp, response=camera.response, theta=camera.theta)
         if not found.status.ok:
             raise LiaamError(
                 f"{second.name} could not be registered with {first.name} ({found.status}): {found.message}"

@@ -58,8 +58,8 @@ def theta_of(path):
 @pytest.mark.parametrize(
     ("arguments", "limit"),
     [
-        (("pair", "a.png", "b.png"), 0.5),
-        (("pair", "a.png", "c.png"), 1.0),
+        (("scene", "a.png", "b.png"), 0.5),
+        (("scene", "a.png", "c.png"), 1.0),
         (("scene", "a.png", "b.png", "--no-align"), 0.5),
         (("chart", "chart1.png", "chart2.png", "--corners", CHART), 0.5),
     ],
@@ -67,7 +67,7 @@ def theta_of(path):
 def test_calibrate_writes_a_camera_and_a_picture_to_check_it_by(run, folder, tmp_path, arguments, limit):
     kind, *rest = arguments
     given = [folder / part if part.endswith(".png") else part for part in rest]
-    code, out, err = run("calibrate", kind, *given, "-o", tmp_path / "camera.json")
+    code, out, err = run("camera", kind, *given, "-o", tmp_path / "camera.json")
     assert (code, err) == (0, "")
     assert "theta 12" in out and "95 % interval" in out and "log R/B" in out
     assert abs(theta_of(tmp_path / "camera.json") - np.rad2deg(TRUTH)) < limit
@@ -75,13 +75,13 @@ def test_calibrate_writes_a_camera_and_a_picture_to_check_it_by(run, folder, tmp
     assert load_camera(tmp_path / "camera.json").history
 
 
-def test_calibrate_spectral(run, tmp_path):
-    code, _, err = run("calibrate", "spectral", "--peaks", "610,540,450", "-o", tmp_path / "camera.json")
+def test_spectral(run, tmp_path):
+    code, _, err = run("camera", "spectral", "--peaks", "610,540,450", "-o", tmp_path / "camera.json")
     assert (code, err) == (0, "")
     assert theta_of(tmp_path / "camera.json") == pytest.approx(122.43, abs=0.1)
     curves = ["wavelength_nm,R,G,B", *(sensitivities(w) for w in range(400, 701, 2))]
     (tmp_path / "curves.csv").write_text("\n".join(curves))
-    assert run("calibrate", "spectral", "--curves", tmp_path / "curves.csv", "-o", tmp_path / "other.json")[0] == 0
+    assert run("camera", "spectral", "--curves", tmp_path / "curves.csv", "-o", tmp_path / "other.json")[0] == 0
     assert theta_of(tmp_path / "other.json") == pytest.approx(122.43, abs=1.5)
 
 
@@ -91,9 +91,9 @@ def sensitivities(wavelength):
 
 def test_calibrations_add_up_in_one_file(run, folder, tmp_path):
     path = tmp_path / "camera.json"
-    assert run("calibrate", "noise", folder / "a.png", folder / "again.png", "-o", path)[0] == 0
-    assert run("calibrate", "vignetting", folder / "flat.png", "--camera", path, "-o", path)[0] == 0
-    code, _out, _ = run("calibrate", "pair", folder / "a.png", folder / "b.png", "--camera", path, "-o", path)
+    assert run("camera", "noise", folder / "a.png", folder / "again.png", "-o", path)[0] == 0
+    assert run("camera", "vignetting", folder / "flat.png", "--camera", path, "-o", path)[0] == 0
+    code, _out, _ = run("camera", "scene", folder / "a.png", folder / "b.png", "--camera", path, "-o", path)
     assert code == 0
     camera = load_camera(path)
     assert camera.noise is not None and len(camera.history) == 3
@@ -106,7 +106,7 @@ def test_calibrate_response_from_exposures(run, folder, tmp_path):
 
     files = [folder / f"e{i}.png" for i in range(3)]
     code, _out, err = run(
-        "calibrate", "response", *files, "--exposures", "1,2,4", "--no-align", "-o", tmp_path / "camera.json"
+        "camera", "response", *files, "--exposures", "1,2,4", "--no-align", "-o", tmp_path / "camera.json"
     )
     assert (code, err) == (0, "")
     stored = np.linspace(0.1, 0.9, 30)
@@ -118,7 +118,7 @@ def test_calibrate_response_from_exposures(run, folder, tmp_path):
 
 def test_what_cannot_be_told_is_not_written(run, folder, tmp_path):
     path = tmp_path / "camera.json"
-    code, _out, err = run("calibrate", "pair", folder / "a.png", folder / "a.png", "-o", path)
+    code, _out, err = run("camera", "scene", folder / "a.png", folder / "a.png", "-o", path)
     assert code != 0
     assert "nothing was written" in err and "hardly differ" in err
     assert not path.exists()
@@ -140,21 +140,21 @@ def test_faces_pool_their_angles(run, tmp_path):
         write_image(lit / f"p{i}.png", scene.image)
         write_landmarks(lit / f"p{i}.pts", scene.landmarks + 1.0)
     files = sorted(lit.glob("*.png"))
-    code, out, err = run("calibrate", "faces", tmp_path / "m.liaam", *files, "--init", lit, "-o", tmp_path / "c.json")
+    code, out, err = run("camera", "faces", tmp_path / "m.liaam", *files, "--init", lit, "-o", tmp_path / "c.json")
     assert (code, err) == (0, "")
     assert abs(load_camera(tmp_path / "c.json").theta - camera.theta("wien")) < np.deg2rad(2.0)
     # And the camera file is one that train and fit take.
     known = "--camera", tmp_path / "c.json"
     assert run("fit", tmp_path / "m.liaam", files[0], "--init", lit, *known, "-o", tmp_path / "fits")[0] == 0
     assert run("train", tmp_path, "-o", tmp_path / "n.liaam", "--diagonal", 100, *known)[0] == 0
-    code, out, _ = run("info", tmp_path / "n.liaam")
+    code, out, _ = run("show", tmp_path / "n.liaam")
     assert "± " in out
 
 
 def test_invariant_writes_a_picture_and_numbers(run, folder, tmp_path):
     out = tmp_path / "out"
     files = folder / "a.png", folder / "b.png"
-    code, text, err = run("invariant", *files, "--theta", "122.4", "--sweep", "--compare", "-o", out)
+    code, text, err = run("camera", "invariant", *files, "--theta", "122.4", "--sweep", "--compare", "-o", out)
     assert (code, err) == (0, "")
     values, tiff = np.load(out / "a_invariant.npy"), read_image(out / "a_invariant.tif")
     assert values.dtype == np.float32 and values.shape == SIZE
@@ -168,7 +168,7 @@ def test_invariant_writes_a_picture_and_numbers(run, folder, tmp_path):
 
 
 def test_register_writes_the_picture_the_homography_and_a_check(run, folder, tmp_path):
-    code, _out, err = run("register", folder / "a.png", folder / "c.png", "-o", tmp_path / "c_on_a.png")
+    code, _out, err = run("camera", "register", folder / "a.png", folder / "c.png", "-o", tmp_path / "c_on_a.png")
     assert (code, err) == (0, "")
     facts = json.loads((tmp_path / "c_on_a_homography.json").read_text())
     assert np.abs(np.array(facts["homography"]) - [[1, 0.01, 2.4], [-0.01, 1, -1.7], [0, 0, 1]]).max() < 0.3
@@ -179,30 +179,28 @@ def test_register_writes_the_picture_the_homography_and_a_check(run, folder, tmp
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ("calibrate pair none.png b.png", "none.png"),
-        ("calibrate pair a.png grey.png --no-align", "grey"),
-        ("calibrate pair a.png chart1.png --no-align", "one size"),
-        ("calibrate scene a.png", "give 2 or more"),
-        ("calibrate chart chart1.png chart2.png", "--corners"),
-        ("calibrate chart chart1.png chart2.png --corners 1,2,3", "8 numbers"),
-        ("calibrate chart chart1.png chart2.png --corners 0,0,500,0,500,100,0,100", "outside the image"),
-        ("calibrate chart chart1.png chart2.png --patches none.csv", "none.csv"),
-        ("calibrate spectral", "--peaks"),
-        ("calibrate spectral --peaks 610,540", "3 numbers"),
-        ("calibrate spectral --curves none.csv", "none.csv"),
-        ("calibrate noise a.png b.png c.png", "--flat"),
-        ("calibrate pair a.png b.png -o none/camera.json", "does not exist"),
-        ("calibrate pair a.png b.png --camera a.png", "not a camera file"),
-        ("calibrate pair a.png b.png --response film", "film"),
-        ("calibrate image grey.png", "grey"),
-        ("invariant grey.png", "grey"),
-        ("invariant a.png --theta 1000", "--theta"),
-        ("invariant a.png --compare", "two or more"),
-        ("invariant a.png b.png --compare --block 1000 -o compared", "blocks of 1000"),
-        ("invariant a.png grey.png --compare -o compared", "grey.png: the image is grey"),
-        ("register a.png none.png", "none.png"),
-        ("register a.png b.png --method nonsense", "nonsense"),
-        ("register a.png b.png --warp rubber", "rubber"),
+        ("camera scene none.png b.png", "none.png"),
+        ("camera scene a.png grey.png --no-align", "grey"),
+        ("camera scene a.png chart1.png --no-align", "one size"),
+        ("camera scene a.png", "give 2 or more"),
+        ("camera chart chart1.png chart2.png", "--corners"),
+        ("camera chart chart1.png chart2.png --corners 1,2,3", "8 numbers"),
+        ("camera chart chart1.png chart2.png --corners 0,0,500,0,500,100,0,100", "outside the image"),
+        ("camera chart chart1.png chart2.png --patches none.csv", "none.csv"),
+        ("camera spectral", "--peaks"),
+        ("camera spectral --peaks 610,540", "3 numbers"),
+        ("camera spectral --curves none.csv", "none.csv"),
+        ("camera noise a.png b.png c.png", "--flat"),
+        ("camera scene a.png b.png -o none/camera.json", "does not exist"),
+        ("camera scene a.png b.png --camera a.png", "not a camera file"),
+        ("camera scene a.png b.png --response film", "film"),
+        ("camera image grey.png", "grey"),
+        ("camera invariant grey.png", "grey"),
+        ("camera invariant a.png --theta 1000", "--theta"),
+        ("camera invariant a.png --compare", "two or more"),
+        ("camera invariant a.png grey.png --compare -o compared", "grey.png: the image is grey"),
+        ("camera register a.png none.png", "none.png"),
+        ("camera register a.png b.png --warp rubber", "rubber"),
     ],
 )
 def test_mistakes_are_named(run, folder, monkeypatch, arguments, fault):
@@ -218,10 +216,24 @@ def test_mistakes_are_named(run, folder, monkeypatch, arguments, fault):
     "kind",
     [
         "",
-        *(f" {k}" for k in ["spectral", "pair", "scene", "chart", "image", "faces", "response", "vignetting", "noise"]),
+        *(
+            f" {k}"
+            for k in [
+                "spectral",
+                "scene",
+                "chart",
+                "image",
+                "faces",
+                "response",
+                "vignetting",
+                "noise",
+                "invariant",
+                "register",
+            ]
+        ),
     ],
 )
 def test_every_calibration_explains_itself(run, kind):
-    code, out, _ = run(*f"calibrate{kind} --help".split())
+    code, out, _ = run(*f"camera{kind} --help".split())
     assert code == 0
     assert "camera" in out.lower()
