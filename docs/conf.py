@@ -92,6 +92,7 @@ sphinx_gallery_conf = {
     "backreferences_dir": "gallery/backreferences",
     "image_srcset": ["2x"],
     "download_all_examples": False,
+    "parallel": True,  # as many as sphinx-build -j says
     "show_memory": False,
     "show_signature": False,
     "capture_repr": (),
