@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.charts import figure_of_errors
 from experiments.measures import or_dash
-from experiments.protocol import Header, Table, columns_of, held, median_bound, ratio, select, statistics, tell
+from experiments.protocol import RESULTS, Header, Table, held, median_bound, ratio, select, statistics, tell
 from experiments.runner import Experiment, Row
 from experiments.solvers import get_solver
 from experiments.spot import CONVERGED, EYES, Person, facts_of, find_persons, percent
@@ -205,7 +205,7 @@ def points_experiment(data: Path, theirs: Path | None = None, trials: int = 3, s
         },
         tasks=persons,
         work=partial(fit_person, Theirs(theirs, seed), trials),
-        columns={**columns_of("person", "trial"), "correlation": ".4f"},
+        columns={"method": "", "person": "", "trial": "", **RESULTS, "correlation": ".4f"},
         summarise=summarise,
         draw=draw,
         report=report,

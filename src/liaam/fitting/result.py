@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import Contours, new_axes, plot_landmarks, png_bytes, zoom_to
+from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_list, short_repr
+from liaam.evaluation import Contours, finite_list, short_repr
 from liaam.fitting.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
@@ -188,7 +188,7 @@ class FitResult:
         Number of starts, more than 1 after restarts (:attr:`liaam.fitting.Fitter.restarts`). All other attributes,
         also ``history`` and ``start``, describe the fit that was kept.
     contours : tuple of (indices, closed)
-        Lines between landmarks, for drawing.
+        Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
         One name per landmark, or empty if the training images have none.
     image : array or Path, optional
