@@ -40,7 +40,7 @@ from experiments.spot import disturbed_start, find_persons, percent
 from experiments.subjects import data_facts
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import inter_ocular_distance
+from liaam.evaluation import finite_or_none, inter_ocular_distance
 from liaam.fitting import FitStatus
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_pictures
@@ -64,6 +64,9 @@ CORNERS = {68: (36, 45)}
 
 UNITS = ("centres", "corners")
 """Units of errors: the distance between the eyes' centres, or between their outer corners."""
+
+INSIDE = ("held_95", "along_95", "across_95")
+"""Columns of the shares inside 95 % ellipses, and 95 % intervals along and across contours."""
 
 ALL = "all"
 """Name of the group of images in all lights."""
@@ -371,19 +374,32 @@ def summarise(request: GenericRequest, rows: list[Row]) -> dict[str, Any]:
 def _cell(rows: list[Row]) -> dict[str, Any]:
     """Return statistics, area under the ROC curve and coverage; None where unknown."""
     right, known = [row for row in rows if is_right(row)], any(np.isfinite(row["quality"]) for row in rows)
-    silent = [row for row in rows if not is_right(row) and FitStatus(row["status"]).ok]
-    refused = [row for row in right if not FitStatus(row["status"]).ok]
     return statistics(rows) | {
+        **_silent_and_refused(rows, "nme"),
+        "by_outline": _silent_and_refused(rows, "outline"),
+        "roc_area": quality_area(rows) if known else None,
+        **{column: _mean(right, column) for column in INSIDE},
+    }
+
+
+def _silent_and_refused(rows: list[Row], error: str) -> dict[str, float | None]:
+    """Share of fits that are wrong by an error and called right, and of the right ones that are not called right."""
+    right = [row for row in rows if is_right(row, error)]
+    silent = [row for row in rows if not is_right(row, error) and FitStatus(row["status"]).ok]
+    refused = [row for row in right if not FitStatus(row["status"]).ok]
+    return {
         "silent": len(silent) / len(rows) if rows else None,
         "refused": len(refused) / len(right) if right else None,
-        "roc_area": quality_area(rows) if known else None,
-        "held_95": float(np.mean([row["held_95"] for row in right])) if right else None,
     }
+
+
+def _mean(rows: list[Row], column: str) -> float | None:
+    return finite_or_none(float(np.mean([row[column] for row in rows]))) if rows else None
 
 
 def table(summary: dict[str, Any]) -> tuple[Header, Table]:
     """Tabulate the results by start, light and method."""
-    shares = ["> 8 %", "silent", "refused", "ROC", "in 95 %"]
+    shares = ["> 8 %", "silent", "by outline", "refused", "by outline", "ROC", "in 95 %", "along", "across"]
     header = ["start", "light", "method", "median", "p90", *shares, "excess", "ms"]
     return header, [
         [
@@ -393,10 +409,9 @@ def table(summary: dict[str, Any]) -> tuple[Header, Table]:
             percent(cell["nme_median"]),
             percent(cell["nme_p90"]),
             percent(cell["beyond"], 1),
-            percent(cell["silent"], 1),
-            percent(cell["refused"], 1),
+            *(percent(each[share], 1) for share in ("silent", "refused") for each in (cell, cell["by_outline"])),
             or_dash(cell["roc_area"], ".3f"),
-            percent(cell["held_95"], 1),
+            *(percent(cell[column], 1) for column in INSIDE),
             percent(cell["excess_median"]),
             "–" if cell["seconds_median"] is None else f"{1000 * cell['seconds_median']:.0f}",
         ]
@@ -437,8 +452,10 @@ def report(summary: dict[str, Any]) -> str:
         f"What does another light cost a generic model? It is fitted to {len(summary['objects'])} objects that it has "
         "not seen. Errors are mean distances of the landmarks, per cent of the inter-ocular distance; silent: fits "
         "beyond 8 % whose status says that they can be used; refused: share of the right fits whose status says that "
-        "they cannot be used; ROC: area under the curve by which the quality tells fits "
-        "beyond 8 % from others; in 95 %: share of the landmarks of right fits that lie in their ellipse; excess: "
+        "they cannot be used; by outline: the same, with the distances of landmarks on contours from the contours; "
+        "ROC: area under the curve by which the quality tells fits "
+        "beyond 8 % from others; in 95 %: share of the landmarks of right fits that lie in their ellipse, and in the "
+        "95 % intervals along and across contours; excess: "
         "median of what the error has on top of that of the true shape projected on the shape model."
     )
     return tell(question, table(summary))

@@ -2,6 +2,7 @@
 
 import re
 import time
+import warnings
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,7 +19,18 @@ from experiments.solvers import check_request, get_solver, make_fitters
 from experiments.spot import CONVERGED, EYES
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
-from liaam.evaluation import error_statistics, finite_or_none, inter_ocular_distance, nme, within_ellipses
+from liaam.evaluation import (
+    Contours,
+    along_and_across,
+    contour_directions,
+    error_statistics,
+    finite_or_none,
+    inter_ocular_distance,
+    nme,
+    outline_errors,
+    within_ellipses,
+    within_intervals,
+)
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
@@ -33,6 +45,23 @@ VARIANCE = 0.98
 
 EYES_BY_COUNT = {58: EYES, 68: (slice(36, 42), slice(42, 48)), 73: (slice(16, 24), slice(24, 32))}
 """Landmarks of the two eyes by the number of landmarks (IMM, 300-W, and IMM frontal), counting from 0."""
+
+CONTOURS_BY_COUNT = {
+    58: [(0, 12), (13, 20, True), (21, 28, True), (29, 33), (34, 38), (39, 46, True), (47, 57)],
+    68: [
+        (0, 16),
+        (17, 21),
+        (22, 26),
+        (27, 30),
+        (31, 35),
+        (36, 41, True),
+        (42, 47, True),
+        (48, 59, True),
+        (60, 67, True),
+    ],
+}
+"""First and last landmark of each contour, counting from 0, and whether it is closed, by the number of landmarks (IMM,
+300-W), whose files have no contours."""
 
 FACE = 0.3
 """Substitute for the inter-ocular distance if the eye landmarks are unknown, in diagonals of the landmarks' box."""
@@ -49,6 +78,11 @@ RESULTS = {
 """Columns of results.csv that every fit has. ``nme``: mean distance to the landmarks in the protocol's unit.
 ``bound``: the same for the true shape projected on the shape model. ``held_95``: fraction of the landmarks inside their
 95 % ellipse. ``seconds``: time of the fit, which varies between runs."""
+
+OUTLINE = dict.fromkeys(("outline", "along", "across", "along_95", "across_95"), ".6f")
+"""More columns. ``outline``: as ``nme``, with the distances of landmarks on contours from the true contours. ``along``
+and ``across``: median errors along and across contours; ``along_95``, ``across_95``: fractions inside the 95 %
+intervals of that direction. NaN without contours."""
 
 STARTS, TRAINED = spot.CHOICES
 """Descriptions of the starts and models."""
@@ -109,7 +143,9 @@ class Request:
         **options
             Further options of :func:`liaam.train`.
         """
-        model = get_solver(self.solver).train(samples, variance=VARIANCE, name=name, leave_out=leave_out, **options)
+        samples = list(samples)
+        options = {"variance": VARIANCE, "leave_out": leave_out, "contours": contours_of(samples[0]), **options}
+        model = get_solver(self.solver).train(samples, name=name, **options)
         return Trained(model, make_fitters(model, self.methods, self.solver))
 
     def rng(self, *what: str | int) -> np.random.Generator:
@@ -153,6 +189,7 @@ class Trained:
             seconds = time.perf_counter() - began
             row = {"method": method, **labels, "nme": nme(result.landmarks, truth, unit), "bound": bound}
             row |= {"iterations": result.n_iterations, "status": str(result.status), "quality": result.quality}
+            row |= by_outline(result, truth, unit, self.model.contours)
             rows.append(row | {"held_95": held(result, truth, 95), "seconds": seconds})
         return rows
 
@@ -247,9 +284,28 @@ def held(result: FitResult, truth: np.ndarray, level: float) -> float:
     return float(np.mean(within_ellipses(result.landmarks, truth, result.landmark_covariances, level / 100)))
 
 
-def is_right(row: Row) -> bool:
-    """Return whether a fit is right."""
-    return bool(row["nme"] < CONVERGED)
+def contours_of(sample: Sample) -> list[list[int]] | None:
+    """Contours of a set whose landmark files have none, as :func:`liaam.train` takes them; else None."""
+    lines = CONTOURS_BY_COUNT.get(len(sample.landmarks.points), ())
+    if sample.landmarks.contours or not lines:
+        return None
+    return [[*range(first, last + 1), *([first] if closed else [])] for first, last, *closed in lines]
+
+
+def by_outline(result: FitResult, truth: np.ndarray, unit: float, contours: Contours) -> Row:
+    """Return the columns :data:`OUTLINE` of a fit."""
+    directions, errors = contour_directions(truth, contours), result.landmarks - truth
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # without contours all values are NaN
+        along, across = np.nanmedian(np.abs(along_and_across(errors, directions)), axis=0) / unit
+        held = np.nanmean(within_intervals(errors, result.landmark_covariances, directions), axis=0)
+    outline = float(np.mean(outline_errors(result.landmarks, truth, contours))) / unit
+    return {"outline": outline, "along": along, "across": across, "along_95": held[0], "across_95": held[1]}
+
+
+def is_right(row: Row, error: str = "nme") -> bool:
+    """Return whether a fit is right, by its distance from the landmarks or by its ``outline``."""
+    return bool(row[error] < CONVERGED)
 
 
 def quality_area(rows: Sequence[Row]) -> float | None:
@@ -265,7 +321,7 @@ def qualities_of(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
 
 def columns_of(*labels: str) -> dict[str, str]:
     """Columns of results.csv and their formats."""
-    return {"method": "", **dict.fromkeys(labels, ""), **RESULTS}
+    return {"method": "", **dict.fromkeys(labels, ""), **RESULTS, **OUTLINE}
 
 
 def select(rows: Iterable[Row], **labels: Any) -> list[Row]:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import liaam
-from liaam import Evaluation, FitStatus, Landmarks, Sample, accuracy
+from liaam import Evaluation, FitStatus, Landmarks, Sample
+from liaam.accuracy import measure
 from liaam.errors import LiaamError
 from liaam.evaluation import landmark_errors, within_ellipses
 from liaam.io import write_image, write_landmarks
@@ -167,7 +168,7 @@ def test_of_several_objects_the_nearest_counts(small, scenes):
 def test_no_image_is_evaluated_by_a_model_that_has_seen_it(scenes, monkeypatch):
     seen = []
     trained = liaam.train
-    monkeypatch.setattr(accuracy, "train", lambda data, **o: seen.append([s.name for s in data]) or trained(data, **o))
+    monkeypatch.setattr(measure, "train", lambda data, **o: seen.append([s.name for s in data]) or trained(data, **o))
     samples = as_samples(scenes)
     found = liaam.cross_validate(samples, 2, "grey", training=OPTIONS, limit=0.5)
     assert found.names == tuple(sample.name for sample in samples)
@@ -204,7 +205,7 @@ def test_the_command_writes_tables_and_pictures(run, folder, tmp_path):
 
 def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):
     changed = OPTIONS | {"progress": False}
-    monkeypatch.setattr(accuracy, "train", lambda data, **options: liaam.train(data, **options | changed))
+    monkeypatch.setattr(measure, "train", lambda data, **options: liaam.train(data, **options | changed))
     run_folds = partial(run, "evaluate", "--folds", 4, "-m", "grey", "--limit", 50, "-o", tmp_path / "e.csv")
     code, out, _ = run_folds(folder / "faces")
     assert code == 0 and "lost (error above 50.0%): 0 of 4" in out
@@ -220,3 +221,22 @@ def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):
     assert code == 1 and not (tmp_path / "none").exists()
     code, _, err = run("evaluate", folder / "faces")
     assert code == 1 and "give a model and a folder of landmarked images, or one folder and --folds 5" in err
+
+
+def test_errors_along_contours_are_told_from_errors_across():
+    found = replace(evaluation([1.0, 4.0], (OK, OK)), contours=(((0, 1, 2), False),))
+    assert found.outcomes == ["right", "silent"]
+    np.testing.assert_allclose(found.outline_errors, [0.015, 0.06])  # three of four are across
+    table = found.by_landmark()
+    assert table["along_percent"][0] == pytest.approx(5.0) and table["across_percent"][0] == 0.0
+    assert np.isnan(table["along_percent"][3]) and table["inside_across_percent"][0] == 100.0
+    assert found.by_image()["outline_outcome"] == found.outline_outcomes
+    assert found.to_columns()["along"][:2] == pytest.approx([1.0, 1.0 * 30 / 50])
+    assert "by outline" in found.report() and "along" in found.report()
+    assert "by outline" not in evaluation([1.0], (OK,)).report()
+    line = np.column_stack([[0.0, 10.0, 20.0, 30.0], np.zeros(4)])[None]
+    slid = replace(
+        evaluation([0.0], (OK,)), truths=line, landmarks=np.add(line, [4.0, 0.0]), contours=((range(4), False),)
+    )
+    assert slid.outcomes == ["silent"]
+    assert slid.outline_outcomes == ["right"]  # only the last is off, beyond the end

@@ -42,6 +42,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         SolverOptions,
         find,
         fit,
+        fit_all,
         fit_many,
     )
     from liaam.io import Landmarks, read_image, read_landmarks, to_dataframe, write_image, write_landmarks
@@ -83,6 +84,7 @@ __all__ = [
     "find",
     "find_label_faults",
     "fit",
+    "fit_all",
     "fit_many",
     "invariant_image",
     "load_camera",
@@ -119,6 +121,7 @@ _HOMES = {
         "SolverOptions",
         "find",
         "fit",
+        "fit_all",
         "fit_many",
     ),
     "io": ("Landmarks", "read_image", "read_landmarks", "to_dataframe", "write_image", "write_landmarks"),

@@ -1,17 +1,15 @@
 """Landmarks drawn on images: what results and figures have in common."""
 
-from collections.abc import Sequence
 from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from liaam.evaluation import Contours
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Contours = Sequence[tuple[Sequence[int], bool]]
-"""Lines between landmarks: their indices in order, and whether the line is closed."""
 
 LANDMARK, ELLIPSE = "#40ff8c", "#ffdc40"
 """Colours of landmarks and of their ellipses."""

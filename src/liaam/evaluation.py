@@ -8,6 +8,9 @@ import numpy as np
 
 from liaam.errors import LiaamError
 
+Contours = Sequence[tuple[Sequence[int], bool]]
+"""Lines through landmarks: their indices in turn, and whether the last is joined to the first."""
+
 
 def point_error(shape: np.ndarray, truth: np.ndarray) -> float:
     """Mean distance between corresponding (n, 2) landmarks, in pixels.
@@ -56,6 +59,99 @@ def within_ellipses(shape: np.ndarray, truth: np.ndarray, covariances: np.ndarra
         squared = np.sum(along**2 / np.maximum(values, 1e-12), axis=-1)  # of a chi-squared distribution
     inside = np.isfinite(errors) & (squared < -2.0 * np.log1p(-level))
     return np.where(known, inside.astype(np.float64), np.nan)
+
+
+def contour_directions(shapes: np.ndarray, contours: Contours) -> np.ndarray:
+    """Directions of contours at their landmarks: unit vectors (..., n, 2) float64; NaN at other landmarks.
+
+    Contours of two landmarks are no curves, and landmarks where contours meet do not slide: they do not count.
+
+    Parameters
+    ----------
+    shapes : (..., n, 2) float
+    contours : sequence of (indices, closed)
+    """
+    shapes = np.asarray(shapes, np.float64)
+    found = np.full(shapes.shape, np.nan)
+    for indices, closed in _curves(contours):
+        own = shapes[..., indices, :]
+        if closed:
+            steps = np.roll(own, -1, axis=-2) - np.roll(own, 1, axis=-2)
+        else:
+            steps = np.diff(own, axis=-2)
+            between = own[..., 2:, :] - own[..., :-2, :]
+            steps = np.concatenate([steps[..., :1, :], between, steps[..., -1:, :]], axis=-2)
+        with np.errstate(invalid="ignore"):
+            found[..., indices, :] = steps / np.linalg.norm(steps, axis=-1, keepdims=True)
+    found[..., _junctions(contours), :] = np.nan
+    return found
+
+
+def along_and_across(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Components of vectors (..., n, 2) along and across directions (..., n, 2), in this order, (..., n, 2) float64."""
+    across = np.stack([-directions[..., 1], directions[..., 0]], axis=-1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.stack([np.sum(vectors * each, axis=-1) for each in (directions, across)], axis=-1)
+
+
+def within_intervals(errors: np.ndarray, covariances: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Whether the 95 % intervals along and across directions hold errors, (..., n, 2) float64: 1, 0, or NaN.
+
+    Parameters
+    ----------
+    errors : (..., n, 2) float
+        Fitted minus true landmarks.
+    covariances : (..., n, 2, 2) float
+    directions : (..., n, 2) float
+        Unit vectors; NaN where there is none.
+    """
+    found = along_and_across(errors, directions)
+    axes = np.stack([directions, directions[..., ::-1] * [-1.0, 1.0]], axis=-2)
+    with np.errstate(invalid="ignore"):
+        variances = np.einsum("...ia,...ab,...ib->...i", axes, covariances, axes)
+        inside = np.square(found) <= 1.96**2 * variances
+    return np.where(np.isfinite(variances) & ~np.isnan(found), inside, np.nan)
+
+
+def outline_errors(shape: np.ndarray, truth: np.ndarray, contours: Contours) -> np.ndarray:
+    """Distances of landmarks from the true contours, (n,) float64, in pixels; those not on contours from the truth.
+
+    Landmarks along a contour are often labelled a little before or after where they belong, and fits slide along it:
+    the distance to the contour is what can be seen in the image.
+
+    Parameters
+    ----------
+    shape, truth : (n, 2) float
+    contours : sequence of (indices, closed)
+    """
+    errors, on_contour = landmark_errors(shape, truth), ~np.isnan(contour_directions(truth, contours)[:, 0])
+    for indices, closed in _curves(contours):
+        line = truth[[*indices, indices[0]] if closed else indices]
+        at = indices[on_contour[indices] & np.isfinite(errors[indices])]
+        errors[at] = np.minimum(errors[at], _distances_to_line(shape[at], line))
+    return errors
+
+
+def _distances_to_line(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Distances of points (m, 2) from a polyline (k, 2), (m,); infinite if all of its points are missing."""
+    starts, steps = line[:-1], np.diff(line, axis=0)
+    known = np.isfinite(steps).all(axis=1)
+    starts, steps = starts[known], steps[known]
+    lengths = np.maximum(np.square(steps).sum(axis=1), 1e-12)
+    apart = points[:, None] - starts
+    at = np.clip(np.sum(apart * steps, axis=2) / lengths, 0.0, 1.0)
+    return np.linalg.norm(apart - at[..., None] * steps, axis=2).min(axis=1, initial=np.inf)
+
+
+def _curves(contours: Contours) -> list[tuple[np.ndarray, bool]]:
+    return [(np.array(indices), closed) for indices, closed in contours if len(indices) > 2]
+
+
+def _junctions(contours: Contours) -> np.ndarray:
+    """Landmarks on more than one contour."""
+    on = np.concatenate([np.zeros(0, int), *(np.unique(indices) for indices, _ in contours)])
+    each, counts = np.unique(on, return_counts=True)
+    return each[counts > 1]
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:

@@ -28,6 +28,7 @@ from liaam.batch.work import Job, _shorts
 from liaam.errors import LiaamError
 from liaam.io import read_collection, read_landmarks, write_collection, write_image, write_landmarks
 from liaam.model.shape import diagonal_of
+from liaam.morphometry import read_specimens
 from scenes import Head, make_set
 from setups import train_on
 
@@ -272,6 +273,29 @@ def test_starts_and_covariances_are_choices(world, tmp_path):
     assert Settings("grey", iterations=30, rotations="all").describe() != found.describe()  # other rows
     batch_of(world, tmp_path / "c.jsonl", pictures[:1], settings=found)
     assert 0 < rows_of(tmp_path / "c.jsonl")[0]["found"] <= 1
+
+
+def test_every_object_of_an_image_has_a_row(tmp_path):
+    scenes = make_set(6, Head(5), size=(200, 150))
+    train_on(scenes, diagonal=60.0, response="srgb").save(tmp_path / "face.liaam")
+    write_image(tmp_path / "two.png", np.concatenate([scenes[0].image, scenes[1].image], axis=1))
+    write_image(tmp_path / "wall.png", np.full((150, 200, 3), 90, np.uint8))
+    world = SimpleNamespace(model=tmp_path / "face.liaam", pictures=tmp_path, settings=Settings("grey"))
+    batch_of(world, tmp_path / "one.jsonl")
+    rows = rows_of(tmp_path / "one.jsonl")
+    assert [(row["n_found"], row["object"]) for row in rows] == [(2, None), (1, None)]
+    for name in ("all.csv", "all.jsonl"):
+        summary = batch_of(world, tmp_path / name, settings=Settings("grey", every=True))
+        rows = rows_of(tmp_path / name)
+        assert summary.total == 2 and summary.statuses["error"] == 1
+        assert [(Path(row["path"]).name, str(row["object"])) for row in rows[:2]] == [
+            ("two.png", "1"),
+            ("two.png", "2"),
+        ]
+        assert "no object was found" in rows[2]["message"] and "more" not in rows[0]
+        assert [each.name for each in read_specimens(tmp_path / name)][:2] == ["two#1", "two#2"]
+    with pytest.raises(LiaamError, match="use only one of them"):
+        Settings(init="beside", every=True)
 
 
 def test_messages_name_starts_as_they_were_named(world, tmp_path, monkeypatch):

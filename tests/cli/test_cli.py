@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from liaam.cli.inputs import unique_stems
-from liaam.cli.train import parse_prior
+from liaam.cli.train import parse_contour, parse_prior
+from liaam.errors import LiaamError
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
 from scenes import Head, lateral, make_set, render
 
@@ -152,6 +153,14 @@ def test_ctrl_c_while_a_line_is_printed_is_reported(run, portraits, tmp_path, mo
 )
 def test_priors_are_for_all_views_or_for_one(given, priors):
     assert parse_prior(given) == priors
+
+
+def test_contours_are_given_by_numbers_from_1():
+    assert parse_contour("1-4") == [0, 1, 2, 3]
+    assert parse_contour("5-3, 9,5") == [4, 3, 2, 8, 4]
+    for text in ("", "0-3", "a-b", "1-2-3"):
+        with pytest.raises(LiaamError, match="numbers of landmarks from 1"):
+            parse_contour(text)
 
 
 def test_a_prior_of_no_view_is_refused(run, portraits, tmp_path):

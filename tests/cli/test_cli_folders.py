@@ -112,10 +112,10 @@ def test_an_image_of_three_faces_offers_all_and_init(run, model_file, scenes, tm
     write_image(image, np.concatenate([scenes[i].image for i in range(3)], axis=1))
     _, out, err = run("fit", model_file, image, "-o", tmp_path / "fits")
     assert "converged" in out
-    assert "three.png: the image holds more such objects: add --all to fit each of them, or --init to choose one" in err
+    assert "three.png: 2 more objects in the image: add --all to fit each, or --init to choose one" in err
     _, out, err = run("fit", model_file, image, "-o", tmp_path / "fits", "--all")
     assert out.count("converged") == 3
-    assert "more such objects" not in err
+    assert "more object" not in err
 
 
 def test_a_turned_object_offers_rotations(run, model_file, scenes, tmp_path):

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 import liaam
-from liaam.fitting.fitter import FITTERS_KEPT
+from liaam.fitting.single import FITTERS_KEPT
 from liaam.photometry import CameraModel
 from setups import disturb, train_on
 

@@ -369,3 +369,17 @@ def test_without_a_terminal_progress_is_shown_to_who_asks_for_it(model, lit_scen
     captured = capsys.readouterr()
     assert ("3/3 images" in captured.err) is shown
     assert not captured.out
+
+
+def test_every_object_of_each_image_is_fitted_on_request(calibrated, scenes):
+    two = np.concatenate([scenes[0].image, scenes[1].image], axis=1)
+    one, several = fit_many(calibrated, [scenes[2].image, two], every=True, workers=2, max_iterations=20)
+    assert len(one) == 1 and len(several) == 2
+    assert [each.n_found for each in several] == [1, 1]
+    alone = liaam.fit(calibrated, two, max_iterations=20)
+    assert alone.n_found == alone.to_dict()["n_found"] == 2
+    again = liaam.fit_all(calibrated, two, max_iterations=20)
+    np.testing.assert_array_equal([each.landmarks for each in again], [each.landmarks for each in several])
+    assert liaam.fit(calibrated, two, scenes[0].landmarks, max_iterations=20).n_found is None
+    with pytest.raises(StartError, match="use only one"):
+        fit_many(calibrated, [two], scenes[0].landmarks, every=True)

@@ -11,8 +11,18 @@ from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, FitStatus, Fitter
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
-from liaam.training.reliability import LARGEST_FACTOR, _beyond, _logistic, _surprise, _variance_factor, _weights
+from liaam.training.covariances import (
+    LARGEST_FACTOR,
+    Alike,
+    beyond,
+    learn_covariances,
+    surprise,
+    variance_factor,
+)
+from liaam.training.reliability import _logistic, _weights
 from setups import disturb
+
+SCATTERED = Alike.of(np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]), ())
 
 
 def test_it_tells_right_fits_from_wrong_ones(calibrated, lit_scene, same_light_scene):
@@ -131,18 +141,18 @@ def test_variances_grow_by_what_fits_understate(calibrated, lit_scene):
 def test_surprises_of_what_is_stated_rightly_are_one_on_average(rng):
     own = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])
     errors = rng.multivariate_normal(np.zeros(3), own, 4000)
-    assert np.mean([_surprise(error, own) for error in errors]) == pytest.approx(1.0, abs=0.05)
-    assert np.isnan(_surprise(errors[0], np.zeros((3, 3))))
+    assert np.mean([surprise(error, own) for error in errors]) == pytest.approx(1.0, abs=0.05)
+    assert np.isnan(surprise(errors[0], np.zeros((3, 3))))
     # What follows p, an angle, does not count.
-    assert _surprise(errors[0][:2], own) == pytest.approx(_surprise(errors[0][:2], own[:2, :2]))
+    assert surprise(errors[0][:2], own) == pytest.approx(surprise(errors[0][:2], own[:2, :2]))
 
 
 def test_understatement_is_learnt_from_many_doubted_from_few_and_bounded():
-    assert _variance_factor(np.full(100, 4.0)) == pytest.approx(4.0, rel=0.1)
-    assert 1.0 < _variance_factor(np.full(3, 4.0)) < 2.0
-    assert _variance_factor(np.full(20, 0.1)) == 1.0  # nothing is ever surer than it says
-    assert _variance_factor(np.full(20, 1e9)) == LARGEST_FACTOR
-    assert _variance_factor(np.array([np.nan, np.inf])) == 1.0
+    assert variance_factor(np.full(100, 4.0)) == pytest.approx(4.0, rel=0.1)
+    assert 1.0 < variance_factor(np.full(3, 4.0)) < 2.0
+    assert variance_factor(np.full(20, 0.1)) == 1.0  # nothing is ever surer than it says
+    assert variance_factor(np.full(20, 1e9)) == LARGEST_FACTOR
+    assert variance_factor(np.array([np.nan, np.inf])) == 1.0
 
 
 def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):
@@ -150,9 +160,9 @@ def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):
     errors = rng.multivariate_normal(np.zeros(2), true, (4000, 3))
     stated = np.broadcast_to(0.5 * np.eye(2), (4000, 3, 2, 2))
     shapes = np.broadcast_to(0.3 * np.eye(2), (3, 2, 2))
-    beyond = _beyond(errors, stated, shapes)
-    np.testing.assert_allclose(beyond + shapes + stated[0], np.broadcast_to(true, (3, 2, 2)), atol=0.3)
-    assert not _beyond(errors, stated, 9.0 * shapes / 0.3).any()
+    found = beyond(errors, stated, shapes, SCATTERED)
+    np.testing.assert_allclose(found + shapes + stated[0], np.broadcast_to(true, (3, 2, 2)), atol=0.3)
+    assert not beyond(errors, stated, 9.0 * shapes / 0.3, SCATTERED).any()
 
 
 def test_what_an_image_leaves_unexplained_widens_its_covariances(calibrated, same_light_scene):
@@ -165,9 +175,38 @@ def test_what_an_image_leaves_unexplained_widens_its_covariances(calibrated, sam
     assert np.trace(grown, axis1=1, axis2=2) == pytest.approx(2 * scale * np.trace(known.bias, axis1=1, axis2=2))
 
 
+def test_few_errors_on_contours_are_shrunk_along_and_across_them(rng):
+    at = np.linspace(0.0, np.pi, 20)
+    arc = 50.0 * np.column_stack([np.cos(at), np.sin(at)])
+    shape = np.vstack([arc, rng.uniform(-20, 20, (20, 2))])
+    alike = Alike.of(shape, [(range(20), False)])
+    tangents = np.column_stack([-np.sin(at), np.cos(at)])
+    slid = 4.0 * rng.standard_normal((8, 20, 1)) * tangents + 0.5 * rng.standard_normal((8, 20, 2))
+    errors = np.concatenate([slid, rng.standard_normal((8, 20, 2))], axis=1)
+    found = beyond(errors, np.zeros((8, 40, 2, 2)), np.zeros((40, 2, 2)), alike)
+    along = np.einsum("na,nab,nb->n", tangents, found[:20], tangents)
+    across = np.trace(found[:20], axis1=1, axis2=2) - along
+    assert along.mean() == pytest.approx(2 * 16.0, rel=0.5)  # of 8 images, nearly twice
+    assert across.max() < 2.0
+    assert np.trace(found[20:], axis1=1, axis2=2).max() < 10.0
+
+
+def test_variances_along_and_across_contours_are_calibrated_apart(rng):
+    shape = np.column_stack([np.arange(30.0), np.zeros(30)])
+    errors = rng.standard_normal((400, 30, 2)) * [3.0, 0.5]
+    spreads, shapes = np.tile(np.eye(2), (400, 30, 1, 1)), np.tile(0.1 * np.eye(2), (30, 1, 1))
+    ratios = []
+    for contours in ((), [(range(30), False)]):
+        known = learn_covariances(errors, spreads, 1.5, np.ones(400), shapes, Alike.of(shape, contours))
+        stated = known["variance_factor"] * spreads[0] + known["landmarks"] + known["bias"]
+        assert (np.linalg.eigvalsh(stated) > 0).all()
+        ratios.append(stated[:, 0, 0].mean() / stated[:, 1, 1].mean())
+    assert ratios[0] < 7.0 and ratios[1] > 12.0  # of 36: what fits state themselves is no direction's
+
+
 def test_few_pictures_widen_it(rng):
     errors = rng.standard_normal((5, 40, 2))
-    few = _beyond(errors, np.zeros((5, 40, 2, 2)), np.zeros((40, 2, 2)))
+    few = beyond(errors, np.zeros((5, 40, 2, 2)), np.zeros((40, 2, 2)), Alike.of(np.zeros((40, 2)), ()))
     assert np.trace(few, axis1=1, axis2=2).mean() > 1.5 * np.square(errors).sum(axis=2).mean()
     assert (np.linalg.eigvalsh(few) > 0).all()
 

@@ -73,7 +73,11 @@ def test_two_objects_in_one_picture(finder):
     assert [candidate.score for candidate in found] == sorted((c.score for c in found), reverse=True)
     for truth in truths:
         assert min(error(candidate, truth) for candidate in found) < 0.06
-    assert len(finder.find(picture, limit=1)) == 1
+    (best,) = finder.find(picture, limit=1)
+    (other,) = best.others
+    assert min(error(other, truth) for truth in truths) < 0.06
+    assert finder.find(left.image)[0].others == ()
+    assert all(candidate.others == () for candidate in found)
 
 
 def fits_counted(finder, monkeypatch, image, **options):
@@ -94,6 +98,7 @@ def fits_counted(finder, monkeypatch, image, **options):
 def test_a_single_object_is_not_sought_where_it_cannot_be(finder, monkeypatch):
     """No place is fitted after one that leaves no doubt, nor one that responds far less: the answer is the same."""
     image = photograph(Pose(scale=0.7)).image
+    monkeypatch.setattr(search, "CLEAR", np.inf)  # without the places of further objects
     monkeypatch.setattr(search, "SURE", np.inf)
     monkeypatch.setattr(search, "WORTH", 0.0)
     (every,), all_places = fits_counted(finder, monkeypatch, image)
@@ -135,6 +140,7 @@ def test_no_place_is_fitted_twice(finder, monkeypatch):
 
 def test_a_place_that_scores_too_little_ends_no_search(finder, monkeypatch):
     """However strongly it responds: neither one below what is asked for nor a doubtful one is sure."""
+    monkeypatch.setattr(search, "CLEAR", np.inf)  # without the places of further objects
     monkeypatch.setattr(search, "SURE", 0.0)
     monkeypatch.setattr(search, "WORTH", 0.0)
     image = photograph(Pose(scale=0.7)).image

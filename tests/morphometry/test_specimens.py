@@ -26,7 +26,9 @@ def add_fit(folder: Path, stem: str, status: str = "converged", **facts: object)
 def row_of(path: str, status: str = "converged") -> dict:
     known = status == "converged"
     return {
-        **dict.fromkeys(("message", "quality", "found", "theta_deg", "cost", "iterations", "seconds")),
+        **dict.fromkeys(
+            ("message", "quality", "object", "found", "n_found", "theta_deg", "cost", "iterations", "seconds")
+        ),
         "path": path,
         "status": status,
         "message": "",

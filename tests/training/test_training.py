@@ -84,6 +84,19 @@ def test_contours_and_mesh_come_from_the_landmarks(pairs):
     assert {tuple(sorted(t)) for t in model.triangles.tolist()} == {tuple(sorted(t)) for t in mesh.tolist()}
 
 
+def test_contours_can_be_given(pairs):
+    options = {"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,), "leave_out": False, "copies": 0}
+    model = train(pairs, contours=[[0, 1, 2], [3, 4, 5, 3], ((6, 7), True)], **options)
+    assert model.contours == (((0, 1, 2), False), ((3, 4, 5), True), ((6, 7), True))
+    assert train(pairs, contours=model.contours, **options).contours == model.contours
+
+
+@pytest.mark.parametrize("contours", [[[0, 1, 99]], [[0, -1]], [[2]], [["a", "b"]], [7]])
+def test_contours_of_no_landmarks_are_refused(pairs, contours):
+    with pytest.raises(TrainingError, match="give the indices of the landmarks along it, 0 to"):
+        train(pairs, contours=contours)
+
+
 def test_triangles_may_turn_either_way(pairs, model):
     for triangles in (model.triangles, model.triangles[:, ::-1]):
         trained = train(pairs, diagonal=40.0, camera=LINEAR, triangles=triangles)

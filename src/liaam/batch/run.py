@@ -17,7 +17,7 @@ from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
 from liaam.batch.pools import Pool, on_threads
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
-from liaam.batch.work import Job, KeptRow, Settings
+from liaam.batch.work import Job, KeptRow, Settings, apart
 from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
@@ -220,11 +220,12 @@ class _Batch:
         """Iterate over all rows, as text and parsed. Raise if one is damaged or missing."""
         n_rows = 0
         for text in journal.rows():
-            row = row_of(text, self.job.model.n_points, self.job.settings.covariance)
-            if row is None:
-                raise journal.damage("a row cannot be read")
             n_rows += 1
-            yield text, row
+            for each in apart(text):
+                row = row_of(each, self.job.model.n_points, self.job.settings.covariance)
+                if row is None:
+                    raise journal.damage("a row cannot be read")
+                yield each, row
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
 

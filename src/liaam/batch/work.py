@@ -15,14 +15,18 @@ import numpy as np
 
 from liaam.errors import LiaamError, StartError
 from liaam.evaluation import finite_or_none
-from liaam.fitting import Fitter, SolverOptions
+from liaam.fitting import FitResult, Fitter, SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, check_start, is_raw, read_image, read_start, start_file
+from liaam.io.files import json_object
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
 
 BESIDE = "beside"
 """Start from the landmark file beside each image."""
+
+MORE = "more"
+"""Entry of the row of an image with the rows of its further objects."""
 
 ERROR = "error"
 """Status of an image that could not be fitted, in addition to those of :class:`liaam.fitting.FitStatus`."""
@@ -52,6 +56,8 @@ class Settings:
         Response of the images' camera, if it differs from the training camera's. RAW files are linear by default.
     covariance : bool
         Whether rows hold the covariance of each landmark.
+    every : bool
+        Whether to fit every object that the search finds in an image, with a row for each.
     rotations : str
         Orientations to search (:attr:`liaam.fitting.Fitter.rotations`).
     """
@@ -63,8 +69,11 @@ class Settings:
     response: str | None = None
     covariance: bool = True
     rotations: str = "upright"
+    every: bool = False
 
     def __post_init__(self) -> None:
+        if self.every and self.init is not None:
+            raise StartError("every object is searched for, and init gives the place of one: use only one of them")
         if isinstance(self.init, os.PathLike):
             object.__setattr__(self, "init", os.fspath(self.init))
         elif self.init is not None and not isinstance(self.init, str):
@@ -158,22 +167,33 @@ class Job:
         return self.complete(row, round(perf_counter() - begin, 4))
 
     def complete(self, row: Row, seconds: float | None) -> Row:
-        """Add the time to a row, and drop the covariance unless it is wanted."""
+        """Add the time to a row, and drop the covariance unless it is wanted, as of all further objects."""
         kept = row if self.settings.covariance else {key: row[key] for key in row if key != "covariance"}
-        return {**kept, "seconds": seconds}
+        more = [self.complete(other, seconds) for other in row.get(MORE, ())]
+        return {**kept, **({MORE: more} if more else {}), "seconds": seconds}
 
     def _fit(self, path: str) -> Row:
         picture = Path(self.folder, path)
         pixels, start = read_image(picture), self._start(path)
         if start is not None:
             start = read_start(start, picture, pixels.shape[1::-1])
-        result = self.fitter(is_raw(picture)).fit(pixels, start, picture.name)
+        fitter = self.fitter(is_raw(picture))
+        if not self.settings.every:
+            return self._row_of(fitter.fit(pixels, start, picture.name), path, pixels, start)
+        fits = fitter.fit_all(pixels, picture.name)
+        row, *more = (self._row_of(fit, path, pixels, None) | {"object": i} for i, fit in enumerate(fits, 1))
+        return {**row, MORE: more} if more else row
+
+    @staticmethod
+    def _row_of(result: FitResult, path: str, pixels: np.ndarray, start: Any) -> Row:
         return {
             "path": _printable(path),
             "status": str(result.status),
             "message": result.message,
             "quality": _short(result.quality),
+            "object": None,
             "found": None if result.found is None else _short(result.found.score),
+            "n_found": result.n_found,
             "theta_deg": _short(result.theta_degrees),
             "cost": finite_or_none(result.cost),
             "iterations": result.n_iterations,
@@ -204,9 +224,19 @@ def kept(row: Row) -> KeptRow:
     return row["status"], json.dumps(row, allow_nan=False)
 
 
+def apart(text: str) -> list[str]:
+    """Return the text of the row of an image, and those of its further objects."""
+    row = json_object(text) if f'"{MORE}"' in text else None
+    if row is None or not isinstance(row.get(MORE), list):
+        return [text]
+    more = row.pop(MORE)
+    return [json.dumps(each, allow_nan=False) for each in (row, *more)]
+
+
 def failed_row(path: str, message: str) -> Row:
     """Return the row of an image that could not be fitted."""
-    row = dict.fromkeys(("quality", "found", "theta_deg", "cost", "iterations", "landmarks", "covariance", "seconds"))
+    numbers = ("quality", "object", "found", "n_found", "theta_deg", "cost", "iterations")
+    row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))
     return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
 
 

@@ -36,6 +36,9 @@ def batch(
             "searched for."
         ),
     ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Fit every object that the search finds in an image, with a row for each.")
+    ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
     iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
@@ -61,7 +64,7 @@ def batch(
     from liaam.photometry import load_camera
 
     camera = None if camera_file is None else load_camera(camera_file)
-    settings = Settings(method, init, iterations, camera, response, covariance, rotations)
+    settings = Settings(method, init, iterations, camera, response, covariance, rotations, every)
     closed: list[str] = []
     with ExitStack() as files, progress_bar() as progress:
         summary = run_batch(

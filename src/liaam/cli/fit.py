@@ -28,23 +28,17 @@ from liaam.io import (
     Contour,
     Landmarks,
     make_folder,
-    read_image,
     write_fit,
     write_image,
 )
+from liaam.io.files import count_of
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.results import FIT_SUFFIXES, corrected_file, read_fit
 from liaam.models import FACE, MODELS
 from liaam.morphometry.schemes import in_scheme
 
-SEVERAL = "the image holds more such objects: add --all to fit each of them, or --init to choose one"
-"""Advice for an image with several objects, of which the best was fitted."""
-
 MODEL_SUFFIXES = (".liaam", ".safetensors")
 """Suffixes of models, to tell one that is given after the images."""
-
-OTHERS = 4
-"""Largest number of objects that are looked for in an image, to give that advice."""
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -130,13 +124,10 @@ def fit(
     failed, uncalibrated = 0, False
     outputs = Outputs(output, ellipses, scheme)
     low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
-    quick = None if every or init is not None else fitter.without_restarts()
 
-    def results_of(named: tuple[Path, str]) -> "tuple[dict[str, FitResult], bool] | LiaamError":
+    def results_of(named: tuple[Path, str]) -> "dict[str, FitResult] | LiaamError":
         try:
-            results = fit_file(fitter, named[0], init, every, outputs, named[1])
-            first = next(iter(results.values()))
-            return results, quick is not None and has_others(quick, named[0], first)
+            return fit_file(fitter, named[0], init, every, outputs, named[1])
         except LiaamError as error:
             return error
 
@@ -151,13 +142,12 @@ def fit(
                 failed += 1
                 complain(f"error: {results}")
                 continue
-            fits, others = results
-            if others:
-                advice[SEVERAL].append(image.name)
-            for stem, result in fits.items():
+            for stem, result in results.items():
                 name = image.name if stem == image.stem else stem  # of several, as their files
                 table.add_row(cell(name), *row_of(result))
                 uncalibrated |= not result.calibrated
+                if not every and result.n_found is not None and result.n_found > 1:
+                    advice[more_objects(result.n_found - 1)].append(name)
                 if not result.status.ok:
                     failed += 1
                     advice[f"{result.status}: {result.message}"].append(name)
@@ -195,6 +185,11 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
     return start, str(result.status), result.quality_text, error, str(result.n_iterations), angle
 
 
+def more_objects(number: int) -> str:
+    """Return the advice for an image with further objects, of which the best was fitted."""
+    return f"{count_of(number, 'more object')} in the image: add --all to fit each, or --init to choose one"
+
+
 @dataclass(frozen=True)
 class Outputs:
     """Output folder and optional outputs."""
@@ -218,22 +213,6 @@ def fit_file(
     for name in starts:
         refuse_to_overwrite(outputs.folder, name)
     return {name: fit_one(fitter, pixels, start, image, outputs, name) for name, start in starts.items()}
-
-
-def has_others(fitter: "Fitter", image: Path, result: "FitResult") -> bool:
-    """Return whether other objects are found in an image that are as certain as the fitted one.
-
-    Detections alone do not suffice: one in three photographs of one face has another place with a sufficient score. So
-    each is fitted, and the quality decides. This takes 0.2 to 0.3 s.
-    """
-    from liaam.fitting.search import DOUBTFUL, are_apart
-
-    if result.found is None or fitter.reliability is None or not result.status.ok:
-        return False
-    pixels = read_image(image)
-    found = fitter.find(pixels, limit=OTHERS, least=DOUBTFUL)
-    others = [candidate for candidate in found if are_apart(candidate.landmarks, result.landmarks)]
-    return any(fitter.fit(pixels, candidate).status.ok for candidate in others)
 
 
 def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: Outputs, stem: str) -> "FitResult":

@@ -111,6 +111,13 @@ def train(
             "for its face mesh. Fits can then start from its points with --init, and weigh them in."
         ),
     ] = None,
+    contour: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Landmarks along a line such as the jaw, along which they are less certain than across, by numbers "
+            "from 1: 1-17, or 37-42,37 for a closed line. May be repeated. By default the lines of the landmark files."
+        ),
+    ] = None,
     methods: MethodsOption = "",
     shapes: Annotated[
         str,
@@ -153,6 +160,7 @@ def train(
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
+    contours = [parse_contour(text) for text in contour or ()]
     light = parse_lamps(lamps, training_lamp, recursive, camera)
     warn_of_faults(data, folder)
     if strict:
@@ -168,6 +176,7 @@ def train(
             lamps=light,
             copies=copies,
             points=points,
+            contours=contours or None,
             methods=parse_methods(methods),
             shapes=int(shapes) if shapes.isdecimal() else shapes,
             name=name or folder.name,
@@ -203,6 +212,18 @@ def parse_methods(text: str) -> list[str] | Literal["all"]:
     """Parse methods, separated by commas, or ``all``."""
     names = [name for part in text.split(",") if (name := part.strip())]
     return "all" if names == ["all"] else names
+
+
+def parse_contour(text: str) -> list[int]:
+    """Parse the landmarks of a line, numbers and ranges from 1 such as ``37-42,37``; return their indices from 0."""
+    numbers: list[int] = []
+    for part in text.split(","):
+        ends = part.strip().split("-")
+        if len(ends) > 2 or not all(end.strip().isdecimal() and int(end) > 0 for end in ends):
+            raise LiaamError(f"--contour {text}: give numbers of landmarks from 1, such as 1-17 or 37-42,37")
+        first, last = int(ends[0]), int(ends[-1])
+        numbers += range(first, last + 1) if first <= last else range(first, last - 1, -1)
+    return [number - 1 for number in numbers]
 
 
 def refuse_missing(data: "Dataset") -> None:

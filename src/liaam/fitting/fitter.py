@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -23,11 +22,10 @@ from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
 from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, part_of_start, start_shape
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
-from liaam.model import AAM, Level, Reliability, View, load_model
+from liaam.model import AAM, Level, Reliability, View
 from liaam.model.mesh import folded_share
 from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, align, diagonal_of
-from liaam.models import MODELS
 from liaam.photometry import CameraModel, exposure_faults, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
@@ -137,12 +135,6 @@ class Fitter:
         """The model's detector (see :mod:`liaam.fitting.search`)."""
         return Finder(self.model, self.rotations)
 
-    def without_restarts(self) -> "Fitter":
-        """Return this fitter without restarts. What is prepared at the first fit, which takes long, serves both."""
-        other = replace(self, restarts=False)
-        vars(other).update(finder=self.finder, objectives=self.objectives)
-        return other
-
     @property
     def _method(self) -> Method:
         return self.objectives[0].method
@@ -223,11 +215,23 @@ class Fitter:
             firsts.append((part._fit_from(target), part, target, found))
         results = []
         for first, part, target, found in sorted(firsts, key=lambda each: _explained(each[0]), reverse=True):
-            results.append(part._completed(first, target, found, init))
+            results.append(replace(part._completed(first, target, found, init), part=self.parts.index(part)))
             if results[-1].status.ok:
                 break
         result = max(results, key=lambda each: (each.status.ok, np.nan_to_num(each.quality), _explained(each)))
         return replace(result, image=path)
+
+    def fit_all(self, image, name: str = "image") -> list[FitResult]:
+        """Fit every object that the search finds in an image, the best detection first.
+
+        Raises
+        ------
+        ImageError, StartError
+            For invalid input, and if no object is found.
+        """
+        path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
+        image, name = load_picture(image, name)
+        return [replace(self.fit(image, found, name), image=path) for found in self.find_all(image, name)]
 
     def _parts_for(self, init, name: str) -> tuple["Fitter", ...]:
         """Return the fitters of the shapes that a start may belong to."""
@@ -244,9 +248,9 @@ class Fitter:
     def _several(self) -> tuple["Fitter", ...]:
         return tuple(replace(self, model=part) for part in self.model.parts) if self.model.others else ()
 
-    def part_for(self, shape: np.ndarray) -> "Fitter":
-        """Return the fitter of the model's part that a fitted shape (n, 2) belongs to (:meth:`AAM.part_of`)."""
-        return self.parts[self.model.part_of(shape)]
+    def part_for(self, fit: FitResult | np.ndarray) -> "Fitter":
+        """Return the fitter of the model's part that made a fit, or to which a shape (n, 2) belongs."""
+        return self.parts[fit.part if isinstance(fit, FitResult) else self.model.part_of(fit)]
 
     def _completed(self, result: FitResult, target: Target, found: Candidate | None, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
@@ -335,7 +339,7 @@ class Fitter:
             brief = replace(self.options, max_iterations=BRIEF)
             for other in self.finder.others_in(target.linear.crop(low, high)):
                 there = target._replace(start=other.landmarks + low)
-                tried.append((self._fit_from(there, brief), there, None if found is None else other))
+                tried.append((self._fit_from(there, brief), there, found and replace(other, others=found.others)))
         unfinished = {i for i, (each, *_) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
         while True:
             odds = [prior(each) * _odds(each.quality) for each, *_ in tried]
@@ -405,7 +409,7 @@ class Fitter:
             Arrays of :meth:`liaam.fitting.reference.Problem.arrays` at the shape and angles of ``result``.
         """
         if self.model.others:
-            return self.part_for(result.landmarks).solution_at(image, result)
+            return self.part_for(result).solution_at(image, result)
         objective, encoded, state = self._end_of(result, image)
         if self._method.free_angles == "image" and not np.isfinite(result.theta):
             state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, encoded, state)]))
@@ -431,7 +435,7 @@ class Fitter:
             1 at usable pixels, else 0.
         """
         if self.model.others:
-            return self.part_for(result.landmarks).residual(image, result)
+            return self.part_for(result).residual(image, result)
         kept, k = self.view.warp.every(0.0), self._method.n_rows
         residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
         if np.isfinite(result.landmarks).all():
@@ -573,79 +577,3 @@ def _with_prior(result: FitResult, prior: float) -> FitResult:
     quality = odds / (1.0 + odds)
     doubtful = result.status.ok and quality < LEAST_QUALITY
     return replace(result, quality=quality, status=FitStatus.DOUBTFUL if doubtful else result.status)
-
-
-FITTERS_KEPT = 4
-"""Number of fitters that :func:`fit` keeps with a model, so that calls in a loop cost what :meth:`Fitter.fit` costs."""
-
-_turn = Lock()
-
-
-def _kept_fitter(
-    model: AAM, method: str | Method, camera: CameraModel | None, rotations: str, restarts: bool, margin: float, options
-) -> Fitter:
-    """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
-
-    def make() -> Fitter:
-        about = {"camera": camera, "rotations": rotations, "restarts": restarts, "margin": margin}
-        return Fitter.of(model, method, **about, **options)
-
-    if not isinstance(model, AAM):
-        return make()  # which says what is wrong
-    key = method, id(camera), rotations, restarts, margin, *sorted(options.items())
-    with _turn:
-        kept = vars(model).setdefault("_fitters", {})
-        fitter = kept.pop(key, None)
-        if fitter is not None and fitter.camera is camera:
-            kept[key] = fitter  # the last used is dropped last
-            return fitter
-    fitter = make()
-    with _turn:
-        kept[key] = fitter
-        while len(kept) > FITTERS_KEPT:
-            kept.pop(next(iter(kept)))
-    return fitter
-
-
-def fit(
-    model: AAM | str,
-    image,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    camera: CameraModel | None = None,
-    rotations: str = "upright",
-    restarts: bool = True,
-    margin: float = MARGIN,
-    **options,
-) -> FitResult:
-    """Fit a model to one image. For many images use :func:`fit_many`, or make a :class:`Fitter` once.
-
-    Parameters
-    ----------
-    model : AAM or "face"
-        A model, or the name of one that comes with liaam (:data:`liaam.models.MODELS`).
-    image : (h, w, 3) uint8, uint16 or float array, or path
-    init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
-        Start, image pixels (see :meth:`Fitter.fit`). If None, the object is searched for.
-    method : str or Method
-        See :data:`liaam.fitting.METHODS`.
-    camera, rotations, restarts, margin
-        As for :class:`Fitter`.
-    **options
-        Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
-
-    Returns
-    -------
-    FitResult
-        Also for a fit that fails: see its ``status``.
-
-    Raises
-    ------
-    ImageError, StartError, MethodError
-        If an argument is invalid.
-    """
-    known: Any = load_model(model) if isinstance(model, str) and model in MODELS else model
-    fitter = _kept_fitter(known, method, camera, rotations, restarts, margin, options)
-    result = fitter.fit(image, init)
-    return result if result.image is not None else replace(result, image=image)

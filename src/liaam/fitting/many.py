@@ -1,7 +1,7 @@
 """Fitting many images with one model on several threads."""
 
 import os
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from itertools import repeat
@@ -30,6 +30,7 @@ def fit_many(
     init=None,
     method: str | Method = DEFAULT_METHOD,
     *,
+    every: Literal[False] = False,
     workers: int | None = None,
     progress: bool | None = None,
     errors: Literal["raise"] = "raise",
@@ -44,11 +45,42 @@ def fit_many(
     init=None,
     method: str | Method = DEFAULT_METHOD,
     *,
+    every: Literal[False] = False,
     workers: int | None = None,
     progress: bool | None = None,
     errors: Literal["return"],
     **settings,
 ) -> list[FitResult | LiaamError]: ...
+
+
+@overload
+def fit_many(
+    model: AAM,
+    images: Iterable,
+    init=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    every: Literal[True],
+    workers: int | None = None,
+    progress: bool | None = None,
+    errors: Literal["raise"] = "raise",
+    **settings,
+) -> list[list[FitResult]]: ...
+
+
+@overload
+def fit_many(
+    model: AAM,
+    images: Iterable,
+    init=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    every: Literal[True],
+    workers: int | None = None,
+    progress: bool | None = None,
+    errors: Literal["return"],
+    **settings,
+) -> list[list[FitResult] | LiaamError]: ...
 
 
 def fit_many(
@@ -57,6 +89,7 @@ def fit_many(
     init=None,
     method: str | Method = DEFAULT_METHOD,
     *,
+    every: bool = False,
     workers: int | None = None,
     progress: bool | None = None,
     errors: str = "raise",
@@ -78,6 +111,9 @@ def fit_many(
         (None) are searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.
+    every : bool
+        Fit every object that the search finds in an image, instead of one. Without this, ``result.n_found`` says how
+        many there are.
     workers : int, optional
         Number of threads; by default one per core available to the process.
     progress : bool, optional
@@ -92,7 +128,8 @@ def fit_many(
     Returns
     -------
     list of FitResult
-        In the order of the images; with ``errors="return"``, LiaamError for images that cannot be fitted.
+        In the order of the images; with ``every``, a list of results for each image (:meth:`Fitter.fit_all`). With
+        ``errors="return"``, LiaamError for images that cannot be fitted.
 
     Raises
     ------
@@ -106,7 +143,7 @@ def fit_many(
     >>> shapes = [result.landmarks for result in results if result.status.ok]               # doctest: +SKIP
     """
     fitter = Fitter.of(model, method, **settings)
-    return list(fit_each(fitter, images, init, workers=workers, progress=progress, errors=errors))
+    return list(fit_each(fitter, images, init, every=every, workers=workers, progress=progress, errors=errors))
 
 
 def fit_each(
@@ -114,6 +151,7 @@ def fit_each(
     images: Iterable,
     init=None,
     *,
+    every: bool = False,
     workers: int | None = None,
     progress: bool | None = None,
     errors: str = "raise",
@@ -125,26 +163,28 @@ def fit_each(
     Parameters
     ----------
     fitter : Fitter
-    images, init, workers, progress, errors
+    images, init, every, workers, progress, errors
         As for :func:`fit_many`.
 
     Yields
     ------
-    FitResult or LiaamError
+    FitResult, list of FitResult, or LiaamError
     """
     workers = all_cores() if workers is None else workers
     if workers < 1:
         raise MethodError(f"workers {workers} is too small; give 1 or more, or leave it out for one per core")
     if errors not in ERRORS:
         raise MethodError(f"unknown errors {errors!r}; choose from {', '.join(ERRORS)}")
-    n_images = _count(images)
-    return _fits(fitter, _tasks(images, starts_for(init, n_images)), workers, n_images, progress, errors)
+    if every and init is not None:
+        raise StartError("every object is searched for, and init gives the place of one: use only one of them")
+    n_images, perform = _count(images), partial(_fit, fitter, every, errors)
+    return _fits(perform, _tasks(images, starts_for(init, n_images)), workers, n_images, progress)
 
 
 def _fits(
-    fitter: Fitter, tasks: Iterable["_Task"], workers: int, n_images: int | None, progress: bool | None, errors: str
+    perform: Callable, tasks: Iterable["_Task"], workers: int, n_images: int | None, progress: bool | None
 ) -> Generator[Any, None, None]:
-    done, perform = 0, partial(_fit, fitter, errors)
+    done = 0
     threads = workers if n_images is None else max(1, min(workers, n_images))
     with one_thread(), progress_bar("images", n_images, progress) as tell:
         fits = in_order(perform, tasks, threads, tick=lambda: tell(done))
@@ -165,9 +205,9 @@ class _Task(NamedTuple):
         return f"images[{self.number}]"
 
 
-def _fit(fitter: Fitter, errors: str, task: _Task) -> FitResult | LiaamError:
+def _fit(fitter: Fitter, every: bool, errors: str, task: _Task) -> FitResult | list[FitResult] | LiaamError:
     try:
-        return fitter.fit(task.image, task.init, task.name)
+        return fitter.fit_all(task.image, task.name) if every else fitter.fit(task.image, task.init, task.name)
     except LiaamError as error:
         if errors == "raise":
             raise

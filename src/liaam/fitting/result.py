@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import Contours, new_axes, plot_landmarks, png_bytes, zoom_to
+from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_list, short_repr
+from liaam.evaluation import Contours, finite_list, short_repr
 from liaam.fitting.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
-from liaam.fitting.search import Candidate
+from liaam.fitting.search import Candidate, are_beside
 from liaam.io.files import count_of
 from liaam.io.tables import Columns, landmark_columns, to_dataframe
 from liaam.model.shape import Similarity
@@ -184,11 +184,13 @@ class FitResult:
         The fitted method.
     found : Candidate, optional
         The detection that the fit started from; None if the start was given.
+    part : int
+        Index of the shape of the model that was fitted (:attr:`liaam.AAM.parts`).
     n_starts : int
         Number of starts, more than 1 after restarts (:attr:`liaam.fitting.Fitter.restarts`). All other attributes,
         also ``history`` and ``start``, describe the fit that was kept.
     contours : tuple of (indices, closed)
-        Lines between landmarks, for drawing.
+        Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
         One name per landmark, or empty if the training images have none.
     image : array or Path, optional
@@ -213,6 +215,7 @@ class FitResult:
     quality: float
     method: Method
     found: Candidate | None = None
+    part: int = 0
     n_starts: int = 1
     contours: Contours = ()
     landmark_names: tuple[str, ...] = ()
@@ -253,6 +256,17 @@ class FitResult:
         return self.found is not None and self.found.doubtful and not self.quality >= LEAST_QUALITY
 
     @property
+    def n_found(self) -> int | None:
+        """Number of objects in the image that are found with certainty, this one included; None if the start was given.
+
+        Further objects count if they are at least half as large, and at least 0.3 times the image's shorter side
+        unless no large object was certain.
+        """
+        if self.found is None:
+            return None
+        return 1 + sum(are_beside(other.landmarks, self.landmarks) for other in self.found.others)
+
+    @property
     def start(self) -> np.ndarray:
         """Landmarks at the start of the fit that was kept, (n, 2) float64."""
         return self.history[0].landmarks
@@ -280,6 +294,7 @@ class FitResult:
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
             "search_score": None if self.found is None else self.found.score,
+            "n_found": self.n_found,
             "search_doubtful": None if self.found is None else self.detection_doubtful,
             "method": self.method.name,
             "status": str(self.status),

@@ -35,7 +35,7 @@ class AAM:
     n_images : int
         Number of training images.
     contours : tuple of (indices, closed)
-        Lines between landmarks, for drawing.
+        Lines through landmarks, for drawing, and along which landmarks are less certain than across.
     landmark_names : tuple of str
         One name per landmark, or empty.
     name : str

@@ -161,7 +161,8 @@ def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) ->
         yield _corrected(path, fit, fitted, complain)
     elif is_table(path):
         for row in read_rows(path):
-            yield _specimen(path, PureWindowsPath(row["path"]).stem, row, row.get("covariance"))
+            number = f"#{row['object']}" if row.get("object") else ""
+            yield _specimen(path, PureWindowsPath(row["path"]).stem + number, row, row.get("covariance"))
     else:
         yield from _of_landmarks(path, reading, complain)
 

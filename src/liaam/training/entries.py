@@ -15,6 +15,7 @@ import numpy as np
 from liaam.errors import LandmarkError, TrainingError
 from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
+from liaam.io.landmarks.contours import contour_of
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align, procrustes_mean
@@ -37,14 +38,16 @@ class Entry:
     points: np.ndarray
 
 
-def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[str, ...]]:
+def read_entries(
+    data: Iterable, contours: Iterable | None = None
+) -> tuple[list[Entry], tuple, np.ndarray, tuple[str, ...]]:
     """Read and validate samples.
 
     Also return the contours and connectivity of the first sample that has any, and the names of the landmarks if all
-    samples that name them agree.
+    samples that name them agree. ``contours``, if given, replace those of the samples.
     """
     entries: list[Entry] = []
-    contours: tuple = ()
+    found: tuple = ()
     named: dict[tuple[str, ...], tuple[tuple[str, ...], str]] = {}  # names and first image, by the names in any order
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
@@ -56,16 +59,38 @@ def read_entries(data: Iterable) -> tuple[list[Entry], tuple, np.ndarray, tuple[
                 "every image needs the same points in the same order"
             )
         entries.append(entry)
-        contours = contours or own
+        found = found or own
         if names:
             named.setdefault(tuple(sorted(names)), (names, entry.name))
     entries = _complete(entries)
     if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
-    edges = [pair for indices, closed in contours for pair in pairwise([*indices, indices[0]] if closed else indices)]
+    edges = [pair for indices, closed in found for pair in pairwise([*indices, indices[0]] if closed else indices)]
     names = next(iter(named.values()))[0] if len(named) == 1 else ()
-    return entries, contours, np.array(edges, dtype=int).reshape(-1, 2), names
+    known = found if contours is None else contours_of(contours, len(entries[0].points))
+    return entries, known, np.array(edges, dtype=int).reshape(-1, 2), names
+
+
+def contours_of(given: Iterable, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:
+    """Return contours as (indices, closed); given so, or as indices of which a repeated first closes a line.
+
+    Raises a TrainingError if one is not a line through some of n landmarks.
+    """
+    known = []
+    for each in given:
+        try:
+            indices, closed = each if len(each) == 2 and np.ndim(each[0]) == 1 else (each, False)
+            line = contour_of([int(i) for i in indices], bool(closed))
+        except (TypeError, ValueError):
+            line = None
+        if line is None or not all(0 <= i < n for i in line.indices):
+            raise TrainingError(
+                f"contour {each!r}: give the indices of the landmarks along it, 0 to {n - 1}, with the first once more "
+                "at the end if it is closed"
+            )
+        known.append((line.indices, line.closed))
+    return tuple(known)
 
 
 def _size_for(landmarks: str | os.PathLike, image: Any) -> tuple[int, int] | None:

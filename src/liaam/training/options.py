@@ -34,7 +34,7 @@ KEPT = 0.85
 """Default fraction of the variance kept by appearances of the surroundings. Their coordinates have a prior, and the
 variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM and under hard flashes, and faster."""
 
-ARGUMENTS = ("camera", "lamps", "training_lamp", "points", "features", "name", "progress")
+ARGUMENTS = ("camera", "lamps", "training_lamp", "points", "features", "contours", "name", "progress")
 """Arguments of :func:`liaam.train` by name besides the options, for messages."""
 
 CAMERA_OPTIONS = {

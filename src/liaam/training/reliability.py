@@ -5,25 +5,27 @@ threshold depends on the object and the model. Training therefore fits models to
 starts, and at the best wrong places that a search finds.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from liaam.evaluation import point_error
+from liaam.evaluation import outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.levels import LinearImage
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.fitting.search import Finder
+from liaam.fitting.search import Candidate, Finder
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import is_searchable
 from liaam.fitting.uncertainty import fitted_covariances
 from liaam.model import AAM, Reliability
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
+from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened
 
 RIGHT, WRONG = 0.03, 0.06
-"""Mean distance from the landmarks, as a fraction of the shape's diagonal: a fit is right up to the first and wrong
-beyond the second. Fits in between are not used."""
+"""Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
+fit is right up to the first and wrong beyond the second. Fits in between are not used."""
 
 OPTIONS = SolverOptions(max_iterations=20)
 """Right fits converge sooner; wrong ones need not converge."""
@@ -31,19 +33,8 @@ OPTIONS = SolverOptions(max_iterations=20)
 PLACES = 3
 """Places of the search that are fitted in an image, besides those that fill the frame."""
 
-SHRINK = 5.0
-"""Weight, in left-out images, of the average over all landmarks in the estimate of one landmark's covariance."""
-
-TAIL, STEADY = 12.0, 10.0
-"""Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
-underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half of
-TAIL."""
-
 RARE = 0.05
 """Fraction of right fits whose quality is below :attr:`liaam.model.Reliability.typical`."""
-
-LARGEST_FACTOR = 10.0
-"""Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +48,35 @@ class LeftOut:
     image: np.ndarray
     points: np.ndarray
     relit: bool = False
+
+
+class LeftOutFit(NamedTuple):
+    """A fit to a left-out image.
+
+    ``error`` is the mean distance of the landmarks from the true ones, or of those on contours from the true contours,
+    as a fraction of the shape's diagonal; ``near`` fits start near the object. The rest is in pixels of the frame.
+    """
+
+    near: bool
+    error: float
+    evidence: np.ndarray
+    """(2,) float64"""
+    errors: np.ndarray
+    """(n, 2) float64: true minus fitted landmarks."""
+    spreads: np.ndarray
+    """(n, 2, 2) float64: covariances of the landmarks by the fit."""
+    surprise: float
+    unit: float
+
+    @property
+    def right(self) -> bool:
+        """Whether the fit is right."""
+        return self.error <= RIGHT
+
+    @property
+    def wrong(self) -> bool:
+        """Whether the fit is wrong."""
+        return self.error > WRONG
 
 
 def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
@@ -73,42 +93,64 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     Reliability or None
         None if there are too few right fits to learn from.
     """
-    seen, right, errors, spreads, surprises, units, fitter = [], [], [], [], [], [], None
-    finder = Finder(model)
+    return learnt_from(model, list(_fits_of(pictures, Finder(model))))
+
+
+def _fits_of(pictures: Iterable[LeftOut], finder: Finder) -> Iterator[LeftOutFit]:
+    """Fit left-out images from near and far starts, and at the wrong place that explains most."""
+    fitter = None
     for i, picture in enumerate(pictures):
         rng = np.random.default_rng([7, i])
         if fitter is None or fitter.model is not picture.model:
             fitter = Fitter(picture.model, DEFAULT_METHOD, OPTIONS, restarts=False)
-        for near, start in ((True, _near(picture, rng)), (False, _far(picture, rng))):
-            result = fitter.fit(picture.image, start)
-            if result.status.lost:
-                continue
-            error = point_error(result.landmarks, picture.points) / diagonal_of(picture.points)
-            if not np.isfinite(error) or not np.isfinite(result.evidence).all():
-                continue
-            if near and error <= WRONG:
-                unposed, shapes = result.pose.inverse(), fitter.shapes
-                errors.append((picture.points - result.landmarks) @ unposed.matrix.T)
-                spreads.append(fitted_covariances(shapes, result.covariance))
-                units.append(result.residual_variance)
-                surprises.append(_surprise(shapes.parameters(unposed(picture.points)) - result.p, result.covariance))
-            if not RIGHT < error <= WRONG:
-                seen.append(result.evidence)
-                right.append(error <= RIGHT)
-        elsewhere = None if picture.relit else _elsewhere(picture, fitter, finder)
-        if elsewhere is not None:
-            seen.append(elsewhere)
-            right.append(False)
-    if sum(right) < 3 or not errors:
+        starts = [_near(picture, rng), _far(picture, rng)]
+        yield from (fit for k, start in enumerate(starts) if (fit := _fit(picture, fitter, start, k == 0)))
+        if picture.relit or not is_searchable(finder.model):
+            continue
+        found = finder.others_in(LinearImage(picture.image, fitter.model.response), PLACES)
+        wrong = [fit for place in found if (fit := _fit(picture, fitter, place)) and fit.wrong]
+        yield from sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
+
+
+def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Candidate, near: bool = False) -> LeftOutFit | None:
+    """Fit a left-out image; None if the fit is lost by its status."""
+    result, model = fitter.fit(picture.image, start), picture.model
+    if result.status.lost or not (np.isfinite(result.landmarks).all() and np.isfinite(result.evidence).all()):
         return None
-    weights = _weights(np.array(seen), np.array(right))
+    error = outline_errors(result.landmarks, picture.points, model.contours).mean() / diagonal_of(picture.points)
+    unposed, shapes = result.pose.inverse(), fitter.shapes
+    off = shapes.parameters(unposed(picture.points)) - result.p
+    return LeftOutFit(
+        near,
+        float(error),
+        result.evidence,
+        (picture.points - result.landmarks) @ unposed.matrix.T,
+        fitted_covariances(shapes, result.covariance),
+        surprise(off, result.covariance),
+        result.residual_variance,
+    )
+
+
+def learnt_from(model: AAM, fits: Sequence[LeftOutFit]) -> Reliability | None:
+    """Learn the quality and the errors of a model's fits from fits to left-out images; None if too few are right."""
+    judged, known = [fit for fit in fits if fit.right or fit.wrong], [fit for fit in fits if fit.near and not fit.wrong]
+    evidence, right = np.array([fit.evidence for fit in judged]), np.array([fit.right for fit in judged], bool)
+    if right.sum() < 3 or not known:
+        return None
+    weights = _weights(evidence, right)
     if not weights[1] > 0:  # quality must increase with the explained contrast
         return None
-    variance_factor = _variance_factor(np.array(surprises))
-    landmarks = _by_shape(model)
-    bias = _beyond(np.array(errors), variance_factor * np.array(spreads), landmarks)
-    made = Reliability(landmarks, bias, float(np.mean(units)), weights, variance_factor)
-    qualities = [made.quality(own) for own, is_right in zip(seen, right, strict=True) if is_right]
+    alike = Alike.of(model.shape_model.mean, model.contours)
+    about = learn_covariances(
+        np.array([fit.errors for fit in known]),
+        np.array([fit.spreads for fit in known]),
+        variance_factor(np.array([fit.surprise for fit in known])),
+        np.array([fit.unit for fit in known]),
+        _by_shape(model, alike),
+        alike,
+    )
+    made = Reliability(weights=weights, **about)
+    qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
     return replace(made, typical=float(np.quantile(qualities, RARE)))
 
 
@@ -130,60 +172,11 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
     return (shape - centre) @ rotation(angle).T + centre + step
 
 
-def _elsewhere(picture: LeftOut, fitter: Fitter, finder: Finder) -> np.ndarray | None:
-    """Return the evidence of the wrong fit that explains most, among the places that a search finds."""
-    found = []
-    if not is_searchable(finder.model):
-        return None
-    for candidate in finder.others_in(LinearImage(picture.image, fitter.model.response), PLACES):
-        result = fitter.fit(picture.image, candidate)
-        error = point_error(result.landmarks, picture.points) / diagonal_of(picture.points)
-        if error > WRONG and not result.status.lost and np.isfinite(result.evidence).all():
-            found.append(result.evidence)
-    return max(found, key=lambda evidence: evidence[0], default=None)
-
-
-def _surprise(error: np.ndarray, spread: np.ndarray) -> float:
-    """Return the squared Mahalanobis distance of p's error (n_p,) divided by n_p: 1 if the covariance is right.
-
-    NaN for a singular covariance (n_q, n_q).
-    """
-    n_p = len(error)
-    try:
-        return float(error @ np.linalg.solve(spread[:n_p, :n_p], error)) / n_p
-    except np.linalg.LinAlgError:
-        return np.nan
-
-
-def _variance_factor(surprises: np.ndarray) -> float:
-    """Return the factor on a fit's own variances: a geometric mean of surprises (m,), shrunk to 1 if there are few."""
-    logs = np.log(np.maximum(surprises[np.isfinite(surprises)], 1e-6))
-    return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, LARGEST_FACTOR))
-
-
-def _beyond(errors: np.ndarray, spreads: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """Return the covariance (n, 2, 2) of errors (m, n, 2) beyond that of fits (m, n, 2, 2) and of shapes (n, 2, 2)."""
-    moments = _positive(np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0))
-    return _positive(_widened(moments, len(errors)) - landmarks)
-
-
-def _positive(matrices: np.ndarray) -> np.ndarray:
-    """Set negative eigenvalues of symmetric matrices (n, 2, 2) to 0."""
-    values, vectors = np.linalg.eigh(matrices)
-    return np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors)
-
-
-def _widened(moments: np.ndarray, m: int) -> np.ndarray:
-    """Shrink second moments (n, 2, 2) of m errors towards the mean of all landmarks, and inflate them."""
-    pooled = 0.5 * float(np.trace(moments, axis1=1, axis2=2).mean()) * np.eye(2)
-    return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / (m + STEADY))
-
-
-def _by_shape(model: AAM) -> np.ndarray:
+def _by_shape(model: AAM, alike: Alike) -> np.ndarray:
     """Return the covariance (n, 2, 2) of left-out shapes: a lower bound, because lost fits are not among the errors."""
     unexplained = model.views[METHODS[DEFAULT_METHOD].view].shape_model.unexplained
     nothing = np.zeros((model.n_points, 2, 2))
-    return nothing if unexplained is None else _widened(unexplained, model.n_images)
+    return nothing if unexplained is None else widened(unexplained, model.n_images, alike)
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -42,6 +42,7 @@ def train(
     training_lamp: str | None = None,
     points: Points | None = None,
     features: FeatureFunction | None = None,
+    contours: Iterable | None = None,
     name: str = "",
     progress: Progress | bool | None = None,
     **changes: Any,
@@ -72,6 +73,9 @@ def train(
         A function from an image (h, w, 3) float32, sRGB values in [0, 1], to its channels (h, w, c) float, for
         :func:`liaam.fitting.features_method`. The model keeps its name, and a projection to 7 channels if there are
         more.
+    contours : iterable of sequences of int, optional
+        Lines through landmarks, such as the jaw: their indices in turn, from 0, with the first once more at the end if
+        the line is closed. Along contours landmarks are less certain than across. Default: those of the landmark files.
     name : str
         Name of the model, for display.
     progress : bool or callable, optional
@@ -96,7 +100,7 @@ def train(
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     check_camera(camera)
-    entries, *about = read_entries(data)
+    entries, *about = read_entries(data, contours)
     shapes, names = np.array([entry.points for entry in entries]), [entry.name for entry in entries]
     groups = shape_groups(shapes, names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | Lamps | None):

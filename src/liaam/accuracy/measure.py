@@ -1,208 +1,34 @@
-"""How accurate a model's fits are: errors on landmarked images that were not used for training."""
+"""Fit a model to landmarked images that were not used for training, and compare."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from liaam.accuracy.result import Evaluation
 from liaam.datasets import Sample
 from liaam.errors import LandmarkError, LiaamError
-from liaam.evaluation import landmark_errors, within_ellipses
-from liaam.fitting import FitResult, FitStatus, Fitter, Method, fit_each
+from liaam.evaluation import Contours, landmark_errors
+from liaam.fitting import FitResult, Fitter, Method, fit_each
 from liaam.fitting.many import starts_for
 from liaam.fitting.methods import DEFAULT_METHOD, get_method
-from liaam.io import Landmarks, read_landmarks, to_dataframe
-from liaam.io.files import count_of, some_names
-from liaam.io.tables import Columns, landmark_columns
+from liaam.io import Landmarks, read_landmarks
+from liaam.io.files import some_names
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.morphometry.measures import Measure
 from liaam.morphometry.table import indices_of
-from liaam.plotting.errors import figure_of_worst, plot_cumulative
 from liaam.training import train
+from liaam.training.entries import contours_of
 from liaam.training.left_out import folds_of
-
-if TYPE_CHECKING:
-    import pandas
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 LIMIT, LIMIT_BY_DISTANCE = 0.03, 0.08
 """Largest mean error of a right fit by default: as a fraction of the diagonal of the landmarks' box, up to which
 training counts left-out fits as right, and of a given distance, as is usual for that between the eyes."""
 
 DIAGONAL = "the diagonal of the landmarks' box"
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Fits to k landmarked images, beside their n landmarks.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Name of each image.
-    images : tuple of array or Path
-        The images.
-    truths : (k, n, 2) float64
-        Landmarks of the images, pixels; NaN where missing.
-    landmarks : (k, n, 2) float64
-        Landmarks of the fits, pixels.
-    covariances : (k, n, 2, 2) float64
-        Their covariances, square pixels.
-    qualities : (k,) float64
-        Quality of each fit, 0 to 1; NaN if unknown.
-    statuses : tuple of FitStatus
-        Status of each fit.
-    sizes : (k,) float64
-        Normaliser of each image: the length that errors are divided by, pixels.
-    normaliser : str
-        What the normaliser is.
-    limit : float
-        Largest mean error of a right fit, as a fraction of the normaliser.
-    landmark_names : tuple of str
-        One name per landmark, or empty.
-    left_out : tuple of str
-        Why images were not evaluated, one sentence each.
-    """
-
-    names: tuple[str, ...]
-    images: tuple[Any, ...]
-    truths: np.ndarray
-    landmarks: np.ndarray
-    covariances: np.ndarray
-    qualities: np.ndarray
-    statuses: tuple[FitStatus, ...]
-    sizes: np.ndarray
-    normaliser: str
-    limit: float
-    landmark_names: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()
-
-    def __repr__(self) -> str:
-        return f"Evaluation({count_of(len(self), 'image')}, median error {_percentile(self.errors, 50):.2%})"
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @cached_property
-    def distances(self) -> np.ndarray:
-        """Distance of each landmark from the truth, (k, n) float64, pixels; NaN where the truth is missing."""
-        return landmark_errors(self.landmarks, self.truths)
-
-    @cached_property
-    def errors(self) -> np.ndarray:
-        """Mean error of each image, (k,) float64, as a fraction of its normaliser; infinite if the fit diverged."""
-        return np.nanmean(self.distances, axis=1) / self.sizes
-
-    @property
-    def right(self) -> np.ndarray:
-        """Whether the error of each image is at most the limit, (k,) bool."""
-        return self.errors <= self.limit
-
-    @property
-    def called_right(self) -> np.ndarray:
-        """Whether the status of each fit says that its landmarks may be used, (k,) bool."""
-        return np.array([status.ok for status in self.statuses])
-
-    @property
-    def outcomes(self) -> list[str]:
-        """Outcome of each image.
-
-        ``right``; ``refused``: right, but not called right; ``lost``: wrong; or ``silent``: wrong, but called right.
-        """
-        words = {(True, True): "right", (True, False): "refused", (False, False): "lost", (False, True): "silent"}
-        return [words[pair] for pair in zip(self.right.tolist(), self.called_right.tolist(), strict=True)]
-
-    @cached_property
-    def inside(self) -> np.ndarray:
-        """Whether the 95 % ellipse of each landmark holds the truth, (k, n) float64: 1, 0, or NaN if unknown."""
-        return within_ellipses(self.landmarks, self.truths, self.covariances)
-
-    @property
-    def coverage(self) -> float:
-        """Fraction of the landmarks inside their 95 % ellipses, of fits called right; NaN if there are none."""
-        return _mean(self.inside[self.called_right])
-
-    def to_columns(self) -> Columns:
-        """Return one row per image and landmark: as of fits, and the truth and its distance (``error``, pixels)."""
-        parts = [
-            landmark_columns({"image": name}, own, spread, self.landmark_names, quality=quality, status=str(status))
-            for name, own, spread, quality, status in zip(
-                self.names, self.landmarks, self.covariances, self.qualities.tolist(), self.statuses, strict=True
-            )
-        ]
-        found = {column: [cell for part in parts for cell in part[column]] for column in parts[0]}
-        relative = 100 * self.distances / self.sizes[:, None]
-        x, y = self.truths[..., 0].ravel().tolist(), self.truths[..., 1].ravel().tolist()
-        errors = {"error": self.distances.ravel().tolist(), "error_percent": relative.ravel().tolist()}
-        return found | {"true_x": x, "true_y": y, **errors, "inside": self.inside.ravel().tolist()}
-
-    def to_dataframe(self) -> "pandas.DataFrame":
-        """Convert to a pandas data frame with the columns of :meth:`to_columns`."""
-        return to_dataframe(self)
-
-    def by_image(self) -> Columns:
-        """Return one row per image: its mean error in pixels and in per cent of the normaliser, and the outcome."""
-        return {
-            "image": list(self.names),
-            "error": (self.errors * self.sizes).tolist(),
-            "error_percent": (100 * self.errors).tolist(),
-            "normaliser": self.sizes.tolist(),
-            "quality": self.qualities.tolist(),
-            "status": [str(status) for status in self.statuses],
-            "outcome": self.outcomes,
-        }
-
-    def by_landmark(self) -> Columns:
-        """Return one row per landmark: median and 90th percentile of its errors, and the coverage of its ellipses."""
-        n, relative = self.landmarks.shape[1], 100 * self.distances / self.sizes[:, None]
-        inside = self.inside[self.called_right]
-        return {
-            "landmark": list(range(1, n + 1)),
-            "name": list(self.landmark_names) or [""] * n,
-            "median": [_percentile(column, 50) for column in self.distances.T],
-            "p90": [_percentile(column, 90) for column in self.distances.T],
-            "median_percent": [_percentile(column, 50) for column in relative.T],
-            "p90_percent": [_percentile(column, 90) for column in relative.T],
-            "inside_percent": [100 * _mean(column) for column in inside.T],
-        }
-
-    def report(self) -> str:
-        """Summarise the errors, the outcomes and the coverage, as text."""
-        k, outcomes, percent = len(self), self.outcomes, 100 * self.errors
-        silent = outcomes.count("silent")
-        held = "unknown, since no fit is called right" if np.isnan(self.coverage) else f"{self.coverage:.1%}"
-        median, p90, largest = (_percentile(percent, q) for q in (50, 90, 100))
-        lines = [
-            f"{count_of(k, 'image')}; mean error in % of {self.normaliser}: median {median:.2f}, 90th percentile "
-            f"{p90:.2f}, largest {largest:.2f}",
-            f"lost (error above {self.limit:.1%}): {outcomes.count('lost') + silent} of {k}, of which silent (called "
-            f"right): {silent}",
-            f"refused (right, but called doubtful or failed): {outcomes.count('refused')}",
-            f"landmarks inside their 95 % ellipses, of fits called right: {held}",
-        ]
-        if self.left_out:
-            lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
-        return "\n".join(lines)
-
-    def worst(self, count: int = 10) -> np.ndarray:
-        """Return the indices of the images with the largest errors, (min(k, count),) int64, the largest first."""
-        return np.argsort(-self.errors, kind="stable")[:count]
-
-    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Draw the cumulative distribution of the images' errors and the limit with Matplotlib."""
-        return plot_cumulative(self.errors, self.limit, f"mean error, % of {self.normaliser}", ax)
-
-    def plot_worst(self, count: int = 10) -> "Figure":
-        """Draw the images with the largest errors: their landmarks, and those of the fits."""
-        shown = self.worst(count)
-        titles = [f"{self.names[i]}\n{self.errors[i]:.1%}, {self.statuses[i]}" for i in shown]
-        return figure_of_worst([self.images[i] for i in shown], self.truths[shown], self.landmarks[shown], titles)
 
 
 class _Case(NamedTuple):
@@ -216,10 +42,11 @@ class _Case(NamedTuple):
 
 
 class _Protocol(NamedTuple):
-    """What fits are compared with: names and number of landmarks, the normaliser, its name, and the limit."""
+    """What fits are compared with: names, number and contours of landmarks, the normaliser, its name, and the limit."""
 
     names: tuple[str, ...]
     n_points: int
+    contours: Contours
     size_of: Callable[[np.ndarray], float]
     normaliser: str
     limit: float
@@ -276,7 +103,7 @@ def evaluate(
     >>> found.to_dataframe().groupby("landmark").error.median()                             # doctest: +SKIP
     """
     fitter, samples = Fitter.of(model, method, **settings), _samples(samples)
-    protocol = _protocol(samples, model.landmark_names, model.n_points, normalise, limit)
+    protocol = _protocol(samples, model.landmark_names, model.n_points, model.contours, normalise, limit)
     cases, left_out = _cases(samples, protocol)
     starts = _starts(init, cases, len({_key(sample.image) for sample in samples}))
     return _evaluation(zip(cases, _fits(fitter, cases, starts, workers, progress), strict=True), protocol, left_out)
@@ -324,7 +151,8 @@ def cross_validate(
     if not samples:
         raise LiaamError("there are no images to evaluate; give landmarked images")
     first, name = samples[0].landmarks, get_method(method).name
-    protocol = _protocol(samples, first.names, len(first.points), normalise, limit)
+    contours = contours_of((training or {}).get("contours") or (), len(first.points))
+    protocol = _protocol(samples, first.names, len(first.points), contours, normalise, limit)
     cases, left_out = _cases(samples, protocol)
     options: dict[str, Any] = {"methods": () if name == DEFAULT_METHOD else name, "progress": progress}
     done: dict[int, FitResult | LiaamError] = {}
@@ -356,13 +184,23 @@ def _sample(pair: Any, i: int) -> Sample:
 
 
 def _protocol(
-    samples: Sequence[Sample], names: tuple[str, ...], n_points: int, normalise: str | None, limit: float | None
+    samples: Sequence[Sample],
+    names: tuple[str, ...],
+    n_points: int,
+    contours: Contours,
+    normalise: str | None,
+    limit: float | None,
 ) -> _Protocol:
     names = names or next((sample.landmarks.names for sample in samples if sample.landmarks.names), ())
+    alike = [
+        each.landmarks for each in samples if len(each.landmarks) == n_points and each.landmarks.names in ((), names)
+    ]
+    theirs = next((each.contours for each in alike if each.contours), ())
+    contours = contours or tuple((own.indices, own.closed) for own in theirs)
     if limit is not None and not 0 < limit < np.inf:
         raise LiaamError(f"limit {limit:g}: give a positive fraction of the normaliser, such as {LIMIT}")
     if normalise is None:
-        return _Protocol(names, n_points, _diagonal, DIAGONAL, limit or LIMIT)
+        return _Protocol(names, n_points, contours, _diagonal, DIAGONAL, limit or LIMIT)
     try:
         landmarks = Measure.parse(f"distance:{normalise}").landmarks
     except LiaamError:
@@ -374,7 +212,7 @@ def _protocol(
     def distance(points: np.ndarray) -> float:
         return float(np.linalg.norm(np.subtract(*points[ends])))
 
-    return _Protocol(names, n_points, distance, what, limit or LIMIT_BY_DISTANCE)
+    return _Protocol(names, n_points, contours, distance, what, limit or LIMIT_BY_DISTANCE)
 
 
 def _diagonal(points: np.ndarray) -> float:
@@ -466,18 +304,5 @@ def _evaluation(
         limit=protocol.limit,
         landmark_names=protocol.names,
         left_out=tuple(faults),
+        contours=tuple(protocol.contours),
     )
-
-
-def _percentile(values: np.ndarray, percent: float) -> float:
-    """Return a percentile of the values that are known; infinite where it lies among infinite ones."""
-    known = values[~np.isnan(values)]
-    if not len(known):
-        return np.nan
-    with np.errstate(invalid="ignore"):  # between two infinite values
-        return float(np.nan_to_num(np.percentile(known, percent), nan=np.inf, posinf=np.inf))
-
-
-def _mean(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else np.nan

@@ -1,0 +1,124 @@
+"""Fit one image, with fitters that are kept for the next call."""
+
+from dataclasses import replace
+from threading import Lock
+from typing import Any
+
+from liaam.fitting.fitter import Fitter
+from liaam.fitting.level_image import MARGIN
+from liaam.fitting.methods import DEFAULT_METHOD, Method
+from liaam.fitting.result import FitResult
+from liaam.model import AAM, load_model
+from liaam.models import MODELS
+from liaam.photometry import CameraModel
+
+FITTERS_KEPT = 4
+"""Number of fitters that :func:`fit` keeps with a model, so that calls in a loop cost what :meth:`Fitter.fit` costs."""
+
+_turn = Lock()
+
+
+def _kept_fitter(
+    model: AAM, method: str | Method, camera: CameraModel | None, rotations: str, restarts: bool, margin: float, options
+) -> Fitter:
+    """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
+
+    def make() -> Fitter:
+        about = {"camera": camera, "rotations": rotations, "restarts": restarts, "margin": margin}
+        return Fitter.of(model, method, **about, **options)
+
+    if not isinstance(model, AAM):
+        return make()  # which says what is wrong
+    key = method, id(camera), rotations, restarts, margin, *sorted(options.items())
+    with _turn:
+        kept = vars(model).setdefault("_fitters", {})
+        fitter = kept.pop(key, None)
+        if fitter is not None and fitter.camera is camera:
+            kept[key] = fitter  # the last used is dropped last
+            return fitter
+    fitter = make()
+    with _turn:
+        kept[key] = fitter
+        while len(kept) > FITTERS_KEPT:
+            kept.pop(next(iter(kept)))
+    return fitter
+
+
+def fit(
+    model: AAM | str,
+    image,
+    init=None,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    camera: CameraModel | None = None,
+    rotations: str = "upright",
+    restarts: bool = True,
+    margin: float = MARGIN,
+    **options,
+) -> FitResult:
+    """Fit a model to one image. For many images use :func:`fit_many`, or make a :class:`Fitter` once.
+
+    Parameters
+    ----------
+    model : AAM or "face"
+        A model, or the name of one that comes with liaam (:data:`liaam.models.MODELS`).
+    image : (h, w, 3) uint8, uint16 or float array, or path
+    init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
+        Start, image pixels (see :meth:`Fitter.fit`). If None, the object is searched for.
+    method : str or Method
+        See :data:`liaam.fitting.METHODS`.
+    camera, rotations, restarts, margin
+        As for :class:`Fitter`.
+    **options
+        Fields of :class:`liaam.fitting.SolverOptions`, such as ``max_iterations``.
+
+    Returns
+    -------
+    FitResult
+        Also for a fit that fails: see its ``status``.
+
+    Raises
+    ------
+    ImageError, StartError, MethodError
+        If an argument is invalid.
+    """
+    fitter = _kept_fitter(_known(model), method, camera, rotations, restarts, margin, options)
+    result = fitter.fit(image, init)
+    return result if result.image is not None else replace(result, image=image)
+
+
+def fit_all(
+    model: AAM | str,
+    image,
+    method: str | Method = DEFAULT_METHOD,
+    *,
+    camera: CameraModel | None = None,
+    rotations: str = "upright",
+    restarts: bool = True,
+    margin: float = MARGIN,
+    **options,
+) -> list[FitResult]:
+    """Fit a model to every object that the search finds in an image.
+
+    Parameters
+    ----------
+    model, image, method, camera, rotations, restarts, margin, **options
+        As for :func:`fit`.
+
+    Returns
+    -------
+    list of FitResult
+        The best detection first, at most 20.
+
+    Raises
+    ------
+    ImageError, StartError, MethodError
+        If an argument is invalid, or if no object is found.
+    """
+    results = _kept_fitter(_known(model), method, camera, rotations, restarts, margin, options).fit_all(image)
+    return [result if result.image is not None else replace(result, image=image) for result in results]
+
+
+def _known(model: Any) -> Any:
+    """Return a model that is given by its name."""
+    return load_model(model) if isinstance(model, str) and model in MODELS else model

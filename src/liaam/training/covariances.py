@@ -1,0 +1,134 @@
+"""Covariances of landmarks, learnt from the errors of fits to left-out images, along and across contours apart."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from liaam.evaluation import Contours, contour_directions
+
+SHRINK = 5.0
+"""Weight, in left-out images, of the average over landmarks that are alike in the estimate of one's covariance."""
+
+TAIL, STEADY = 12.0, 10.0
+"""Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
+underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half of
+TAIL."""
+
+LARGEST_FACTOR = 10.0
+"""Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones."""
+
+SCALES = (0.4, 2.5)
+"""Range of the factors by which the variances along and across a contour are corrected in the end. They change no
+variance of models without contours. A common factor would be too small for objects that few images show: scaled to
+agree with left-out errors exactly, ellipses of a model of 30 faces hold 86 % instead of 90 %."""
+
+
+def surprise(error: np.ndarray, spread: np.ndarray) -> float:
+    """Return the squared Mahalanobis distance of p's error (n_p,) divided by n_p: 1 if the covariance is right.
+
+    NaN for a singular covariance (n_q, n_q).
+    """
+    n_p = len(error)
+    try:
+        return float(error @ np.linalg.solve(spread[:n_p, :n_p], error)) / n_p
+    except np.linalg.LinAlgError:
+        return np.nan
+
+
+def variance_factor(surprises: np.ndarray) -> float:
+    """Return the factor on a fit's own variances: a geometric mean of surprises (m,), shrunk to 1 if there are few."""
+    logs = np.log(np.maximum(surprises[np.isfinite(surprises)], 1e-6))
+    return float(np.clip(np.exp(logs.sum() / (len(logs) + SHRINK)), 1.0, LARGEST_FACTOR))
+
+
+class Alike(NamedTuple):
+    """Variances of landmarks that are alike: along a contour, across it, and both of all landmarks on no contour."""
+
+    groups: np.ndarray
+    """(n, 2) int64: the same number for variances that are alike."""
+    axes: np.ndarray
+    """(n, 2, 2) float64: unit vectors along and across the contour."""
+
+    @classmethod
+    def of(cls, shape: np.ndarray, contours: Contours) -> "Alike":
+        """Group the landmarks of a mean shape (n, 2)."""
+        groups, along = np.zeros(shape.shape, int), contour_directions(shape, contours)
+        for i, (indices, _) in enumerate(contours):
+            groups[list(indices)] = 2 * i + 1, 2 * i + 2
+        on = np.isfinite(along)
+        along = np.where(on, along, [1.0, 0.0])
+        return cls(np.where(on, groups, 0), np.stack([along, along[:, ::-1] * [-1.0, 1.0]], axis=1))
+
+    def variances(self, moments: np.ndarray) -> np.ndarray:
+        """Return the variances along and across, (..., n, 2), of second moments (..., n, 2, 2)."""
+        return np.einsum("nia,...nab,nib->...ni", self.axes, moments, self.axes)
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Return the mean of values (n, 2) over those that are alike, (n, 2)."""
+        groups = self.groups.ravel()
+        return (np.bincount(groups, values.ravel()) / np.maximum(np.bincount(groups), 1))[self.groups]
+
+    def scaled(self, moments: np.ndarray, factors: np.ndarray) -> np.ndarray:
+        """Multiply the variances of second moments (n, 2, 2) along and across by factors (n, 2)."""
+        half = np.einsum("ni,nia,nib->nab", np.sqrt(factors), self.axes, self.axes)
+        return half @ moments @ half
+
+
+def learn_covariances(
+    errors: np.ndarray, spreads: np.ndarray, factor: float, units: np.ndarray, landmarks: np.ndarray, alike: Alike
+) -> dict[str, Any]:
+    """Learn the covariance of each landmark beyond what fits state.
+
+    In the end the variances are scaled for each contour, along and across apart, so that the squared errors of the
+    left-out fits are the same multiple of all of them on average.
+
+    Parameters
+    ----------
+    errors : (m, n, 2) float64
+        Errors of right fits to left-out images, pixels of the frame.
+    spreads : (m, n, 2, 2) float64
+        Covariances of the landmarks by the fits.
+    factor : float
+        Factor on these (:func:`variance_factor`).
+    units : (m,) float64
+        Variances of a residual at weight 1 in these fits.
+    landmarks : (n, 2, 2) float64
+        Covariance of left-out shapes about the nearest shape of the model.
+    alike : Alike
+
+    Returns
+    -------
+    dict
+        Fields of :class:`liaam.model.Reliability`.
+    """
+    unit, fitted = float(units.mean()), factor * spreads
+    bias = beyond(errors, fitted, landmarks, alike)
+    stated = fitted + landmarks + (units / unit)[:, None, None, None] * bias
+    squares = np.square(np.einsum("nia,mna->mni", alike.axes, errors)) / alike.variances(stated)
+    scales = np.clip(alike.mean(squares.mean(axis=0)) / max(float(squares.mean()), 1e-12), *SCALES)
+    least = min(float(scales.min()), 1.0)
+    rest = alike.scaled(stated.mean(axis=0), scales) - least * (fitted.mean(axis=0) + landmarks)
+    return {
+        "landmarks": least * landmarks,
+        "bias": _positive(rest),
+        "unit": unit,
+        "variance_factor": max(least * factor, 1.0),
+    }
+
+
+def beyond(errors: np.ndarray, spreads: np.ndarray, landmarks: np.ndarray, alike: Alike) -> np.ndarray:
+    """Return the covariance (n, 2, 2) of errors (m, n, 2) beyond that of fits (m, n, 2, 2) and of shapes (n, 2, 2)."""
+    moments = _positive(np.einsum("mna,mnb->nab", errors, errors) / len(errors) - spreads.mean(axis=0))
+    return _positive(widened(moments, len(errors), alike) - landmarks)
+
+
+def widened(moments: np.ndarray, m: int, alike: Alike) -> np.ndarray:
+    """Shrink second moments (n, 2, 2) of m errors towards the mean of those that are alike, and inflate them."""
+    pooled = np.einsum("ni,nia,nib->nab", alike.mean(alike.variances(moments)), alike.axes, alike.axes)
+    return (m * moments + SHRINK * pooled) / (m + SHRINK) * (1.0 + TAIL / (m + STEADY))
+
+
+def _positive(matrices: np.ndarray) -> np.ndarray:
+    """Set negative eigenvalues of symmetric matrices (n, 2, 2) to 0."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.einsum("nai,ni,nbi->nab", vectors, np.maximum(values, 0.0), vectors)
