@@ -34,7 +34,6 @@ from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.generated import model_of_heads
 from liaam.studio.live import LiveVideos
-from liaam.studio.locking import FolderLock
 from liaam.studio.model_store import (
     ModelStore,
     follow_template,
@@ -47,6 +46,7 @@ from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
 from liaam.studio.safety import GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
+from liaam.studio.store import FolderLock
 from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
 

@@ -3,7 +3,7 @@
 :class:`Project` is the thread-safe interface for the rest of the studio. Its parts are not thread-safe, and each
 depends only on those before it in this list:
 
-- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.state_files`: the studio's own files;
+- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.store`: what the studio keeps;
 - :mod:`~liaam.studio.listing`: the pictures, and whether each can be used;
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
 - :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
@@ -41,7 +41,7 @@ from liaam.studio.review import ReviewLog, parse_who
 from liaam.studio.review_actions import ReviewActions
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
 from liaam.studio.template_change import TemplateChanges
 from liaam.studio.template_store import TemplateStore
@@ -92,38 +92,36 @@ class Project:
     root : Path
         The folder with links resolved.
     settings : Settings
-    state : StateFiles
-        The studio's own files in the folder.
+    store : Store
+        What the studio keeps for the folder.
     """
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self._folder = Folder(checked_folder(folder))
         self.root = self._folder.root
-        self.state = StateFiles(self._folder)
+        self.store = Store(self._folder)
         self._lock = threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
         self._listing = listing = Listing(self._folder, self.settings.pixels)
         listing.scan()
-        self._landmarks = LandmarkFiles(listing, self.state, self.settings.upload_bytes)
-        self._proposals = Proposals(listing, self.state)
-        self._templates = TemplateStore(listing, self.state, self._landmarks)
-        self._unchecked = Unchecked(self.state)
-        self._log = ReviewLog(self.state)
+        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
+        self._proposals = Proposals(listing, self.store)
+        self._templates = TemplateStore(listing, self.store, self._landmarks)
+        self._unchecked = Unchecked(self.store)
+        self._log = ReviewLog(self.store)
         self._states = PictureStates(
             listing, self._landmarks, self._proposals, self._templates, self._unchecked, self._log
         )
-        self._actions = ReviewActions(
-            self.state, self._landmarks, self._templates, self._states, self._log, self.settings.upload_bytes
-        )
-        self._changes = TemplateChanges(listing, self.state, self._landmarks, self._proposals, self._templates)
+        self._actions = ReviewActions(self.store, self._landmarks, self._templates, self._states, self._log)
+        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self._templates)
         self._changes.try_to_finish()
 
     @property
     def id(self) -> str:
         """Unique identifier of the folder. It survives a move; a copy has another one."""
-        return self.state.id
+        return self.store.id
 
     @property
     def stamp(self) -> str:
@@ -147,7 +145,7 @@ class Project:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
         with self._lock, suppress(LiaamError, OSError):
             _ = self.id
-            self.state.sweep()
+            self.store.sweep()
 
     def plain(self, fault: object) -> str:
         """Return an error message in which the folder's path is replaced by its name."""
@@ -157,7 +155,7 @@ class Project:
     def problems(self) -> list[str]:
         """Messages for the user about files that cannot be read, are skipped, or belong to no picture."""
         with self._lock:
-            return [*self.state.faults.values(), *self._landmarks.problems, *self._listing.notices()]
+            return [*self.store.faults.values(), *self._landmarks.problems, *self._listing.notices()]
 
     def _rescan(self) -> None:
         """Scan the folder; ignore a change of the template that cannot be finished yet."""
@@ -165,9 +163,9 @@ class Project:
         self._listing.scan()
 
     def _stamp(self) -> str:
-        listing, state = self._listing, self.state
-        faults = sorted(state.faults.items())
-        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded, listing.unlisted)
+        listing, store = self._listing, self.store
+        faults = sorted(store.faults.items())
+        known = (self._salt, store.writes, self._changes.is_pending, faults, listing.stranded, listing.unlisted)
         return revision_of(repr((known, listing.version)).encode())
 
     # Pictures -------------------------------------------------------------------------------------

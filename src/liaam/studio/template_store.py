@@ -1,4 +1,4 @@
-"""The template of a project: ``template.json``, or else the template of the first picture with landmarks."""
+"""The template of a project: the saved one, or else that of the first picture with landmarks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from liaam.studio.folder import revision_of
 from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import Listing
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_template, template_of
-
-TEMPLATE_FILE = "template.json"
 
 _MOST = 10**6
 """Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
@@ -30,17 +28,17 @@ class TemplateStore:
         Value that changes when points are added, removed or reordered.
     """
 
-    def __init__(self, listing: Listing, state: StateFiles, landmarks: LandmarkFiles) -> None:
+    def __init__(self, listing: Listing, store: Store, landmarks: LandmarkFiles) -> None:
         self.saved: Template | None = None
         self.order = ""
         self._revision = ""
         self._listing = listing
-        self._state = state
+        self._store = store
         self._landmarks = landmarks
         self._guess: Template | None = None
         self._guessed_of: Landmarks | None = None
         self._guessed_version = -1
-        stored = state.read(TEMPLATE_FILE, is_template)
+        stored = store.get("template")
         if stored is not None:
             self._take(stored)
 
@@ -94,7 +92,7 @@ class TemplateStore:
 
     def store(self, stored: Mapping[str, Any]) -> None:
         """Save a template, given as JSON with its ``revision`` and ``order``."""
-        self._state.write(TEMPLATE_FILE, stored)
+        self._store.put("template", {"": stored})
         self._take(stored)
 
     def keep(self) -> None:
@@ -106,9 +104,3 @@ class TemplateStore:
         self.saved = parse_template(stored, _MOST)
         self._revision = stored.get("revision") or ""
         self.order = stored.get("order") or ""
-
-
-def is_template(data: Any) -> bool:
-    """Whether JSON is a stored template."""
-    known = all(data.get(key) is None or isinstance(data[key], str) for key in ("revision", "order"))
-    return known and bool(parse_template(data, _MOST))
