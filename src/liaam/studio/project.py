@@ -32,6 +32,7 @@ from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import Folder, checked_folder, revision_of
+from liaam.studio.intake import Intake
 from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
@@ -116,6 +117,7 @@ class Project:
         )
         self._actions = ReviewActions(self.store, self._landmarks, self._templates, self._states, self._log)
         self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self._templates)
+        self._intake = Intake(listing, self.settings.pixels)
         self._changes.try_to_finish()
 
     @property
@@ -165,7 +167,16 @@ class Project:
     def _stamp(self) -> str:
         listing, store = self._listing, self.store
         faults = sorted(store.faults.items())
-        known = (self._salt, store.writes, self._changes.is_pending, faults, listing.stranded, listing.unlisted)
+        known = (
+            self._salt,
+            store.writes,
+            self._templates.offered,
+            self._states.slips,
+            self._changes.is_pending,
+            faults,
+            listing.stranded,
+            listing.unlisted,
+        )
         return revision_of(repr((known, listing.version)).encode())
 
     # Pictures -------------------------------------------------------------------------------------
@@ -324,6 +335,33 @@ class Project:
             known = known[: max(most // 2, most - len(fresh))]
             return [(name, self.root / name) for name in (*known, *fresh[: most - len(known)])]
 
+    def unfitted(self) -> list[tuple[str, Path]]:
+        """Return the names and paths of the usable pictures without points and without a proposal."""
+        with self._lock:
+            self._rescan()
+            proposals, landmarks = self._proposals, self._landmarks
+            found = [file for file in self._listing.pictures if proposals.of(file) is None]
+            usable = [file for file in found if not landmarks.of(file).n_placed and not self._listing.fault_of(file)]
+            return [(file.name, self.root / file.name) for file in usable]
+
+    def tag_of(self, name: str) -> str:
+        """Return the identifier of a picture's contents."""
+        with self._lock:
+            return self._find(name).tag
+
+    def take_in(self, name: str, data: bytes) -> dict[str, Any]:
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.intake.Intake.add`)."""
+        with self._lock:
+            return self._intake.add(name, data)
+
+    def set_slips(self, slips: dict[str, tuple[str, str]]) -> bool:
+        """Set the revision of the landmarks and the slip in them, by picture; return whether they have changed."""
+        with self._lock:
+            changed = slips != self._states.slips
+            self._states.slips.clear()
+            self._states.slips.update(slips)
+            return changed
+
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
         self._asked = time.monotonic()
@@ -452,6 +490,33 @@ class Project:
         """Value that changes when points are added, removed or reordered."""
         with self._lock:
             return self._templates.order
+
+    @property
+    def has_own_points(self) -> bool:
+        """Whether the template is a person's, not that of the face model."""
+        with self._lock:
+            return self._templates.is_own
+
+    @property
+    def declined(self) -> bool:
+        """Whether a person does not want the points of the face model here."""
+        return self.store.get("declined") is not None
+
+    def offer(self, template: Template | None, source: str = "") -> None:
+        """Offer a template for a folder without one; ``source`` is the name of a model that comes with liaam.
+
+        None drops the template that was offered, and the proposals for its points.
+        """
+        with self._lock:
+            if template is None:
+                self._proposals.forget()
+            self._templates.offered, self._templates.offered_by = template, source
+
+    def decline_offer(self) -> None:
+        """Drop the offered template and its proposals for good."""
+        with self._lock:
+            self.store.put("declined", {"": True})
+            self.offer(None)
 
     def template_json(self) -> dict[str, Any] | None:
         """Return the template as JSON for the page, with its ``revision``."""

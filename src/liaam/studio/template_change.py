@@ -52,10 +52,13 @@ class TemplateChanges:
         self.finish()
         self.listing.scan()
         templates = self.templates
-        old = templates.current
+        # Points of one's own may replace those that a model offers, which nobody has accepted.
+        is_offer = templates.current is not None and templates.current is templates.offered
+        old = None if is_offer and data.get("revision") is None else templates.current
         marks = [(file, marks) for file in self.listing.pictures if (marks := self.landmarks.of(file)).file]
         identity = None if old is None else list(range(len(old)))
-        is_there, is_current = template == templates.saved, data.get("revision") == templates.revision
+        revision = templates.revision if old is not None else None
+        is_there, is_current = template == templates.saved, data.get("revision") == revision
         if "revision" in data and not is_current:
             if is_there:  # sent again, since the first answer may have been lost
                 return False
@@ -63,7 +66,7 @@ class TemplateChanges:
         mapping = _mapping(data.get("mapping"), len(template), old, bool(marks))
         if is_there and (mapping == identity or not is_current):
             return False
-        moved = old is not None and mapping != identity
+        moved = is_offer or (old is not None and mapping != identity)
         change = self._change(template, old, mapping, marks, moved)
         self.is_pending = True
         self.store.put("change", {"": change})  # from here on the change will be finished, even after a crash

@@ -26,11 +26,18 @@ class TemplateStore:
     saved : Template or None
     order : str
         Value that changes when points are added, removed or reordered.
+    offered : Template or None
+        Template of a model, for a folder without any.
+    offered_by : str
+        Name of the model that comes with liaam, if that is it.
     """
 
     def __init__(self, listing: Listing, store: Store, landmarks: LandmarkFiles) -> None:
         self.saved: Template | None = None
         self.order = ""
+        self.offered: Template | None = None
+        self.offered_by = ""
+        self._saved_of = ""  # the model that offered the saved template
         self._revision = ""
         self._listing = listing
         self._store = store
@@ -51,7 +58,13 @@ class TemplateStore:
             first = next((landmarks for landmarks in found if landmarks is not None), None)
             if self._guessed_of is not first:  # the search for symmetry is slow
                 self._guessed_of, self._guess = first, None if first is None else template_of(first)
-        return self.saved or self._guess
+        return self.saved or self._guess or self.offered
+
+    @property
+    def is_own(self) -> bool:
+        """Whether there is a template that was not offered by a model that comes with liaam."""
+        current = self.current
+        return current is not None and not self._saved_of and (current is not self.offered or not self.offered_by)
 
     @property
     def needed(self) -> Template:
@@ -78,7 +91,9 @@ class TemplateStore:
     def as_json(self) -> dict[str, Any] | None:
         """Return the template as JSON for the page, with its ``revision``."""
         template = self.current
-        return None if template is None else {**template.as_json(), "revision": self.revision}
+        if template is None:
+            return None
+        return {**template.as_json(), "revision": self.revision, "offered": template is self.offered}
 
     def check(self, revision: Any, what: str) -> None:
         """Refuse a request that was made for another revision of the template."""
@@ -98,9 +113,11 @@ class TemplateStore:
     def keep(self) -> None:
         """Save a template that was taken from a landmark file."""
         if self.saved is None:
-            self.store({**self.needed.as_json(), "revision": self.revision, "order": self.order})
+            of = self.offered_by if self.needed is self.offered else ""
+            self.store({**self.needed.as_json(), "revision": self.revision, "order": self.order, "of": of})
 
     def _take(self, stored: Mapping[str, Any]) -> None:
         self.saved = parse_template(stored, _MOST)
         self._revision = stored.get("revision") or ""
         self.order = stored.get("order") or ""
+        self._saved_of = stored.get("of") or ""

@@ -17,6 +17,7 @@ export class State extends EventTarget {
     this.order = []; // names of the pictures as the list shows them
     this.folder = ""; // the subfolder that the list shows; "" for all
     this.online = true;
+    this.adding = null; // {done, total} of the files that are being added
     this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
     this._indexed = null; // the project whose pictures are in _byName
@@ -56,6 +57,14 @@ export class State extends EventTarget {
       }
     });
     return this._refreshing;
+  }
+
+  /** Fetch the project until the states of all pictures are known. */
+  async settled() {
+    for (;;) {
+      await this.refresh().catch(() => {});
+      if (!this._again && !this.project.pictures.some(({ state }) => state === "reading")) return;
+    }
   }
 
   select(name) {
@@ -170,6 +179,10 @@ export class State extends EventTarget {
     source.addEventListener("training", (event) => {
       this.project.training = JSON.parse(event.data);
       this._say("training", this.project.training);
+    });
+    source.addEventListener("fitting", (event) => {
+      this.project.fitting = JSON.parse(event.data);
+      this._say("fitting");
     });
     source.addEventListener("landmarks", (event) => {
       for (const each of [JSON.parse(event.data)].flat()) this._say("landmarks", each);

@@ -133,9 +133,9 @@ export function menu(title, labels, onchoose, attributes = {}) {
 
 export const slider = (attributes) => h("input.slider", { type: "range", ...attributes });
 
-/** A hidden field for a file, which is opened by its click(); onfile(file). */
+/** A hidden field for a file, which is opened by its click(); onfile(file, all). */
 export function fileField(onfile, attributes = {}) {
-  const onchange = () => field.files[0] && onfile(field.files[0]);
+  const onchange = () => field.files[0] && onfile(field.files[0], [...field.files]);
   const onclick = () => { field.value = ""; }; // so that the same file can be chosen again
   const field = h("input.visually-hidden", { type: "file", tabindex: "-1", onclick, onchange, ...attributes });
   return field;
