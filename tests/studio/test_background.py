@@ -57,7 +57,7 @@ def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
     background.fit_new()
     project = background.project
     assert states(project) == {"a.png": "proposed", "b.png": "proposed"}
-    assert project.template_json()["offered"] and background.models.own.facts["source"] == "face"
+    assert project.is_offered and background.models.own.facts["source"] == "face"
     assert not project.has_own_points
     marks = project.marks("a.png")
     put(project, "a.png", marks["points"], marks["revision"])  # accepted

@@ -217,6 +217,7 @@ class _Handlers:
             "version": __version__,
             "pictures": overview.pictures,
             "template": project.template_json(),
+            "offered": project.is_offered,
             "model": model_json(studio.models.current, overview.done, overview.unread),
             "training": asdict(studio.training.state),
             "versions": studio.training.versions.as_json(project.order),

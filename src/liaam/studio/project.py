@@ -498,6 +498,13 @@ class Project:
             return self._templates.is_own
 
     @property
+    def is_offered(self) -> bool:
+        """Whether the template is one that a model offers, and that nobody has accepted."""
+        with self._lock:
+            template = self._templates.current
+            return template is not None and template is self._templates.offered
+
+    @property
     def declined(self) -> bool:
         """Whether a person does not want the points of the face model here."""
         return self.store.get("declined") is not None

@@ -91,9 +91,7 @@ class TemplateStore:
     def as_json(self) -> dict[str, Any] | None:
         """Return the template as JSON for the page, with its ``revision``."""
         template = self.current
-        if template is None:
-            return None
-        return {**template.as_json(), "revision": self.revision, "offered": template is self.offered}
+        return None if template is None else {**template.as_json(), "revision": self.revision}
 
     def check(self, revision: Any, what: str) -> None:
         """Refuse a request that was made for another revision of the template."""

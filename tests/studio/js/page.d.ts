@@ -37,8 +37,6 @@ interface Template {
   mirror: number[] | null;
   points: Point[] | null;
   revision: string;
-  /** Whether a model offers it, and nobody has accepted it. */
-  offered?: boolean;
 }
 
 interface Model {
@@ -83,6 +81,8 @@ interface Project {
   version: string;
   pictures: Picture[];
   template: Template | null;
+  /** Whether a model offers the template, and nobody has accepted it. */
+  offered: boolean;
   model: Model | null;
   training: Training;
   /** Trained models, oldest first; same: measured on the pictures of the newest. */

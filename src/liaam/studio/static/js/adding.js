@@ -4,7 +4,8 @@ import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { openModel } from "./fit-only.js";
 import { takeWork } from "./handover.js";
-import { complaints, toast } from "./ui.js";
+import { baseOf } from "./strip-filters.js";
+import { toast } from "./ui.js";
 
 const AT_ONCE = 4; // files sent at a time
 const SHOWN = 3; // reasons in the summary
@@ -13,7 +14,6 @@ const UNSAVED = /^\{"kind":"liaam-studio-unsaved"/;
 
 const suffixOf = (path) => /\.[^./]+$/.exec(path.toLowerCase())?.[0] ?? "";
 const stemOf = (path) => path.slice(0, path.length - suffixOf(path).length);
-const baseOf = (path) => path.slice(path.lastIndexOf("/") + 1);
 const isVideo = ({ file, path }, { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
 
 /** All files of a drop with their paths: [{file, path}]; folders are opened. */
@@ -65,7 +65,6 @@ export function summary({ pictures, known, landmarks, placed, refused }) {
 
 export function createAdding(app) {
   const { state } = app;
-  const say = complaints();
 
   /** Take in files: [{file, path}]. A single picture is only shown if the open tab fits pictures. */
   async function take(items) {
@@ -119,9 +118,7 @@ export function createAdding(app) {
     state.adding = null;
     await state.settled();
     result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
-    say("");
-    if (result.refused.length) say(summary(result));
-    else toast(summary(result), "good");
+    toast(summary(result), result.refused.length ? "bad" : "good");
     state.dispatchEvent(new Event("added"));
     if (result.pictures && !app.guest()) app.openTab("annotate");
   }

@@ -164,7 +164,7 @@ export function createTemplates(tab) {
       if (tab.visible && tab.name) tab.opening.open(tab.name);
       return true;
     }
-    if (tab.template.offered && editing && doc.started) return true; // points of one's own are being defined
+    if (state.project.offered && editing && doc.started) return true; // points of one's own are being defined
     follow(isFirst);
     return true;
   }

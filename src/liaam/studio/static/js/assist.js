@@ -146,13 +146,19 @@ export function createAssist({ app, accept, skip, confirm }) {
   });
   const why = h("p.small.muted", { testid: "why-next" });
   const notes = h("section.panel.assist-notes", { hidden: true, "aria-label": "Notices", testid: "notices" });
+  const go = (label, testid, work) => button(label, { small: true, testid: `then-${testid}`, onclick: work });
+  const end = h("div.column.assist-end", { hidden: true },
+    h("p", icon("check"), " All pictures are done. What next?"),
+    h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
+      go("Export", "export", () => document.querySelector("[data-testid=export-all]").showPicker?.()),
+      go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
   const offered = h("p.small.muted", { hidden: true },
     "These are the points of the face model that comes with liaam. ", other);
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
     h("div.row.assist-head", icon("spark"), count, h("span.grow"), train),
-    running, failure, h("div.row.assist-go", next, pass), sure, why, offered,
-    h("label.check.small", { title: often }, auto, "Train automatically"));
+    h("div.row.assist-go", next), h("div.row.assist-slot", pass, running), h("label.check.small", { title: often }, auto, "Train automatically"),
+    sure, failure, why, offered, end);
 
   /** Ask before training on points that look wrong; return whether to train. */
   async function mayTrain() {
@@ -230,7 +236,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     count.textContent = `${countDone(pictures)} of ${usable} done${left ? `, ${left} left out` : ""}`;
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
-    offered.hidden = !project.template?.offered || model?.source !== "face";
+    offered.hidden = !project.offered || model?.source !== "face";
     const runs = training?.state === "running";
     running.hidden = !runs;
     if (runs) showProgress(training);
@@ -240,7 +246,9 @@ export function createAssist({ app, accept, skip, confirm }) {
       ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
+    end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null;
     explain(project, done);
+    why.hidden = !end.hidden && !why.classList.contains("warn-text");
     note(project);
   }
 

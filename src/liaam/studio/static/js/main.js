@@ -4,7 +4,7 @@ import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
 import { createAdding } from "./adding.js";
 import { acceptFiles } from "./drops.js";
-import { isGuest } from "./fit-only.js";
+import { isGuest, reopenHead } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
 import { Sources } from "./fit-source.js";
 import { unsavedWork } from "./handover.js";
@@ -77,6 +77,7 @@ async function start() {
   acceptFiles(app.adding.take);
   if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
   opened();
+  reopenHead(app);
   addEventListener("popstate", () => {
     const name = nameIn(location.hash);
     openTab(tabIn(location.search) ?? "annotate");
@@ -257,7 +258,7 @@ function status() {
 
 addEventListener("unhandledrejection", (event) => {
   if (event.reason instanceof ApiError) event.preventDefault(); // others are faults of the page, for its console
-  if (event.reason?.message) toast(event.reason.message, "bad");
+  if (event.reason?.message) toast(event.reason, "bad");
 });
 
 start();

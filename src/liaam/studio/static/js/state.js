@@ -3,7 +3,7 @@
 import { nameIn, remember } from "./address.js";
 import { api, ApiError } from "./api.js";
 import { isIn } from "./strip-filters.js";
-import { complaints } from "./ui.js";
+import { complaints, toast } from "./ui.js";
 import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
@@ -140,7 +140,10 @@ export class State extends EventTarget {
     }
     this.unsure = false;
     this.project = project;
-    if (!this.picture()) this.select(this._first());
+    if (!this.picture()) {
+      if (this.current) toast(`${this.current} is no longer in the folder.`);
+      this.select(this._first());
+    }
     this._say("project");
   }
 

@@ -210,6 +210,14 @@ export function mountStrip(root, app) {
     render();
   }
 
+  document.addEventListener("keydown", ({ key: pressed }) => {
+    if (pressed === "Escape" && selecting && !document.querySelector("dialog[open]")) select(false);
+  });
+  state.addEventListener("to-review", () => {
+    wanted.filter = filter.value = "review";
+    show();
+    if (pictures.length) state.select(pictures[0].name);
+  });
   list.addEventListener("scroll", perFrame(render), { passive: true });
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);

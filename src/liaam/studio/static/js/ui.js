@@ -219,6 +219,7 @@ export function saveFile(blob, name) {
 
 /** Show a message at the bottom of the page; errors stay until they are closed. Returns a function that removes it. */
 export function toast(message, kind = "info") {
+  if (message?.unreachable) return () => {}; // the notice above the page says so
   const box = document.getElementById("toasts");
   const text = message instanceof Error ? message.message : String(message);
   for (const other of box.querySelectorAll(".toast")) if (other.textContent === text) other.remove();
