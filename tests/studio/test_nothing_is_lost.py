@@ -11,12 +11,14 @@ from small_projects import POINTS, by_name, proposal, refused
 
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, atomic, read_landmarks, write_image, write_landmarks
-from liaam.studio import folder as project_folder, landmark_files, state_files
+from liaam.studio import folder as project_folder, landmark_files
 from liaam.studio.app import make_studio
 from liaam.studio.folder import STATE
 from liaam.studio.listing import Listing
 from liaam.studio.project import Project
+from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
+from liaam.studio.store import Store
 
 NAMES = {"names": ["a", "b", "c"]}
 TURNED = {"names": ["c", "a", "b"], "mapping": [2, 0, 1]}
@@ -43,7 +45,7 @@ def small(tmp_path):
 
 @pytest.fixture
 def disk(monkeypatch):
-    """Give a disk that refuses to write files whose names are in the set."""
+    """Give a disk that refuses to write files whose names, or entries of the store whose kinds, are in the set."""
     full: set[str] = set()
 
     def write(path, data, error=LiaamError):
@@ -52,9 +54,14 @@ def disk(monkeypatch):
             raise error(f"{path} cannot be written ({fault.strerror}): check the free space.") from fault
         real(path, data, error)
 
-    real = state_files.write_bytes_atomically
-    for module in (state_files, landmark_files):
-        monkeypatch.setattr(module, "write_bytes_atomically", write)
+    def put(store, kind, values):
+        if kind in full:
+            raise Refusal(507, "studio.db cannot be written: make room")
+        real_put(store, kind, values)
+
+    real, real_put = landmark_files.write_bytes_atomically, Store.put
+    monkeypatch.setattr(landmark_files, "write_bytes_atomically", write)
+    monkeypatch.setattr(Store, "put", put)
     monkeypatch.setattr(
         landmark_files, "write_text_atomically", lambda path, text, error: write(path, text.encode(), error)
     )
@@ -64,7 +71,7 @@ def disk(monkeypatch):
 # A change of the template
 
 
-@pytest.mark.parametrize("file", ["p1.ljson", "p2.ljson", "p3.ljson", "template.json", "proposals.json"])
+@pytest.mark.parametrize("file", ["p1.ljson", "p2.ljson", "p3.ljson", "template"])
 def test_a_change_that_fails_half_way_is_finished_and_not_done_twice(small, disk, file):
     change = {**TURNED, "revision": small.template_json()["revision"]}
     disk.add(file)
@@ -106,7 +113,7 @@ def test_a_start_with_a_full_disk_waits_for_space(small, disk):
 
 
 def test_nothing_changes_if_a_change_cannot_even_be_written_down(small, disk):
-    disk.add("change.json")
+    disk.add("change")
     with pytest.raises(LiaamError):
         small.save_template(TURNED)
     assert small.marks("p1.png")["points"] == POINTS and small.template.names == ("a", "b", "c")
@@ -220,16 +227,22 @@ def test_what_a_killed_process_left_is_swept(small):
     assert not any(path.exists() for path in left) and all(path.exists() for path in own)
 
 
-@pytest.mark.parametrize("after", ["invisible.json", "p4.pts"])
+@pytest.mark.parametrize("after", ["invisible", "p4.pts"])
 def test_a_save_that_is_cut_short_keeps_landmarks_and_marks_together(small, monkeypatch, after):
     write_image(small.root / "p4.png", np.full((30, 40, 3), 90, np.uint8))
     write_landmarks(small.root / "p4.pts", Landmarks(POINTS))
     saved = {"points": POINTS, "invisible": [1]}
     small.save_marks("p4.png", {**saved, "revision": small.marks("p4.png")["revision"]})
 
-    for module, name in ((state_files, "write_bytes_atomically"), (landmark_files, "write_text_atomically")):
-        real = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda *arguments, real=real: cut_short_by(real, after, *arguments))
+    real, put = landmark_files.write_text_atomically, small.store.put
+    monkeypatch.setattr(landmark_files, "write_text_atomically", lambda path, *more: cut(real, path.name, path, *more))
+    monkeypatch.setattr(small.store, "put", lambda kind, values: cut(put, kind, kind, values))
+
+    def cut(write, name, *arguments):
+        write(*arguments)
+        if name == after:
+            raise KeyboardInterrupt  # as good as a kill
+
     change = {"points": MOVED, "invisible": [0, 2]}
     with pytest.raises(KeyboardInterrupt):
         small.save_marks("p4.png", {**change, "revision": small.marks("p4.png")["revision"]})
@@ -241,12 +254,6 @@ def test_a_save_that_is_cut_short_keeps_landmarks_and_marks_together(small, monk
     assert Project(small.root).marks("p4.png")["invisible"] == [0, 2]
     again.save_marks("p4.png", {"points": MOVED, "invisible": [], "revision": again.marks("p4.png")["revision"]})
     assert Project(small.root).marks("p4.png")["invisible"] == []
-
-
-def cut_short_by(write, after, path, *arguments):
-    write(path, *arguments)
-    if path.name == after:
-        raise KeyboardInterrupt  # as good as a kill
 
 
 def test_a_stamp_changes_with_all_that_is_shown(small):
@@ -267,7 +274,7 @@ def test_a_stamp_changes_with_all_that_is_shown(small):
     assert changed()
     small.save_template(TURNED)
     assert changed()
-    small.state.note("something", "is wrong")
+    small.store.note("something", "is wrong")
     assert changed()
 
 

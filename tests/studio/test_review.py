@@ -1,7 +1,6 @@
 """The log of who changed what, review states, and actions on several pictures."""
 
 import io
-import json
 import zipfile
 from datetime import UTC, datetime, timedelta
 
@@ -11,7 +10,6 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, st
 
 from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
 from liaam.studio.export import export_of
-from liaam.studio.folder import STATE
 from liaam.studio.model_store import ModelStore, Versions, model_json
 from liaam.studio.project import Project
 from liaam.studio.training_process import choose_held_out
@@ -32,8 +30,7 @@ def act(project, did, *names, who="Ann"):
 
 
 def entries(project):
-    lines = (project.root / STATE / "log.jsonl").read_text().splitlines()
-    return [(entry["picture"], entry["did"], entry["who"]) for entry in map(json.loads, lines)]
+    return [(entry["picture"], entry["did"], entry["who"]) for entry in project.store.lines("review")]
 
 
 def test_a_check_holds_for_the_landmarks_that_were_checked(placed):
@@ -64,9 +61,10 @@ def test_changes_within_minutes_are_one_entry(small, monkeypatch):
     assert [(entry["did"], entry["who"]) for entry in small.history("p1.png")] == [
         ("cleared", "Bob"), ("placed", "Bob"), ("placed", "Ann"),
     ]  # fmt: skip
-    (small.root / STATE / "log.jsonl").write_text(
-        json.dumps({**small.history("p1.png")[-1], "time": (datetime.now(UTC) - timedelta(hours=1)).isoformat()}) + "\n"
-    )
+    with small.store.transaction() as connection:
+        connection.execute("DELETE FROM line")
+    hour_ago = (datetime.now(UTC) - timedelta(hours=1)).isoformat()
+    small.store.append("review", [{**small.history("p1.png")[-1], "time": hour_ago}])
     again = Project(small.root)
     put(again, "p1.png", POINTS)
     assert [who for *_, who in entries(again)] == ["Ann", ""]
@@ -127,53 +125,12 @@ def test_deleted_landmarks_are_restored_even_by_another_studio(small, suffix):
     assert "landmarks again" in act(again, "undeleted", "p1.png")["refused"]["p1.png"]
 
 
-def test_deleted_landmarks_are_not_restored_from_a_changed_copy_or_for_another_template(placed):
+def test_deleted_landmarks_are_not_restored_once_gone_or_for_another_template(placed):
     act(placed, "deleted", "p1.png")
     placed.save_template({**TRIANGLE, "names": ["a", "b"], "contours": [], "mirror": None, "mapping": [0, 1]})
     assert "earlier template" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
-    (copy,) = (placed.root / STATE / "kept").iterdir()
-    assert copy.name.startswith("p1.deleted.")
-    copy.write_text(copy.read_text().replace("30.5", "31.5"))
-    assert "was changed" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
-    copy.unlink()
-    why = act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
-    assert "cannot be read" in why and str(placed.root) not in why
-
-
-def test_a_log_cut_short_by_a_kill_goes_on(placed):
-    act(placed, "checked", "p1.png")
-    log = placed.root / STATE / "log.jsonl"
-    log.write_bytes(log.read_bytes() + b'{"time": "2026-')
-    again = Project(placed.root)
-    assert again.problems == []
-    act(again, "checked", "p2.png", who="Bob")
-    last = Project(placed.root)
-    assert [by_name(last)[name]["checked"] for name in ("p1.png", "p2.png")] == ["Ann", "Bob"]
-    assert "1 of the lines" in last.problems[0]
-
-
-@pytest.mark.parametrize(
-    "line",
-    [b"{", b"[]", b"7", b'{"a": 1}', b"\xff", b"[" * 100_000, b'{"time": "x", "who": "", "picture": "p1.png"}'],
-)
-def test_damaged_lines_are_skipped(placed, line):
-    act(placed, "checked", "p1.png")
-    log = placed.root / STATE / "log.jsonl"
-    log.write_bytes(line + b"\n" + log.read_bytes())
-    again = Project(placed.root)
-    assert by_name(again)["p1.png"]["checked"] == "Ann"
-    assert "log.jsonl cannot be read" in again.problems[0]
-
-
-def test_a_log_that_leads_out_is_not_used(placed, tmp_path):
-    outside = tmp_path / "outside.jsonl"
-    outside.write_text("{}\n")
-    (placed.root / STATE / "log.jsonl").unlink()
-    (placed.root / STATE / "log.jsonl").symlink_to(outside)
-    project = Project(placed.root)
-    assert "log.jsonl" in project.problems[0]
-    assert refused(act, project, "checked", "p1.png").status == 409
-    assert outside.read_text() == "{}\n"
+    placed.store.clear("deleted")
+    assert "not kept any more" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
 
 
 @pytest.mark.parametrize(
@@ -235,7 +192,7 @@ def test_models_are_measured_on_the_same_pictures_where_possible():
 
 
 def test_versions_are_kept_and_compared(small):
-    versions = Versions(small.state)
+    versions = Versions(small.store)
     facts = {
         "trained": "2026-01-01",
         "pictures": {"a": "1", "b": "2", "c": "3"},
@@ -245,18 +202,9 @@ def test_versions_are_kept_and_compared(small):
     for errors in ({"a": 0.03}, {"a": 0.02, "b": 0.04}, {"b": 0.01, "a": 0.03}, {}):
         versions.add(facts, errors)
     versions.add({**facts, "order": "y"}, {"a": 0.5})
-    again = Versions(Project(small.root).state)
+    again = Versions(Project(small.root).store)
     assert again.held_out("x") == [] and again.held_out("y") == ["a"] and again.held_out("z") == []
     shown = again.as_json("x")
     assert [version["error"] for version in shown] == pytest.approx([0.03, 0.03, 0.02])
     assert [version["same"] for version in shown] == [False, True, True]
     assert shown[0] == {"time": "2026-01-01", "pictures": 2, "error": 0.03, "held_out": 1, "same": False}
-
-
-@pytest.mark.parametrize("errors", [{"a": -1}, {"a": "x"}, {"a": True}, [], {"a": 1e9}, None])
-def test_damaged_versions_are_skipped(small, errors):
-    line = {"time": "t", "pictures": 3, "order": "x", "errors": errors}
-    (small.root / STATE / "versions.jsonl").write_text(json.dumps(line) + "\n")
-    project = Project(small.root)
-    assert Versions(project.state).as_json("x") == []
-    assert "versions.jsonl" in project.problems[0]

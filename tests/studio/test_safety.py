@@ -199,7 +199,7 @@ def test_an_address_is_asked_for_by_number_where_all_are_listened_on():
     "name",
     ["..%2Fsecret.png", "../secret.png", "%2e%2e%2fsecret.png", "..%5Csecret.png", "%2e%2e/secret.png", "..", "%00",
      "p1.png%00", "....//secret.png", "%252e%252e%252fsecret.png", "/etc/passwd", "%2Fetc%2Fpasswd", "p1.png/",
-     "..%c0%afsecret.png", "%ff%fe", "x" * 5000, ".liaam-studio", ".liaam-studio%2Ftemplate.json"],
+     "..%c0%afsecret.png", "%ff%fe", "x" * 5000, ".liaam-studio", ".liaam-studio%2Fstudio.db"],
 )  # fmt: skip
 def test_paths_do_not_leave_the_folder(running, home, name):
     before = snapshot(home.parent)
@@ -213,7 +213,8 @@ def test_paths_do_not_leave_the_folder(running, home, name):
         assert status_of(answer) in (400, 404, 405, 307), answer[:200]
         assert b"a secret" not in answer and b"root:" not in answer
     after = snapshot(home.parent)
-    assert after.pop("project/.liaam-studio/template.json")
+    database = "project/.liaam-studio/studio.db"
+    assert after.pop(database) != before.pop(database)
     assert after == before
     assert is_up(running)
 

@@ -1,13 +1,11 @@
 """The template of a project, and what its changes do to landmark files."""
 
-import json
 import shutil
 
 import pytest
 from small_projects import POINTS, TRIANGLE, by_name, put, refused, states
 
 from liaam.io import Contour, Landmarks, read_landmarks, write_landmarks
-from liaam.studio import template_change
 from liaam.studio.folder import STATE
 from liaam.studio.project import Project
 
@@ -31,7 +29,7 @@ def test_the_template_comes_from_the_first_landmark_file(small):
     (small.root / "p2.away").rename(file)
     assert project.overview().pictures[1]["placed"] and project.template.names == names
     put(project, "p1.png", POINTS)
-    assert json.loads((small.root / STATE / "template.json").read_text())["names"] == list(names)
+    assert project.store.get("template")["names"] == list(names)
 
 
 def test_changing_the_template_rewrites_all_files(small):
@@ -47,7 +45,7 @@ def test_changing_the_template_rewrites_all_files(small):
         assert project.marks("p10.png")["points"] == [[10, 15], None, [1, 3]]
         assert project.marks("p10.png")["file"] == "p10.ljson"
         assert states(project) == {"p1.png": "partial", "p2.png": "partial", "p10.png": "partial", "q.jpg": "new"}
-    assert not (small.root / STATE / "change.json").exists()
+    assert project.store.get("change") is None
 
 
 def test_new_names_and_contours_reach_the_files_and_keep_the_model(small):
@@ -61,14 +59,14 @@ def test_new_names_and_contours_reach_the_files_and_keep_the_model(small):
 def test_a_kill_in_the_middle_of_a_change_loses_nothing(small, monkeypatch):
     for name in ("p1.png", "p2.png", "p10.png"):
         put(small, name, POINTS)
-    write = small.state.write
+    put_away = small.store.put
 
-    def die_at_the_template(name, content):
-        if name == "template.json":
+    def die_at_the_template(kind, values):
+        if kind == "template":
             raise KeyboardInterrupt
-        write(name, content)
+        put_away(kind, values)
 
-    monkeypatch.setattr(small.state, "write", die_at_the_template)
+    monkeypatch.setattr(small.store, "put", die_at_the_template)
     with pytest.raises(KeyboardInterrupt):
         small.save_template({"names": ["c", "a"], "mapping": [2, 0]})
     # As if only the first file had been written, and somebody had changed the third since.
@@ -80,7 +78,7 @@ def test_a_kill_in_the_middle_of_a_change_loses_nothing(small, monkeypatch):
     assert project.marks("p1.png")["points"] == project.marks("p2.png")["points"] == [POINTS[2], POINTS[0]]
     assert len(project.marks("p10.png")["points"]) == 3
     assert "3 points where the template has 2" in by_name(project)["p10.png"]["error"]
-    assert not (small.root / STATE / "change.json").exists()
+    assert project.store.get("change") is None
 
 
 @pytest.mark.parametrize(
@@ -114,12 +112,3 @@ def test_a_template_is_read_from_any_landmark_file(small):
     xml = "<dataset><images><image file='a.png'><box><part name='left' x='1' y='2'/><part name='right' x='3' y='2'/>"
     template = small.read_template("all.xml", f"{xml}</box></image></images></dataset>".encode())
     assert template.names == ("left", "right") and template.mirror == (1, 0)
-
-
-@pytest.mark.parametrize(
-    "fault", [{"invisible": 3.0}, {"invisible": [1.5]}, {"invisible": [-1]}, {"before": 3}, {"text": None}, {"more": 1}]
-)
-def test_items_of_a_damaged_change_are_not_applied(fault):
-    item = {"file": "a.pts", "before": None, "text": "x", "invisible": [0]}
-    assert template_change._is_item(item)
-    assert not template_change._is_item(item | fault)

@@ -25,6 +25,13 @@ def studio(
     port: Annotated[
         int | None, typer.Option(help="Port to listen on. By default the first free port from 8765.")
     ] = None,
+    face: Annotated[
+        bool,
+        typer.Option(
+            "--face/--no-face",
+            help="Propose the points of the face model that comes with liaam, if no others are there.",
+        ),
+    ] = True,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
 ) -> None:
     """Annotate, train, fit and relight in the browser.
@@ -36,5 +43,5 @@ def studio(
     def print_line(line: str) -> None:
         (complain if line.startswith("warning") else say)(line)
 
-    serve(folder, model, host, port, browser, print_line)
+    serve(folder, model, host, port, browser, print_line, face)
     say("stopped")

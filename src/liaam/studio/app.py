@@ -22,19 +22,22 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
+from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.datasets.heads import HARD_LIGHT
 from liaam.errors import ImageError, LiaamError
+from liaam.io.images import VIDEO_SUFFIXES
+from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import AAM
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
+from liaam.studio.background import Background
 from liaam.studio.events import Events
 from liaam.studio.export import attachment, export_of
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.generated import model_of_heads
 from liaam.studio.live import LiveVideos
-from liaam.studio.locking import FolderLock
 from liaam.studio.model_store import (
     ModelStore,
     follow_template,
@@ -45,8 +48,9 @@ from liaam.studio.model_store import (
 )
 from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
-from liaam.studio.safety import GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.safety import FILES, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
+from liaam.studio.store import FolderLock
 from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
 
@@ -66,6 +70,7 @@ class Studio:
     models: ModelStore
     events: Events
     training: Trainer
+    background: Background
     pictures: Pictures
     uploads: Uploads
     fits: Fits
@@ -75,7 +80,9 @@ class Studio:
     def close(self) -> None:
         """Close the event streams, stop a running training, and release the folder."""
         self.events.close()
+        self.background.stop()
         self.training.stop()
+        self.project.store.close()
         self.lock.release()
 
 
@@ -103,12 +110,13 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
         pictures = Pictures()
         uploads = Uploads(pictures, settings)
         trainer = Trainer(project, models, events.publish)
+        background = Background(project, models, trainer, events.publish)
         fits, videos = Fits(project, models, uploads, pictures), LiveVideos(models, settings)
         if model is not None:
             load_given_model(model, models)
         else:
             load_studio_model(project, models)
-        return Studio(settings, project, models, events, trainer, pictures, uploads, fits, videos, lock)
+        return Studio(settings, project, models, events, trainer, background, pictures, uploads, fits, videos, lock)
     except BaseException:
         lock.release()
         raise
@@ -162,6 +170,8 @@ class _Handlers:
             Route("/api/training", self.train, methods=post),
             Route("/api/training", self.stop_training, methods=delete),
             Route("/api/events", self.events, methods=get),
+            Route(FILES, self.take_in, methods=post),
+            Route("/api/model/face", self.decline_face, methods=delete),
             Route(UPLOADS, self.upload, methods=post),
             Route(UPLOADS + "/{id}/image", self.image, methods=get),
             Route(UPLOADS + "/{id}/chroma", self.chroma, methods=get),
@@ -207,6 +217,7 @@ class _Handlers:
             "version": __version__,
             "pictures": overview.pictures,
             "template": project.template_json(),
+            "offered": project.is_offered,
             "model": model_json(studio.models.current, overview.done, overview.unread),
             "training": asdict(studio.training.state),
             "versions": studio.training.versions.as_json(project.order),
@@ -216,6 +227,8 @@ class _Handlers:
             ],
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
+            "fitting": studio.background.progress,
+            "formats": _formats(),
             "limits": {"upload_bytes": studio.settings.upload_bytes, "pixels": studio.settings.pixels},
             "problems": project.problems,
         }
@@ -320,7 +333,17 @@ class _Handlers:
         self.studio.fits.prepare_soon(model_of_heads)
         return JSONResponse({"pictures": [f"heads/{path.name}" for path in sorted(HARD_LIGHT.glob("*.jpg"))]})
 
+    async def decline_face(self, request: Request) -> Response:
+        await run_sync(self.studio.background.decline)
+        return Response(status_code=204)
+
     # Pictures -------------------------------------------------------------------------------------
+
+    async def take_in(self, request: Request) -> Response:
+        data = await read_body(request, self.studio.settings.upload_bytes)
+        answer = await run_sync(self.studio.project.take_in, request.query_params.get("name", ""), data)
+        self.studio.background.wake()
+        return JSONResponse(answer, 201)
 
     async def upload(self, request: Request) -> Response:
         data = await read_body(request, self.studio.settings.upload_bytes)
@@ -382,6 +405,11 @@ class _Handlers:
             return JSONResponse({"error": text, **fault.details}, fault.status)
         refused_write = isinstance(fault.__cause__, OSError) and request.method not in ("GET", "HEAD")
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
+
+
+def _formats() -> dict[str, list[str]]:
+    """Return the suffixes of the files that can be added."""
+    return {"pictures": list(PICTURE_SUFFIXES), "landmarks": list(LANDMARK_SUFFIXES), "videos": list(VIDEO_SUFFIXES)}
 
 
 async def _nothing(request: Request) -> Response:

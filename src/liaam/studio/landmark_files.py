@@ -2,8 +2,8 @@
 
 Landmarks are saved beside the picture as ``.ljson``, or in an existing ``.pts``, which :func:`liaam.load_folder`
 prefers. Files of other formats are read but never written or removed; a saved ``.ljson`` takes precedence over them.
-The studio also keeps ``invisible.json`` (invisible points, which a ``.pts`` cannot store) and ``kept`` (copies of
-unreadable landmark files that were replaced).
+The studio also keeps the invisible points, which a ``.pts`` cannot store, and in ``kept`` copies of unreadable landmark
+files that were replaced.
 """
 
 from __future__ import annotations
@@ -21,12 +21,10 @@ from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.io.landmarks.formats import writer_of
 from liaam.studio.folder import remove, revision_of
-from liaam.studio.listing import File, Listing, Signature
+from liaam.studio.listing import OWN_SUFFIXES, File, Listing, Signature
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template import Template, landmarks_of
-
-INVISIBLE_FILE = "invisible.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ class LandmarkFiles:
     Parameters
     ----------
     listing : Listing
-    state : StateFiles
+    store : Store
     most_bytes : int
         Maximum size of a landmark file.
 
@@ -69,10 +67,10 @@ class LandmarkFiles:
         Errors of files that cannot be read and belong to no picture.
     """
 
-    def __init__(self, listing: Listing, state: StateFiles, most_bytes: int) -> None:
+    def __init__(self, listing: Listing, store: Store, most_bytes: int) -> None:
         self._folder = listing.folder
         self._listing = listing
-        self._state = state
+        self._store = store
         self._most_bytes = most_bytes
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
@@ -80,7 +78,7 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
-        self._invisible: dict[str, Any] = state.read(INVISIBLE_FILE, _is_invisible) or {}
+        self._invisible: dict[str, Any] = store.all("invisible")
 
     # Reading --------------------------------------------------------------------------------------
 
@@ -213,7 +211,7 @@ class LandmarkFiles:
             target, after = self._folder.inside(name), text.encode()
         except Refusal:  # it has become a link that leads out of the folder
             return
-        if not target.parent.is_dir():
+        if not target.parent.is_dir() or target.suffix.lower() not in OWN_SUFFIXES:
             return
         data = self._bytes(target) if target.is_file() else None
         if data != after and (None if data is None else revision_of(data)) != before:
@@ -226,7 +224,8 @@ class LandmarkFiles:
         """Keep a copy of a file that cannot be read, or that has another number of points."""
         if before.landmarks is None or len(before.landmarks) != len(template):
             data = self._bytes(target, sys.maxsize)
-            self._state.write(f"kept/{target.stem}.{revision_of(data)}{target.suffix}", data)
+            copy = self._store.path(f"kept/{target.stem}.{revision_of(data)}{target.suffix}")
+            write_bytes_atomically(copy, data)
 
     def _bytes(self, path: Path, most: int | None = None) -> bytes:
         """Read a landmark file; raise LandmarkError if it cannot be read."""
@@ -243,15 +242,17 @@ class LandmarkFiles:
 
         This happens before the file is written, so the entry of its current revision ``before`` is kept as well.
         """
-        known = {key: marks for key, marks in self._invisible.items() if key != name}
-        marks, old = {"revision": revision_of(data), "points": list(invisible)}, self._invisible_of(name, before)
+        marks: dict[str, Any] | None = {"revision": revision_of(data), "points": list(invisible)}
+        old = self._invisible_of(name, before)
         if old is not None:
             marks["before"] = {"revision": old["revision"], "points": old["points"]}
-        if Path(name).suffix.lower() == ".pts" and (invisible or old is not None):
-            known[name] = marks
-        if known != self._invisible:
-            self._state.write(INVISIBLE_FILE, known)
-            self._invisible = known
+        if Path(name).suffix.lower() != ".pts" or not (invisible or old is not None):
+            marks = None
+        if marks != self._invisible.get(name):
+            self._store.put("invisible", {name: marks})
+            self._invisible.pop(name, None)
+            if marks is not None:
+                self._invisible[name] = marks
 
 
 def text_of(landmarks: Landmarks, suffix: str) -> str:
@@ -259,8 +260,3 @@ def text_of(landmarks: Landmarks, suffix: str) -> str:
     text = writer_of(Path(f"x{suffix}")).text
     assert text is not None
     return text(landmarks)
-
-
-def _is_invisible(data: Any) -> bool:
-    marks = [marks for item in data.values() for marks in (item, item.get("before", item))]
-    return all(isinstance(item["revision"], str) and all(i >= 0 for i in item["points"]) for item in marks)

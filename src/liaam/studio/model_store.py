@@ -15,14 +15,13 @@ from liaam.errors import LiaamError, ModelFileError
 from liaam.model import AAM, load_model
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 
 if TYPE_CHECKING:
     from liaam.studio.training import Trainer
 
-MODEL_FILE, FACTS_FILE = "model.liaam", "model.json"
-QUICK_FILE, QUICK_FACTS_FILE = "quick.liaam", "quick.json"
-VERSIONS_FILE = "versions.jsonl"
+MODEL_FILE, QUICK_FILE = "model.liaam", "quick.liaam"
+"""Files of the trained models; the facts about each are in the store."""
 
 SHOWN_VERSIONS = 30
 """Number of versions that the page shows."""
@@ -102,21 +101,21 @@ class ModelStore:
 
 
 class Versions:
-    """The trained models of a folder and their errors on held-out pictures, an append-only file.
+    """The trained models of a folder and their errors on held-out pictures.
 
     The error of a picture is the mean distance of the fitted points to the placed ones, as a fraction of the object's
     size. It is that of a model trained without the held-out pictures.
     """
 
-    def __init__(self, state: StateFiles) -> None:
-        self._state = state
-        self._all: list[dict[str, Any]] = state.read_lines(VERSIONS_FILE, _is_version)
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._all: list[dict[str, Any]] = store.lines("version")
 
     def add(self, facts: Mapping[str, Any], errors: Mapping[str, float]) -> None:
         """Append a trained model."""
         count = len(facts["pictures"]) - len(facts["left_out"])
         version = {"time": facts["trained"], "pictures": count, "order": facts["order"], "errors": dict(errors)}
-        self._state.append(VERSIONS_FILE, [version])
+        self._store.append("version", [version])
         self._all.append(version)
 
     def held_out(self, order: str) -> list[str]:
@@ -142,31 +141,25 @@ class Versions:
         ]
 
 
-def _is_version(data: Any) -> bool:
-    numbers = [data["pictures"], *data["errors"].values()]
-    valid = all(type(number) in (int, float) and 0 <= number < 1e6 for number in numbers)
-    return valid and isinstance(data["time"], str) and isinstance(data["order"], str)
-
-
 # Loading -------------------------------------------------------------------------------------------
 
 
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
-    for file, facts_file, careful in ((MODEL_FILE, FACTS_FILE, True), (QUICK_FILE, QUICK_FACTS_FILE, False)):
+    for file, careful in ((MODEL_FILE, True), (QUICK_FILE, False)):
         if models.own is not None:
             return
-        project.state.note(file, None)
+        project.store.note(file, None)
         try:
-            path = project.state.path(file)
+            path = project.store.path(file)
             if not path.exists():
                 continue
-            facts = project.state.read(facts_file, _are_facts) or {"source": "studio", "trained": None, "pictures": {}}
+            facts = project.store.get("model", file) or {"source": "studio", "trained": None, "pictures": {}}
             facts = {"order": project.order, **facts, "careful": careful}
             if facts["order"] == project.order:
                 models.publish(load_model(path), facts)
         except (LiaamError, OSError) as fault:
-            project.state.note(file, f"{fault}; the model is ignored: train again")
+            project.store.note(file, f"{fault}; the model is ignored: train again")
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
@@ -177,8 +170,9 @@ def forget_studio_model(project: Project, models: ModelStore) -> None:
     own = models.own
     if own is not None and own.facts["source"] == "studio":
         models.withdraw()
-    project.state.set_aside(MODEL_FILE)
-    project.state.remove(FACTS_FILE, QUICK_FILE, QUICK_FACTS_FILE)
+    project.store.set_aside(MODEL_FILE)
+    project.store.remove(QUICK_FILE)
+    project.store.put("model", {MODEL_FILE: None, QUICK_FILE: None})
 
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
@@ -255,8 +249,3 @@ def model_json(
         "left_out": {name: why for name, why in facts.get("left_out", {}).items() if name in same},
         "mean": model.shape_model.mean.tolist(),
     }
-
-
-def _are_facts(data: Any) -> bool:
-    valid = data["source"] == "studio" and isinstance(data["pictures"], dict) and "trained" in data
-    return valid and isinstance(data.get("order", ""), str)

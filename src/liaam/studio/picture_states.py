@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,12 @@ from liaam.studio.listing import File, Listing
 from liaam.studio.proposals import Proposals, Unchecked, revision_of_proposal, teaching_order
 from liaam.studio.review import ReviewLog
 from liaam.studio.template_store import TemplateStore
+
+_UNKNOWN = (
+    *("error", "width", "height", "uncertainty", "quality", "rank"),
+    *("checked", "left_out", "revision", "slip"),
+)
+"""What is not known of a picture before its files are read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +31,8 @@ class PictureStates:
     templates: TemplateStore
     unchecked: Unchecked
     log: ReviewLog
+    slips: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """Revision of the landmarks in which a slip was found, and its description, by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -41,7 +49,7 @@ class PictureStates:
 
     def unread_json(self, file: File) -> dict[str, Any]:
         """Return a picture whose files have not been read yet as JSON for the page."""
-        nothing = dict.fromkeys(("error", "width", "height", "uncertainty", "rank", "checked", "left_out", "revision"))
+        nothing = dict.fromkeys(_UNKNOWN)
         return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False, **nothing}
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
@@ -54,6 +62,8 @@ class PictureStates:
             state = "done" if self.is_done(file) else "partial"
         else:
             state = "proposed" if proposal else "unchecked" if file in self.unchecked else "new"
+        checked = self.log.checked_by(file.name, marks.revision) if state == "done" else None
+        revision, slip = self.slips.get(file.name, (None, None))
         return {
             "name": file.name,
             "tag": file.tag,
@@ -63,9 +73,11 @@ class PictureStates:
             "width": None if isinstance(size, str) else size[0],
             "height": None if isinstance(size, str) else size[1],
             "uncertainty": proposal["uncertainty"] if proposal else None,
+            "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
-            "checked": self.log.checked_by(file.name, marks.revision) if state == "done" else None,
+            "checked": checked,
+            "slip": slip if state == "done" and revision == marks.revision and not checked else None,
             "left_out": self.log.left_out_by(file.name),
             "revision": marks.revision,
         }

@@ -3,7 +3,7 @@
 :class:`Project` is the thread-safe interface for the rest of the studio. Its parts are not thread-safe, and each
 depends only on those before it in this list:
 
-- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.state_files`: the studio's own files;
+- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.store`: what the studio keeps;
 - :mod:`~liaam.studio.listing`: the pictures, and whether each can be used;
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
 - :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
@@ -32,6 +32,7 @@ from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import Folder, checked_folder, revision_of
+from liaam.studio.intake import Intake
 from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
@@ -41,7 +42,7 @@ from liaam.studio.review import ReviewLog, parse_who
 from liaam.studio.review_actions import ReviewActions
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
 from liaam.studio.template_change import TemplateChanges
 from liaam.studio.template_store import TemplateStore
@@ -92,38 +93,37 @@ class Project:
     root : Path
         The folder with links resolved.
     settings : Settings
-    state : StateFiles
-        The studio's own files in the folder.
+    store : Store
+        What the studio keeps for the folder.
     """
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self._folder = Folder(checked_folder(folder))
         self.root = self._folder.root
-        self.state = StateFiles(self._folder)
+        self.store = Store(self._folder)
         self._lock = threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
         self._listing = listing = Listing(self._folder, self.settings.pixels)
         listing.scan()
-        self._landmarks = LandmarkFiles(listing, self.state, self.settings.upload_bytes)
-        self._proposals = Proposals(listing, self.state)
-        self._templates = TemplateStore(listing, self.state, self._landmarks)
-        self._unchecked = Unchecked(self.state)
-        self._log = ReviewLog(self.state)
+        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
+        self._proposals = Proposals(listing, self.store)
+        self._templates = TemplateStore(listing, self.store, self._landmarks)
+        self._unchecked = Unchecked(self.store)
+        self._log = ReviewLog(self.store)
         self._states = PictureStates(
             listing, self._landmarks, self._proposals, self._templates, self._unchecked, self._log
         )
-        self._actions = ReviewActions(
-            self.state, self._landmarks, self._templates, self._states, self._log, self.settings.upload_bytes
-        )
-        self._changes = TemplateChanges(listing, self.state, self._landmarks, self._proposals, self._templates)
+        self._actions = ReviewActions(self.store, self._landmarks, self._templates, self._states, self._log)
+        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self._templates)
+        self._intake = Intake(listing, self.settings.pixels)
         self._changes.try_to_finish()
 
     @property
     def id(self) -> str:
         """Unique identifier of the folder. It survives a move; a copy has another one."""
-        return self.state.id
+        return self.store.id
 
     @property
     def stamp(self) -> str:
@@ -147,7 +147,7 @@ class Project:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
         with self._lock, suppress(LiaamError, OSError):
             _ = self.id
-            self.state.sweep()
+            self.store.sweep()
 
     def plain(self, fault: object) -> str:
         """Return an error message in which the folder's path is replaced by its name."""
@@ -157,7 +157,7 @@ class Project:
     def problems(self) -> list[str]:
         """Messages for the user about files that cannot be read, are skipped, or belong to no picture."""
         with self._lock:
-            return [*self.state.faults.values(), *self._landmarks.problems, *self._listing.notices()]
+            return [*self.store.faults.values(), *self._landmarks.problems, *self._listing.notices()]
 
     def _rescan(self) -> None:
         """Scan the folder; ignore a change of the template that cannot be finished yet."""
@@ -165,9 +165,18 @@ class Project:
         self._listing.scan()
 
     def _stamp(self) -> str:
-        listing, state = self._listing, self.state
-        faults = sorted(state.faults.items())
-        known = (self._salt, state.writes, self._changes.is_pending, faults, listing.stranded, listing.unlisted)
+        listing, store = self._listing, self.store
+        faults = sorted(store.faults.items())
+        known = (
+            self._salt,
+            store.writes,
+            self._templates.offered,
+            self._states.slips,
+            self._changes.is_pending,
+            faults,
+            listing.stranded,
+            listing.unlisted,
+        )
         return revision_of(repr((known, listing.version)).encode())
 
     # Pictures -------------------------------------------------------------------------------------
@@ -326,6 +335,33 @@ class Project:
             known = known[: max(most // 2, most - len(fresh))]
             return [(name, self.root / name) for name in (*known, *fresh[: most - len(known)])]
 
+    def unfitted(self) -> list[tuple[str, Path]]:
+        """Return the names and paths of the usable pictures without points and without a proposal."""
+        with self._lock:
+            self._rescan()
+            proposals, landmarks = self._proposals, self._landmarks
+            found = [file for file in self._listing.pictures if proposals.of(file) is None]
+            usable = [file for file in found if not landmarks.of(file).n_placed and not self._listing.fault_of(file)]
+            return [(file.name, self.root / file.name) for file in usable]
+
+    def tag_of(self, name: str) -> str:
+        """Return the identifier of a picture's contents."""
+        with self._lock:
+            return self._find(name).tag
+
+    def take_in(self, name: str, data: bytes) -> dict[str, Any]:
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.intake.Intake.add`)."""
+        with self._lock:
+            return self._intake.add(name, data)
+
+    def set_slips(self, slips: dict[str, tuple[str, str]]) -> bool:
+        """Set the revision of the landmarks and the slip in them, by picture; return whether they have changed."""
+        with self._lock:
+            changed = slips != self._states.slips
+            self._states.slips.clear()
+            self._states.slips.update(slips)
+            return changed
+
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
         self._asked = time.monotonic()
@@ -454,6 +490,40 @@ class Project:
         """Value that changes when points are added, removed or reordered."""
         with self._lock:
             return self._templates.order
+
+    @property
+    def has_own_points(self) -> bool:
+        """Whether the template is a person's, not that of the face model."""
+        with self._lock:
+            return self._templates.is_own
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether the template is one that a model offers, and that nobody has accepted."""
+        with self._lock:
+            template = self._templates.current
+            return template is not None and template is self._templates.offered
+
+    @property
+    def declined(self) -> bool:
+        """Whether a person does not want the points of the face model here."""
+        return self.store.get("declined") is not None
+
+    def offer(self, template: Template | None, source: str = "") -> None:
+        """Offer a template for a folder without one; ``source`` is the name of a model that comes with liaam.
+
+        None drops the template that was offered, and the proposals for its points.
+        """
+        with self._lock:
+            if template is None:
+                self._proposals.forget()
+            self._templates.offered, self._templates.offered_by = template, source
+
+    def decline_offer(self) -> None:
+        """Drop the offered template and its proposals for good."""
+        with self._lock:
+            self.store.put("declined", {"": True})
+            self.offer(None)
 
     def template_json(self) -> dict[str, Any] | None:
         """Return the template as JSON for the page, with its ``revision``."""

@@ -1,6 +1,4 @@
-"""Landmarks proposed by the model, for a person to check (``proposals.json``), and pictures left at the mean shape
-(``unchecked.json``).
-"""
+"""Landmarks proposed by the model, for a person to check, and pictures left at the mean shape."""
 
 from __future__ import annotations
 
@@ -10,31 +8,28 @@ from typing import Any
 
 from liaam.studio.folder import revision_of
 from liaam.studio.listing import File, Listing
-from liaam.studio.state_files import StateFiles
-from liaam.studio.template import parse_points
-
-PROPOSALS_FILE = "proposals.json"
-UNCHECKED_FILE = "unchecked.json"
+from liaam.studio.store import Store
 
 
 class Proposals:
     """Proposals for the pictures of a folder, by name of the picture."""
 
-    def __init__(self, listing: Listing, state: StateFiles) -> None:
+    def __init__(self, listing: Listing, store: Store) -> None:
         self._listing = listing
-        self._state = state
-        self._kept: dict[str, dict[str, Any]] = state.read(PROPOSALS_FILE, _are_proposals) or {}
+        self._store = store
+        self._kept: dict[str, dict[str, Any]] = store.all("proposal")
 
     def add(self, proposals: Mapping[str, dict[str, Any]]) -> None:
         """Save proposals; the default ``tag`` is that of the current file."""
-        tags = {name: file.tag for name, file in self._listing.files.items()}
-        self._kept.update({name: {"tag": tags.get(name), **item} for name, item in proposals.items()})
-        self._state.write(PROPOSALS_FILE, self._kept)
+        files = self._listing.files
+        tagged = {name: {"tag": files[name].tag if name in files else None, **item} for name, item in proposals.items()}
+        self._store.put("proposal", tagged)
+        self._kept.update(tagged)
 
     def forget(self) -> None:
         """Drop all proposals, because the template changed."""
+        self._store.clear("proposal")
         self._kept = {}
-        self._state.write(PROPOSALS_FILE, self._kept)
 
     def of(self, picture: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless the picture has been replaced since."""
@@ -50,9 +45,9 @@ def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
 class Unchecked:
     """Pictures that were left at the mean shape. They have no landmark file, so no training uses them."""
 
-    def __init__(self, state: StateFiles) -> None:
-        self._state = state
-        self._tags: dict[str, str] = state.read(UNCHECKED_FILE, _are_tags) or {}
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._tags: dict[str, str] = store.all("unchecked")
 
     def __contains__(self, picture: File) -> bool:
         return self._tags.get(picture.name) == picture.tag
@@ -61,10 +56,10 @@ class Unchecked:
         """Mark a picture as not checked, or remove the mark."""
         if (picture in self) == unchecked:
             return
-        tags = {name: tag for name, tag in self._tags.items() if name != picture.name}
-        tags |= {picture.name: picture.tag} if unchecked else {}
-        self._state.write(UNCHECKED_FILE, tags)
-        self._tags = tags
+        self._store.put("unchecked", {picture.name: picture.tag if unchecked else None})
+        self._tags.pop(picture.name, None)
+        if unchecked:
+            self._tags[picture.name] = picture.tag
 
 
 def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -87,21 +82,3 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
         return group, -(proposal["uncertainty"] or 0.0)
 
     return sorted(proposals, key=key)
-
-
-def is_proposal(item: Any) -> bool:
-    """Whether JSON is a proposal of :mod:`liaam.studio.training_process`."""
-    keys = {"points", "covariances", "quality", "status", "ok", "message", "found", "doubtful", "uncertainty"}
-    if set(item) - {"tag"} != keys or not isinstance(item["message"], str):
-        return False
-    if item["uncertainty"] is not None and not isinstance(item["uncertainty"], int | float):
-        return False
-    return item["points"] is None or None not in parse_points(item["points"], len(item["points"]))
-
-
-def _are_proposals(data: Any) -> bool:
-    return all(is_proposal(item) for item in data.values())
-
-
-def _are_tags(data: Any) -> bool:
-    return all(isinstance(tag, str) for tag in data.values())

@@ -1,4 +1,4 @@
-"""Who changed what: an append-only log of the folder (``log.jsonl``), and the review states that follow from it.
+"""Who changed what: an append-only log of the folder and the review states that follow from it.
 
 A picture is checked while its landmarks have the revision that was checked, so every change withdraws the check. The
 other states hold until the opposite entry.
@@ -12,9 +12,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
-
-LOG_FILE = "log.jsonl"
+from liaam.studio.store import Store
 
 OPPOSITE = {
     "checked": "unchecked",
@@ -25,7 +23,6 @@ OPPOSITE = {
 """Actions on pictures, and the actions that undo them."""
 
 ACTIONS = (*OPPOSITE, *OPPOSITE.values())
-ENTRIES = (*ACTIONS, "placed", "cleared")
 
 LONGEST_NAME = 60
 SHOWN = 20
@@ -38,10 +35,10 @@ SAME_WORK = timedelta(minutes=10)
 class ReviewLog:
     """The log of a folder, by name of the picture."""
 
-    def __init__(self, state: StateFiles) -> None:
-        self._state = state
+    def __init__(self, store: Store) -> None:
+        self._store = store
         self._entries: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        for entry in state.read_lines(LOG_FILE, _is_entry):
+        for entry in store.lines("review"):
             self._entries[entry["picture"]].append(entry)
 
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
@@ -51,7 +48,7 @@ class ReviewLog:
             {"time": time, "who": who, "picture": name, "did": did, "revision": revision}
             for name, revision in pictures.items()
         ]
-        self._state.append(LOG_FILE, entries)
+        self._store.append("review", entries)
         for entry in entries:
             self._entries[entry["picture"]].append(entry)
 
@@ -111,10 +108,3 @@ def parse_who(name: Any) -> str:
 
 def _who(entry: Mapping[str, Any]) -> str:
     return entry["who"] or "someone"
-
-
-def _is_entry(data: Any) -> bool:
-    parse_who(data["who"])
-    is_aware = datetime.fromisoformat(data["time"]).tzinfo is not None
-    texts = isinstance(data["picture"], str) and isinstance(data["revision"], str | None)
-    return is_aware and texts and isinstance(data["who"], str) and data["did"] in ENTRIES

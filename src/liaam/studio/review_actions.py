@@ -1,18 +1,16 @@
 """Actions on several pictures at once: mark as checked, discard proposals, leave out of training, delete landmarks.
 
 Each action is written to the log before anything else changes, and has an opposite that undoes it. Deleted landmarks
-are kept in ``kept``.
+are kept in the store.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.files import read_bytes
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import revision_of
 from liaam.studio.landmark_files import LandmarkFiles, text_of
@@ -21,24 +19,19 @@ from liaam.studio.picture_states import PictureStates
 from liaam.studio.proposals import revision_of_proposal
 from liaam.studio.review import ReviewLog
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template_store import TemplateStore
-
-LONGEST_STEM = 50
-"""Characters of a picture's name in the name of a copy, so that it does not become too long for the disk."""
 
 
 @dataclass(frozen=True, eq=False)
 class ReviewActions:
     """Applies actions to pictures."""
 
-    state: StateFiles
+    store: Store
     landmarks: LandmarkFiles
     templates: TemplateStore
     states: PictureStates
     log: ReviewLog
-    most_bytes: int
-    """Maximum size of a file that is read."""
 
     def apply(self, files: list[File], did: str, who: str) -> dict[str, Any]:
         """Apply an action.
@@ -67,7 +60,7 @@ class ReviewActions:
             try:
                 revisions[file.name] = checks[did](file)
             except (Refusal, LandmarkError) as fault:
-                refused[file.name] = self.state.folder.plain(fault)
+                refused[file.name] = self.store.folder.plain(fault)
         if revisions:
             self.log.add(did, who, revisions)
         written = [file for file in files if file.name in revisions] if did in ("deleted", "undeleted") else []
@@ -113,9 +106,10 @@ class ReviewActions:
         marks = self.landmarks.of(file)
         if marks.landmarks is None or not marks.n_placed:
             raise Refusal(409, "no landmarks")
-        data = text_of(marks.landmarks, ".ljson").encode()
-        self.state.write(_copy(file, revision_of(data)), data)
-        return revision_of(data)
+        text = text_of(marks.landmarks, ".ljson")
+        revision = revision_of(text.encode())
+        self.store.put("deleted", {revision: text})
+        return revision
 
     def _undeleted(self, file: File) -> str | None:
         if self.landmarks.of(file).n_placed:
@@ -123,7 +117,7 @@ class ReviewActions:
         revision = self.log.deleted(file.name)
         if revision is None:
             raise Refusal(409, "no landmarks were deleted here")
-        if len(self._copy_of(file, revision)) != len(self.templates.needed):
+        if len(self._copy_of(revision)) != len(self.templates.needed):
             raise Refusal(409, "the deleted landmarks belong to an earlier template")
         return revision
 
@@ -135,20 +129,14 @@ class ReviewActions:
         if revision is None:
             self.landmarks.save(file, template, [None] * len(template), ())
             return
-        landmarks = self._copy_of(file, revision)
+        landmarks = self._copy_of(revision)
         points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
         self.landmarks.save(file, template, points, landmarks.invisible)
 
-    def _copy_of(self, file: File, revision: str) -> Landmarks:
-        """Read a copy of deleted landmarks; raise LandmarkError if it is gone or was changed."""
-        data = read_bytes(self.state.path(_copy(file, revision)), LandmarkError, self.most_bytes)
-        landmarks = parse_landmark_data("copy.ljson", data)
-        if revision_of(data) != revision or not isinstance(landmarks, Landmarks):
-            raise LandmarkError("the copy of the deleted landmarks was changed")
+    def _copy_of(self, revision: str) -> Landmarks:
+        """Return deleted landmarks; raise LandmarkError if they are gone."""
+        text = self.store.get("deleted", revision)
+        landmarks = None if text is None else parse_landmark_data("copy.ljson", text.encode())
+        if not isinstance(landmarks, Landmarks):
+            raise LandmarkError("the deleted landmarks are not kept any more")
         return landmarks
-
-
-def _copy(file: File, revision: str) -> str:
-    """Return the name of a copy. A revision from the log may hold any characters, so it is hashed."""
-    stem = PurePosixPath(file.stem).name[:LONGEST_STEM]
-    return f"kept/{stem}.deleted.{revision_of(revision.encode())}.ljson"

@@ -23,7 +23,7 @@ from liaam.studio.settings import LOOPBACK, Settings
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-UPLOADS, GUEST = "/api/uploads", "/api/model/guest"
+UPLOADS, GUEST, FILES = "/api/uploads", "/api/model/guest", "/api/files"
 """Paths that accept larger bodies."""
 
 HEADERS: dict[str, str] = {
@@ -125,7 +125,7 @@ class Guard:
 
     async def _limited(self, scope: Scope, headers: _Headers, receive: Receive, send: Send) -> None:
         """Pass a request to the application and limit the size of its body."""
-        is_upload = scope["path"] in (UPLOADS, GUEST)
+        is_upload = scope["path"] in (UPLOADS, GUEST, FILES)
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         declared = headers.one("content-length")
         if declared.isdecimal() and int(declared[:20]) > limit:

@@ -49,6 +49,7 @@ def serve(
     port: int | None = None,
     open_browser: bool = True,
     say: Callable[[str], None] = print,
+    face: bool = True,
 ) -> None:
     """Serve the studio of a folder until Ctrl-C.
 
@@ -65,6 +66,8 @@ def serve(
     open_browser : bool
     say : callable
         Prints a line.
+    face : bool
+        Whether the face model that comes with liaam proposes points in a folder that has none of its own.
 
     Raises
     ------
@@ -77,7 +80,7 @@ def serve(
     _return_freed_memory()
     listener = open_port(host, port)
     with listener, one_blas_thread():
-        settings = Settings(host=host, port=listener.getsockname()[1])
+        settings = Settings(host=host, port=listener.getsockname()[1], face=face)
         studio = make_studio(folder, model, settings)
         server = make_server(studio, uvicorn)
         server.on_start = lambda: _welcome(settings, open_browser, say)
@@ -249,3 +252,4 @@ def _read_headers(studio: Studio) -> None:
     with suppress(LiaamError):  # reported when the page asks
         studio.project.read_files()
         studio.events.publish("project", {})
+    studio.background.start()

@@ -53,6 +53,8 @@ class Settings:
     """How long too large a body is read and discarded, so that the client can read the answer."""
     heartbeat_seconds: float = 15.0
     """Interval of the comments that keep an idle event stream open."""
+    face: bool = True
+    """Whether the face model that comes with liaam proposes points in a folder that has none of its own."""
     proposals_at_once: int = 8
     """Number of pictures that the quick model fits before the careful one is trained."""
     proposals_per_training: int = 100

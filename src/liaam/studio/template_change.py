@@ -1,6 +1,6 @@
 """Changes of the template and of all landmark files with it, as one transaction that survives a killed process.
 
-The whole change is written to ``change.json`` before the first landmark file is rewritten. Until all files are written,
+The whole change is stored before the first landmark file is rewritten. Until all files are written,
 landmarks can be neither read nor saved, and every call tries to finish the change first.
 """
 
@@ -10,20 +10,17 @@ import secrets
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
-from liaam.studio.folder import is_relative, status_of
+from liaam.studio.folder import status_of
 from liaam.studio.landmark_files import LandmarkFiles, Marks, text_of
-from liaam.studio.listing import OWN_SUFFIXES, File, Listing
+from liaam.studio.listing import File, Listing
 from liaam.studio.proposals import Proposals
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template import Template, landmarks_of, parse_indices
-from liaam.studio.template_store import TemplateStore, is_template
-
-CHANGE_FILE = "change.json"
+from liaam.studio.template_store import TemplateStore
 
 
 @dataclass(eq=False)
@@ -31,12 +28,12 @@ class TemplateChanges:
     """Applies changes of the template and finishes interrupted ones."""
 
     listing: Listing
-    state: StateFiles
+    store: Store
     landmarks: LandmarkFiles
     proposals: Proposals
     templates: TemplateStore
     is_pending: bool = True
-    """Whether ``change.json`` may exist, as before it has been read."""
+    """Whether a change may be stored, as before the store has been read."""
 
     def save(self, template: Template, data: dict[str, Any]) -> bool:
         """Save a template; return whether points were added, removed or reordered.
@@ -55,10 +52,13 @@ class TemplateChanges:
         self.finish()
         self.listing.scan()
         templates = self.templates
-        old = templates.current
+        # Points of one's own may replace those that a model offers, which nobody has accepted.
+        is_offer = templates.current is not None and templates.current is templates.offered
+        old = None if is_offer and data.get("revision") is None else templates.current
         marks = [(file, marks) for file in self.listing.pictures if (marks := self.landmarks.of(file)).file]
         identity = None if old is None else list(range(len(old)))
-        is_there, is_current = template == templates.saved, data.get("revision") == templates.revision
+        revision = templates.revision if old is not None else None
+        is_there, is_current = template == templates.saved, data.get("revision") == revision
         if "revision" in data and not is_current:
             if is_there:  # sent again, since the first answer may have been lost
                 return False
@@ -66,10 +66,10 @@ class TemplateChanges:
         mapping = _mapping(data.get("mapping"), len(template), old, bool(marks))
         if is_there and (mapping == identity or not is_current):
             return False
-        moved = old is not None and mapping != identity
+        moved = is_offer or (old is not None and mapping != identity)
         change = self._change(template, old, mapping, marks, moved)
         self.is_pending = True
-        self.state.write(CHANGE_FILE, change)  # from here on the change will be finished, even after a crash
+        self.store.put("change", {"": change})  # from here on the change will be finished, even after a crash
         self.finish()
         return moved
 
@@ -88,10 +88,10 @@ class TemplateChanges:
         except (LiaamError, OSError) as fault:
             cause = fault if isinstance(fault, OSError) else fault.__cause__
             sentence = (
-                f"a change of the template cannot be finished yet ({self.state.folder.plain(fault)}): fix this, and "
+                f"a change of the template cannot be finished yet ({self.store.folder.plain(fault)}): fix this, and "
                 "the studio will finish it"
             )
-            self.state.note(CHANGE_FILE, sentence)
+            self.store.note("change", sentence)
             status = fault.status if isinstance(fault, Refusal) else status_of(cause)
             raise Refusal(status, sentence) from fault
 
@@ -112,7 +112,7 @@ class TemplateChanges:
         files = []
         for file, known in marks:
             target = self.landmarks.target(file)
-            name = self.state.folder.name_of(target)
+            name = self.store.folder.name_of(target)
             stays = not moved and (known.file != name or target.suffix.lower() == ".pts")
             if stays or old is None or known.landmarks is None or len(known.landmarks) != len(old):
                 continue
@@ -124,20 +124,22 @@ class TemplateChanges:
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})
         order = secrets.token_hex(8) if moved else self.templates.order
         stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
-        return {"template": stored, "files": files}
+        return {"template": stored, "files": files, "moved": moved}
 
     def _apply(self) -> None:
-        """Apply ``change.json`` and remove it. Files that were changed in the meantime are left alone."""
-        change = self.state.read(CHANGE_FILE, _is_change)
-        if change is None:  # missing, or damaged and noted
+        """Apply a stored change and remove it. Files that were changed in the meantime are left alone."""
+        change = self.store.get("change")
+        if change is None:
             self.is_pending = False
             return
         for item in change["files"]:
             self.landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
-        if (change["template"].get("order") or "") != self.templates.order:
-            self.proposals.forget()
-        self.templates.store(change["template"])
-        self.state.remove(CHANGE_FILE)
+        with self.store.transaction():
+            if change["moved"]:
+                self.proposals.forget()
+            self.templates.store(change["template"])
+            self.store.put("change", {"": None})
+        self.store.note("change", None)
         self.is_pending = False
         self.landmarks.forget()
         self.listing.scan()
@@ -159,17 +161,3 @@ def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[i
         raise Refusal(422, f"the mapping is not valid: send the old index of each of the {n} points, or null if new")
     parse_indices([index for index in data if index is not None], len(old), "mapping")
     return data
-
-
-def _is_change(data: Any) -> bool:
-    return all(_is_item(item) for item in data["files"]) and is_template(data["template"])
-
-
-def _is_item(item: Any) -> bool:
-    """Whether an item describes one landmark file to rewrite."""
-    if set(item) != {"file", "before", "text", "invisible"} or not isinstance(item["text"], str):
-        return False
-    invisible = item["invisible"]
-    numbers = isinstance(invisible, list) and all(isinstance(i, int) and i >= 0 for i in invisible)
-    is_own = is_relative(item["file"]) and Path(item["file"]).suffix.lower() in OWN_SUFFIXES
-    return numbers and isinstance(item["before"], str | None) and is_own

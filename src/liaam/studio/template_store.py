@@ -1,4 +1,4 @@
-"""The template of a project: ``template.json``, or else the template of the first picture with landmarks."""
+"""The template of a project: the saved one, or else that of the first picture with landmarks."""
 
 from __future__ import annotations
 
@@ -11,10 +11,8 @@ from liaam.studio.folder import revision_of
 from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import Listing
 from liaam.studio.safety import Refusal
-from liaam.studio.state_files import StateFiles
+from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_template, template_of
-
-TEMPLATE_FILE = "template.json"
 
 _MOST = 10**6
 """Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
@@ -28,19 +26,26 @@ class TemplateStore:
     saved : Template or None
     order : str
         Value that changes when points are added, removed or reordered.
+    offered : Template or None
+        Template of a model, for a folder without any.
+    offered_by : str
+        Name of the model that comes with liaam, if that is it.
     """
 
-    def __init__(self, listing: Listing, state: StateFiles, landmarks: LandmarkFiles) -> None:
+    def __init__(self, listing: Listing, store: Store, landmarks: LandmarkFiles) -> None:
         self.saved: Template | None = None
         self.order = ""
+        self.offered: Template | None = None
+        self.offered_by = ""
+        self._saved_of = ""  # the model that offered the saved template
         self._revision = ""
         self._listing = listing
-        self._state = state
+        self._store = store
         self._landmarks = landmarks
         self._guess: Template | None = None
         self._guessed_of: Landmarks | None = None
         self._guessed_version = -1
-        stored = state.read(TEMPLATE_FILE, is_template)
+        stored = store.get("template")
         if stored is not None:
             self._take(stored)
 
@@ -53,7 +58,13 @@ class TemplateStore:
             first = next((landmarks for landmarks in found if landmarks is not None), None)
             if self._guessed_of is not first:  # the search for symmetry is slow
                 self._guessed_of, self._guess = first, None if first is None else template_of(first)
-        return self.saved or self._guess
+        return self.saved or self._guess or self.offered
+
+    @property
+    def is_own(self) -> bool:
+        """Whether there is a template that was not offered by a model that comes with liaam."""
+        current = self.current
+        return current is not None and not self._saved_of and (current is not self.offered or not self.offered_by)
 
     @property
     def needed(self) -> Template:
@@ -94,21 +105,17 @@ class TemplateStore:
 
     def store(self, stored: Mapping[str, Any]) -> None:
         """Save a template, given as JSON with its ``revision`` and ``order``."""
-        self._state.write(TEMPLATE_FILE, stored)
+        self._store.put("template", {"": stored})
         self._take(stored)
 
     def keep(self) -> None:
         """Save a template that was taken from a landmark file."""
         if self.saved is None:
-            self.store({**self.needed.as_json(), "revision": self.revision, "order": self.order})
+            of = self.offered_by if self.needed is self.offered else ""
+            self.store({**self.needed.as_json(), "revision": self.revision, "order": self.order, "of": of})
 
     def _take(self, stored: Mapping[str, Any]) -> None:
         self.saved = parse_template(stored, _MOST)
         self._revision = stored.get("revision") or ""
         self.order = stored.get("order") or ""
-
-
-def is_template(data: Any) -> bool:
-    """Whether JSON is a stored template."""
-    known = all(data.get(key) is None or isinstance(data[key], str) for key in ("revision", "order"))
-    return known and bool(parse_template(data, _MOST))
+        self._saved_of = stored.get("of") or ""

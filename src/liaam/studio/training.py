@@ -19,9 +19,8 @@ from typing import Any
 
 from liaam.errors import LiaamError
 from liaam.model import load_model
-from liaam.studio.model_store import FACTS_FILE, MODEL_FILE, QUICK_FACTS_FILE, QUICK_FILE, ModelStore, Versions
+from liaam.studio.model_store import MODEL_FILE, QUICK_FILE, ModelStore, Versions
 from liaam.studio.project import Project
-from liaam.studio.proposals import is_proposal
 from liaam.studio.safety import Refusal
 from liaam.studio.training_process import LEAST, Job, choose_held_out, launch
 
@@ -55,7 +54,7 @@ class Trainer:
     def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
         self.project = project
         self.models = models
-        self.versions = Versions(project.state)
+        self.versions = Versions(project.store)
         self._publish = publish
         self._lock = threading.RLock()
         self._waiting = threading.Lock()
@@ -131,8 +130,8 @@ class Trainer:
             self.project.to_propose(self.project.settings.proposals_per_training),
             template.contours,
             template.names,
-            self.project.state.path(MODEL_FILE),
-            self.project.state.path(QUICK_FILE),
+            self.project.store.path(MODEL_FILE),
+            self.project.store.path(QUICK_FILE),
             order,
             self.project.root.name,
             self.project.settings.proposals_at_once,
@@ -179,7 +178,7 @@ class Trainer:
         elif kind == "model":
             self._use(job, **data)
         elif kind == "proposals":
-            self.project.add_proposals({name: item for name, item in data.items() if is_proposal(item)}, job.order)
+            self.project.add_proposals(data, job.order)
             self._publish("project", {})
         elif kind == "failed":
             return Training("failed", error=self.project.plain(data))
@@ -200,11 +199,12 @@ class Trainer:
             "careful": careful,
             "order": job.order,
         }
-        self.project.state.write(FACTS_FILE if careful else QUICK_FACTS_FILE, facts)
+        self.project.store.put("model", {MODEL_FILE if careful else QUICK_FILE: facts})
         self.models.publish(load_model(job.model if careful else job.quick), facts)
         if careful:
             self.versions.add(facts, errors)
-            self.project.state.remove(QUICK_FILE, QUICK_FACTS_FILE)
+            self.project.store.remove(QUICK_FILE)
+            self.project.store.put("model", {QUICK_FILE: None})
         self._publish("project", {})
 
     def _set(self, state: Training) -> None:

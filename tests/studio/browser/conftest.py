@@ -67,10 +67,11 @@ def page(open_page):
 
 @pytest.fixture
 def serve(tmp_path) -> Iterator[Callable[..., Server]]:
-    """Give a function that starts ``liaam studio FOLDER ...`` and waits for its address."""
+    """Give a function that starts ``liaam studio FOLDER ...``, by default without the face model, and waits for it."""
     running = []
 
-    def serve(folder: Path, *arguments: str) -> Server:
+    def serve(folder: Path, *arguments: str, face: bool = False) -> Server:
+        arguments = arguments if face else (*arguments, "--no-face")
         log = tmp_path / f"studio-{len(running)}.log"
         with log.open("w") as errors:
             try:

@@ -1,5 +1,6 @@
 """What a person does with the studio, by mouse and keyboard."""
 
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -7,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-TIMEOUT = 300_000
+TIMEOUT = int(os.environ.get("LIAAM_TIMEOUT", "300000"))
 """Milliseconds that anything may take on a busy machine."""
 
 POINTS = [0, 2, 4, 6, 8, 10, 12, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31, 33, 34, 36, 38, 39, 41, 43, 45, 49, 51, 52, 55]

@@ -17,6 +17,10 @@ interface Picture {
   width: number | null;
   height: number | null;
   uncertainty: number | null;
+  /** Of its proposal. */
+  quality: number | null;
+  /** What looks wrong with its landmarks. */
+  slip: string | null;
   doubtful: boolean;
   rank: number | null;
   error: string | null;
@@ -50,7 +54,7 @@ interface Model {
   triangles: number[][];
   theta_deg: number;
   contours: Contour[];
-  source: "file" | "studio" | "guest";
+  source: "file" | "studio" | "guest" | "face";
   left_out: Record<string, string>;
   mean: number[][];
 }
@@ -77,6 +81,8 @@ interface Project {
   version: string;
   pictures: Picture[];
   template: Template | null;
+  /** Whether a model offers the template, and nobody has accepted it. */
+  offered: boolean;
   model: Model | null;
   training: Training;
   /** Trained models, oldest first; same: measured on the pictures of the newest. */
@@ -84,6 +90,10 @@ interface Project {
   methods: Method[];
   default_method: string;
   default_ambient: number;
+  /** Pictures that are being fitted as they arrive. */
+  fitting: { done: number; total: number } | null;
+  /** Suffixes of the files that can be added. */
+  formats: { pictures: string[]; landmarks: string[]; videos: string[] };
   limits: { upload_bytes: number; pixels: number };
   problems: string[];
 }
@@ -108,8 +118,10 @@ interface App {
   toast: typeof import("../../../src/liaam/studio/static/js/ui.js").toast;
   confirm: typeof import("../../../src/liaam/studio/static/js/ui.js").confirm;
   openTab(name: string, options?: object): void;
-  /** A file was dropped, pasted or opened. */
-  take(file: File): void;
+  /** Bringing files in. */
+  adding: any;
+  guest(): boolean;
+  showsPictures(): boolean;
   pictures: import("../../../src/liaam/studio/static/js/picture-store.js").PictureStore;
   /** The picture to fit and the fits, shared by the tabs Fit and Compare. */
   sources: import("../../../src/liaam/studio/static/js/fit-source.js").Sources;

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
+import { namesFor, summary } from "./modules/adding.js";
 import { outcome } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { accuracyText, sentence } from "./modules/review.js";
@@ -32,6 +33,27 @@ test("pictures are found by folder, name and state, and sorted by uncertainty", 
   assert.deepEqual(names({ order: "uncertainty" }).slice(0, 2), ["c/1.png", "a/b/10.png"]);
   assert.deepEqual(names({}), PICTURES.map(({ name }) => name)); // sorting leaves the list itself alone
   assert.ok(Object.values(FILTERS).every(({ label }) => label));
+});
+
+test("pictures are sorted by quality, slips and doubtful ones first", () => {
+  const made = (name, more) => ({ name, doubtful: false, quality: null, slip: null, ...more });
+  const all = [made("done"), made("good", { quality: 0.9 }), made("bad", { quality: 0.6 }), made("slip", { slip: "?" }),
+    made("doubtful", { quality: 0.8, doubtful: true })];
+  const order = matching(all, { ...ALL, order: "quality" }, {}).map(({ name }) => name);
+  assert.deepEqual(order, ["slip", "doubtful", "bad", "good", "done"]);
+});
+
+test("added files keep their names, or get those of their folders where two would clash", () => {
+  assert.deepEqual(namesFor(["day/a.png", "day/a.pts", "day/more/b.png"]), ["a.png", "a.pts", "b.png"]);
+  assert.deepEqual(namesFor(["x/1.png", "x/1.pts", "y/1.png"]), ["x_1.png", "x_1.pts", "y_1.png"]);
+});
+
+test("what was added is told in one sentence", () => {
+  const none = { pictures: 0, known: 0, landmarks: 0, placed: 0, refused: [] };
+  assert.equal(summary({ ...none, pictures: 48, landmarks: 1, placed: 12, refused: ["a: why"] }),
+    "48 pictures added, landmarks for 12, 1 file left out: a: why.");
+  assert.equal(summary({ ...none, known: 2 }), "2 files already here.");
+  assert.match(summary({ ...none, refused: ["a", "b", "c", "d"] }), /4 files left out: a; b; c; and 1 more/);
 });
 
 test("states are described", () => {

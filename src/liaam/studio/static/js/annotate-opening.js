@@ -4,6 +4,7 @@ import { FirstMarks } from "./first-marks.js";
 import { invitation } from "./fit-only.js";
 import { History } from "./history.js";
 import { nextMissing, sameMarks } from "./points.js";
+import { button } from "./ui.js";
 
 /** begins() -> the start of pictures without points, "layout" or "click".
  *  @param {import("./annotate.js").AnnotateTab} tab */
@@ -55,10 +56,10 @@ export function createOpening(tab, begins) {
   function whyNot(name) {
     const picture = state.picture(name);
     if (!name || !picture) {
-      const what = `Put pictures (JPEG, PNG, TIFF …) into ${state.project.folder} or its subfolders.`;
-      return {
-        icon: "folder", title: "No pictures yet", text: `${what} They appear here automatically.`, more: invited(),
-      };
+      const add = button("Add pictures…", { icon: "plus", kind: "primary", testid: "add-first", onclick: tab.app.adding.choose });
+      const text = "Drop pictures, folders and landmark files here. They are copied into "
+        + `${state.project.folder} and stay on this machine.`;
+      return { icon: "folder", title: "No pictures yet", text, action: add, more: invited() };
     }
     if (picture.state !== "broken") return null;
     const text = picture.error ?? "It cannot be read: replace the file.";

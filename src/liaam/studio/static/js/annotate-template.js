@@ -159,7 +159,12 @@ export function createTemplates(tab) {
     const isFirst = known === "null";
     known = now;
     tab.opening.clear();
-    if (!tab.template || saving) return false;
+    if (saving) return false;
+    if (!tab.template) {
+      if (tab.visible && tab.name) tab.opening.open(tab.name);
+      return true;
+    }
+    if (state.project.offered && editing && doc.started) return true; // points of one's own are being defined
     follow(isFirst);
     return true;
   }

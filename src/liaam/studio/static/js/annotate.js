@@ -187,7 +187,7 @@ export class AnnotateTab {
     if (!this.tool) return; // the parts are not complete yet
     const { assist, editing, marking, panel, templates } = this;
     const making = this.template ? [templates.panel] : [templates.panel, assist.notes];
-    const shown = editing ? making : [assist.element, assist.notes, this.review, ...panel.elements];
+    const shown = editing ? making : [assist.element, this.review, assist.notes, ...panel.elements];
     if (this.side.firstChild !== shown[0]) {
       this.side.replaceChildren(...shown);
       this.side.scrollTop = 0;

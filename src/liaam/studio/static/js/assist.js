@@ -1,11 +1,12 @@
 // The model's help: training in the background, and the choice of the next picture.
 
 import { percent, several } from "./annotate-words.js";
-import { button, h, icon } from "./ui.js";
+import { button, dialog, h, icon } from "./ui.js";
 
 const LEAST = 3; // pictures needed for training
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
+const SHOWN = 5; // slips that are listed before training
 const AUTO_KEY = "liaam-studio:auto-train";
 
 const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
@@ -13,11 +14,15 @@ const countDone = (pictures) => pictures.filter((picture) => picture.state === "
 /** The pictures that a training uses. */
 const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
 
+/** The pictures for training whose points look wrong. */
+const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
+
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
 export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
-  if (model && model.source !== "studio") return false; // a model given by the user is replaced only on request
+  if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
+  if (slipped(pictures).length) return false; // a person looks at them first
   if (forTraining(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
   return !model || model.stale >= AUTO_AGAIN;
 }
@@ -76,10 +81,11 @@ export function reason(picture, pictures, model) {
 }
 
 /** Notices about the folder and the model: [{title, lines}], without empty ones. */
-export function notices({ model, template, problems = [] }) {
+export function notices({ model, template, pictures = [], problems = [] }) {
   const left = Object.entries(model?.left_out ?? {}).map(([name, why]) => `${name}: ${why}`);
   const groups = [
     { title: "Other template", lines: [mismatch({ model, template })].filter(Boolean) },
+    { title: "Possible slips", lines: slipped(pictures).map(({ name, slip }) => `${name}: ${slip}`) },
     { title: "Left out of training", lines: left },
     { title: "In the folder", lines: problems },
   ];
@@ -117,7 +123,9 @@ export function createAssist({ app, accept, skip, confirm }) {
   const running = h("div.column.assist-running", { testid: "training-progress", hidden: true },
     progress, h("div.row", h("div.grow", what), cancel));
   const failure = h("p.small.error-text", { role: "alert", hidden: true });
-  const train = button("Train", { icon: "brain", small: true, testid: "train", onclick: start });
+  const train = button("Train", {
+    icon: "brain", small: true, testid: "train", onclick: async () => (await mayTrain()) && start(),
+  });
   const auto = h("input", {
     type: "checkbox", checked: localStorage.getItem(AUTO_KEY) !== "off", testid: "auto-train",
     onchange: () => localStorage.setItem(AUTO_KEY, auto.checked ? "on" : "off"),
@@ -138,10 +146,34 @@ export function createAssist({ app, accept, skip, confirm }) {
   });
   const why = h("p.small.muted", { testid: "why-next" });
   const notes = h("section.panel.assist-notes", { hidden: true, "aria-label": "Notices", testid: "notices" });
+  const go = (label, testid, work) => button(label, { small: true, testid: `then-${testid}`, onclick: work });
+  const end = h("div.column.assist-end", { hidden: true },
+    h("p", icon("check"), " All pictures are done. What next?"),
+    h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
+      go("Export", "export", () => document.querySelector("[data-testid=export-all]").showPicker?.()),
+      go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
+  const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
+  const offered = h("p.small.muted", { hidden: true },
+    "These are the points of the face model that comes with liaam. ", other);
   const element = h("section.panel.assist", { "aria-label": "The model's help" },
     h("div.row.assist-head", icon("spark"), count, h("span.grow"), train),
-    running, failure, h("div.row.assist-go", next, pass), sure, why,
-    h("label.check.small", { title: often }, auto, "Train automatically"));
+    h("div.row.assist-go", next), h("div.row.assist-slot", pass, running), h("label.check.small", { title: often }, auto, "Train automatically"),
+    sure, failure, why, offered, end);
+
+  /** Ask before training on points that look wrong; return whether to train. */
+  async function mayTrain() {
+    const wrong = slipped(state.project.pictures);
+    if (!wrong.length) return true;
+    const list = h("ul.assist-lines", wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`)));
+    const more = wrong.length > SHOWN && h("p", `And ${wrong.length - SHOWN} more.`);
+    const advice = h("p.small.muted", "Pictures marked as checked are not listed.");
+    const answer = await dialog(`Points of ${several(wrong.length, "picture")} may be wrong`, h("div", list, more, advice), [
+      { label: "Train anyway", value: "train" },
+      { label: "Look at them", kind: "primary", value: "look", testid: "look-at-slips" },
+    ]);
+    if (answer === "look") state.select(wrong[0].name);
+    return answer === "train";
+  }
 
   async function start() {
     if (asking) return;
@@ -157,6 +189,12 @@ export function createAssist({ app, accept, skip, confirm }) {
       asking = false;
       refresh();
     }
+  }
+
+  async function decline() {
+    await api.delete(api.url("model", "face"));
+    await state.refresh();
+    app.openTab("annotate");
   }
 
   async function stop() {
@@ -198,6 +236,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     count.textContent = `${countDone(pictures)} of ${usable} done${left ? `, ${left} left out` : ""}`;
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
+    offered.hidden = !project.offered || model?.source !== "face";
     const runs = training?.state === "running";
     running.hidden = !runs;
     if (runs) showProgress(training);
@@ -207,7 +246,9 @@ export function createAssist({ app, accept, skip, confirm }) {
       ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
+    end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null;
     explain(project, done);
+    why.hidden = !end.hidden && !why.classList.contains("warn-text");
     note(project);
   }
 
@@ -226,7 +267,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     const then = nextToTeach(state.pictures, state.current);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? "");
+    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? (here?.slip ? `Possible slip: ${here.slip}.` : ""));
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     if (fault) why.textContent = fault;

@@ -10,6 +10,8 @@ import { Viewer } from "./viewer.js";
 /** Methods to compare the default with at first: the best known. */
 const FAMILIAR = ["rgb", "grey"];
 
+const SMALL = 300; // css pixels of height below which the object fills a view
+
 const SHORTCUTS = [
   { keys: "Enter F", what: "Fit with both methods" },
   { keys: "X", what: "Swap the sides" },
@@ -95,7 +97,8 @@ class CompareTab {
     this.truth = null;
     this.showTruth = true;
     const { methods, default_method: first } = this.state.project;
-    const other = FAMILIAR.find((name) => name !== first && methods.some((method) => method.name === name));
+    const known = this.state.project.model?.methods ?? methods.map(({ name }) => name);
+    const other = [...FAMILIAR, first].find((name) => known.includes(name)) ?? first;
     this.sides = [["left", first], ["right", other]].map(([name, method]) => new Side(name, methods, method, {
       onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
     }));
@@ -148,6 +151,17 @@ class CompareTab {
     this._say("Fitting…");
     const newest = await Promise.all(this.sides.map((side) => side.run(this.app.fits, this.sources.current)));
     if (newest.every(Boolean)) this._verdict();
+    this._enlarge();
+  }
+
+  /** In a small view, show the object instead of the whole picture, unless the user has zoomed. */
+  _enlarge() {
+    const { viewer } = this.left;
+    const shape = this.sides.find(({ fit }) => fit?.ok)?.fit.shape;
+    if (!shape || viewer.container.clientHeight > SMALL || !viewer.view._fitted) return;
+    const [xs, ys] = [0, 1].map((axis) => shape.map((point) => point[axis]));
+    const margin = 0.08 * (Math.max(...ys) - Math.min(...ys));
+    viewer.fitTo([Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)], margin);
   }
 
   swap() {

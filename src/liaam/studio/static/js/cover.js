@@ -8,9 +8,9 @@ export class Cover {
   get isShown() { return !this.element.hidden; }
 
   /** more: an element below the text, or null. */
-  show({ icon: name, title, text, more = null }) {
+  show({ icon: name, title, text, more = null, action = null }) {
     this.element.hidden = false;
-    this.element.replaceChildren(h("div.empty", icon(name, 40), h("h2", title), h("p", text), more));
+    this.element.replaceChildren(h("div.empty", icon(name, 40), h("h2", title), h("p", text), action, more));
   }
 
   hide() {

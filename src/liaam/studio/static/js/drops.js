@@ -1,18 +1,15 @@
-// Files that are dropped or pasted anywhere on the page: pictures to fit, models, and unsaved work of another page.
+// Files and folders that are dropped or pasted anywhere on the page.
 
+import { filesIn } from "./adding.js";
 import { h, icon, isTyping, toast } from "./ui.js";
 
 const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
 
-/** take(file): a file was dropped or pasted. */
+/** take([{file, path}]): files were dropped or pasted. */
 export function acceptFiles(take) {
-  const takeFirst = (files) => {
-    const [file, ...others] = files;
-    if (others.length) toast(`Only the first of ${others.length + 1} files was opened: ${file.name}`);
-    take(file);
-  };
+  const takeAll = (transfer) => filesIn(transfer).then(take).catch((error) => toast(error, "bad"));
   let depth = 0; // number of nested elements under a drag
-  const words = h("p", icon("upload", 28), "Drop a picture to fit it, or a model (.liaam)");
+  const words = h("p", icon("upload", 28), "Drop pictures, folders, landmark files, a model or a video");
   const overlay = h("div.dropping", { hidden: true, "aria-hidden": "true" }, words);
   document.body.append(overlay);
   const enter = (now) => {
@@ -30,12 +27,12 @@ export function acceptFiles(take) {
     if (!carriesFiles(event)) return;
     event.preventDefault();
     enter(0);
-    takeFirst(event.dataTransfer.files);
+    takeAll(event.dataTransfer);
   });
   addEventListener("paste", (event) => {
     const files = event.clipboardData?.files;
     if (!files?.length || isTyping(event)) return;
     event.preventDefault();
-    takeFirst(files);
+    takeAll(event.clipboardData);
   });
 }

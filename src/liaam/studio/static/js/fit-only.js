@@ -6,6 +6,8 @@ import { button, h, icon, whileBusy } from "./ui.js";
 /** Name of the model of the generated heads. */
 const HEADS = "generated heads";
 
+const HEAD = "liaam-studio:head"; // the head that is shown, for a reload
+
 export const isGuest = (project) => project?.model?.source === "guest";
 
 /** Use a model file that was dropped on the page. */
@@ -24,8 +26,16 @@ export async function openModel(app, file) {
 async function openHead(app, address) {
   const name = address.split("/").at(-1);
   const [blob] = await Promise.all([api.blob(address), useHeads(app)]);
+  sessionStorage.setItem(HEAD, address);
   app.openTab("fit", { view: "flat" });
   await app.sources.take(new File([blob], name, { type: "image/jpeg" }));
+}
+
+/** Show the head again that was shown before a reload. */
+export function reopenHead(app) {
+  const { model, pictures } = app.state.project;
+  const address = sessionStorage.getItem(HEAD);
+  if (address && !pictures.length && model?.name === HEADS) openHead(app, address);
 }
 
 async function useHeads(app) {

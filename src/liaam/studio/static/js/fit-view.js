@@ -254,7 +254,6 @@ export class FitView {
     this._explain(why ? null : this.fit?.scale?.[this.name]);
     this.light.element.hidden = this.name !== "relit" || Boolean(why);
     const isSplit = this._split.has(this.name);
-    this.divider.visible = isSplit && !why;
     press(this.splitter, isSplit);
     if (isSplit) this.divider.label("Picture", view.after);
   }
@@ -283,6 +282,7 @@ export class FitView {
 
   _draw(ctx, viewer) {
     const image = this._image();
+    this.divider.visible = this._split.has(this.name) && Boolean(image); // no label for what is not drawn
     if (image) {
       drawOver(ctx, viewer, image, {
         from: this.divider.visible ? this.divider.x : null, opacity: this.opacity[this.name],

@@ -211,7 +211,7 @@ class FitTab {
   // The page.
 
   _build(root) {
-    this._file = fileField((file) => this.app.take(file), {
+    this._file = fileField((file) => this.app.adding.take([{ file, path: file.name }]), {
       accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp,.liaam", testid: "fit-file", "aria-label": "Open a picture to fit",
     });
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "View" },

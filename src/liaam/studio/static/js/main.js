@@ -2,11 +2,12 @@
 
 import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
+import { createAdding } from "./adding.js";
 import { acceptFiles } from "./drops.js";
-import { isGuest, openModel } from "./fit-only.js";
+import { isGuest, reopenHead } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
 import { Sources } from "./fit-source.js";
-import { takeWork, unsavedWork } from "./handover.js";
+import { unsavedWork } from "./handover.js";
 import { look } from "./look.js";
 import { PictureStore } from "./picture-store.js";
 import { State } from "./state.js";
@@ -34,8 +35,6 @@ const COMMON_KEYS = [
 
 const PANELS = { i: ["strip"], d: ["side"], z: ["strip", "side"] }; // by key
 
-const VIDEO = /\.(avi|flv|mkv|mov|mts|wmv)$/i; // names of videos whose type the browser may not know
-
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
 let open = null;
@@ -43,9 +42,12 @@ let wanted = null; // tab requested while the page was loading
 
 const pictures = new PictureStore(state);
 const app = {
-  state, api, ui, toast, confirm: ui.confirm, openTab, take, pictures, sources: new Sources(state, pictures),
-  fits: new FitStore(state),
+  state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
+  /** Whether the open tab shows a picture that is not in the folder. */
+  showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
+  fits: new FitStore(state), adding: null,
 };
+app.adding = createAdding(app);
 
 /** Hooks for browser tests; the tabs add theirs. */
 window.liaamStudio = { app, state };
@@ -72,9 +74,10 @@ async function start() {
   await mountTabs();
   followGuest();
   state.addEventListener("project", followGuest);
-  acceptFiles(take);
+  acceptFiles(app.adding.take);
   if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
   opened();
+  reopenHead(app);
   addEventListener("popstate", () => {
     const name = nameIn(location.hash);
     openTab(tabIn(location.search) ?? "annotate");
@@ -175,7 +178,7 @@ async function showKeys() {
   ];
   const body = h("div.keys", table("Everywhere", COMMON_KEYS), sections);
   if ((await ui.dialog("Keys", body, actions, { wide: true })) === "work")
-    ui.fileField(restore, { accept: ".json" }).click();
+    app.adding.choose();
 }
 
 function actions() {
@@ -193,25 +196,6 @@ function actions() {
   document.getElementById("top-actions").append(
     panel("strip", "List of pictures", "I"), panel("side", "Panel", "D"),
     iconButton("Keys", "keyboard", showKeys, { shortcut: "?" }), toggle);
-}
-
-/** A file was dropped or pasted: fit the picture, follow the video, use the model, or take over unsaved work. */
-function take(file) {
-  if (file.type.startsWith("video/") || VIDEO.test(file.name)) return openTab("live", { file });
-  if (/\.json$/i.test(file.name)) return restore(file);
-  if (/\.liaam$/i.test(file.name)) return openModel(app, file).catch((error) => toast(error, "bad"));
-  if (!["fit", "compare"].includes(open)) openTab("fit"); // the other tabs show no such picture
-  return app.sources.take(file);
-}
-
-async function restore(file) {
-  try {
-    const left = takeWork(localStorage, state.project.id, await file.text(), file.name);
-    if (!left) return location.reload();
-    toast(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`, "bad");
-  } catch (error) {
-    toast(error, "bad");
-  }
 }
 
 /** Say above the page that the server is gone, and how to go on. */
@@ -251,12 +235,15 @@ function status() {
   const model = h("span.badge", { testid: "top-model" });
   document.getElementById("top-status").append(training, model);
   const show = () => {
-    const { training: now, model: has } = state.project;
+    const { training: learning, fitting, model: has } = state.project;
+    const { adding } = state;
+    const now = adding ?? fitting ?? learning;
     const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
-    training.hidden = now.state !== "running";
-    training.textContent = `${now.phase === "proposals" ? "Placing points" : "Training"}${percent}`;
+    training.hidden = now === learning && learning.state !== "running";
+    const places = fitting || learning.phase === "proposals";
+    training.textContent = `${adding ? "Adding" : places ? "Placing points" : "Training"}${percent}`;
     const guest = isGuest(state.project);
-    model.textContent = guest ? `Fit only: ${has.name}` : has ? `Model: ${has.n_images} pictures` : "No model yet";
+    model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
   };
   let before = null;
@@ -265,13 +252,13 @@ function status() {
     if (detail.state === "failed" && before !== "failed") toast(`Training failed: ${detail.error}`, "bad");
     before = detail.state;
   });
-  state.addEventListener("project", show);
+  for (const event of ["project", "fitting"]) state.addEventListener(event, show);
   show();
 }
 
 addEventListener("unhandledrejection", (event) => {
   if (event.reason instanceof ApiError) event.preventDefault(); // others are faults of the page, for its console
-  if (event.reason?.message) toast(event.reason.message, "bad");
+  if (event.reason?.message) toast(event.reason, "bad");
 });
 
 start();

@@ -3,7 +3,7 @@
 import { nameIn, remember } from "./address.js";
 import { api, ApiError } from "./api.js";
 import { isIn } from "./strip-filters.js";
-import { complaints } from "./ui.js";
+import { complaints, toast } from "./ui.js";
 import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
@@ -17,6 +17,7 @@ export class State extends EventTarget {
     this.order = []; // names of the pictures as the list shows them
     this.folder = ""; // the subfolder that the list shows; "" for all
     this.online = true;
+    this.adding = null; // {done, total} of the files that are being added
     this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
     this._indexed = null; // the project whose pictures are in _byName
@@ -56,6 +57,14 @@ export class State extends EventTarget {
       }
     });
     return this._refreshing;
+  }
+
+  /** Fetch the project until the states of all pictures are known. */
+  async settled() {
+    for (;;) {
+      await this.refresh().catch(() => {});
+      if (!this._again && !this.project.pictures.some(({ state }) => state === "reading")) return;
+    }
   }
 
   select(name) {
@@ -131,7 +140,10 @@ export class State extends EventTarget {
     }
     this.unsure = false;
     this.project = project;
-    if (!this.picture()) this.select(this._first());
+    if (!this.picture()) {
+      if (this.current) toast(`${this.current} is no longer in the folder.`);
+      this.select(this._first());
+    }
     this._say("project");
   }
 
@@ -170,6 +182,10 @@ export class State extends EventTarget {
     source.addEventListener("training", (event) => {
       this.project.training = JSON.parse(event.data);
       this._say("training", this.project.training);
+    });
+    source.addEventListener("fitting", (event) => {
+      this.project.fitting = JSON.parse(event.data);
+      this._say("fitting");
     });
     source.addEventListener("landmarks", (event) => {
       for (const each of [JSON.parse(event.data)].flat()) this._say("landmarks", each);

@@ -12,13 +12,14 @@ export const FILTERS = {
   proposed: { label: "Proposed", has: ({ state }) => state === "proposed" },
   doubtful: { label: "Doubtful", has: ({ doubtful }) => doubtful },
   done: { label: "Done", has: ({ state }) => state === "done" },
+  slips: { label: "Possible slips", has: ({ slip }) => Boolean(slip) },
   review: { label: "To review", has: ({ state, checked }) => state === "done" && !checked },
   checked: { label: "Checked", has: ({ checked }) => Boolean(checked) },
   left: { label: "Left out", has: (picture, left) => Boolean(whyLeftOut(picture, left)) },
   broken: { label: "Cannot be read", has: ({ state }) => state === "broken" },
 };
 
-export const ORDERS = { name: "Name", uncertainty: "Uncertainty" };
+export const ORDERS = { name: "Name", quality: "Quality, worst first", uncertainty: "Uncertainty" };
 
 export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
 
@@ -32,10 +33,11 @@ export function whyLeftOut({ name, state, left_out: who }, left) {
 }
 
 export function describe(picture, left) {
-  const { state, placed, doubtful, checked, error } = picture;
+  const { state, placed, doubtful, checked, error, slip } = picture;
   if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
   if (state === "partial") return error ? "points do not fit" : `${placed} placed`;
   if (state === "proposed" && doubtful) return "doubtful";
+  if (slip) return "possible slip";
   return checked ? "checked" : (STATES[state] ?? state);
 }
 
@@ -49,14 +51,20 @@ export function foldersOf(pictures) {
   return Object.fromEntries(names.map((name) => [name, `${name} (${counts.get(name)})`]));
 }
 
+/** Keys to sort by, smallest first. */
+const KEYS = {
+  quality: ({ quality, doubtful, slip }) => (slip ? -2 : quality == null ? 2 : quality - (doubtful ? 1 : 0)),
+  uncertainty: ({ uncertainty, doubtful }) => -(uncertainty ?? -1) - (doubtful ? 1e6 : 0),
+};
+
 /** The pictures to show, in order. wanted: {text, filter, folder, order}. */
 export function matching(pictures, { text, filter, folder, order }, left) {
   const { has } = FILTERS[filter];
   const found = pictures.filter(
     (picture) => has(picture, left) && isIn(picture.name, folder) && picture.name.toLowerCase().includes(text),
   );
-  const doubt = ({ uncertainty, doubtful }) => (uncertainty ?? -1) + (doubtful ? 1e6 : 0);
-  return order === "uncertainty" ? found.sort((a, b) => doubt(b) - doubt(a)) : found;
+  const key = KEYS[order];
+  return key ? found.sort((a, b) => key(a) - key(b)) : found;
 }
 
 /** The names from one to another in a list, both included; only the second if the first is not there. */

@@ -35,6 +35,9 @@ export function mountStrip(root, app) {
   const several = iconButton("Select several", "check", () => select(!selecting), {
     small: true, pressed: false, testid: "strip-several",
   });
+  const adder = iconButton("Add pictures", "plus", () => app.adding.choose(), {
+    small: true, testid: "add-pictures", title: "Add pictures, landmark files, a model or a video; or drop them on the page",
+  });
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
     onall: () => mark(state.order) });
@@ -43,7 +46,7 @@ export function mountStrip(root, app) {
     role: "listbox", tabindex: "0", "aria-label": "Pictures", testid: "strip", onclick: click, onkeydown: key,
   }, space);
   root.append(
-    h("div.strip-head", search, folders, filter, order, h("div.row.strip-count", count, several)), bulk.element, list);
+    h("div.strip-head", search, folders, filter, order, h("div.row.strip-count", count, adder, several)), bulk.element, list);
 
   // Selecting -------------------------------------------------------------------------------------------------------
 
@@ -102,7 +105,7 @@ export function mountStrip(root, app) {
   const leftOut = () => state.project.model?.left_out ?? {};
 
   function make(picture) {
-    const { name, tag, rank, error, checked } = picture;
+    const { name, tag, rank, error, checked, slip } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
     const what = filters.describe(picture, leftOut());
     const folder = filters.folderOf(name);
@@ -111,21 +114,21 @@ export function mountStrip(root, app) {
       : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures", name, "thumbnail", { tag }) } });
     return h("div.strip-item", {
       role: "option", id: `strip-${encodeURIComponent(name)}`,
-      title: error ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),
+      title: error ?? slip ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),
       "aria-label": `${name}, ${what}${rank === 1 ? ", helps the model most" : ""}`,
       dataset: { name, state: picture.state },
     }, h("span.strip-face", face,
       rank === 1 && h("span.strip-next", { title: "Helps the model most" }, icon("spark", 12)),
-      h("span.dot", { class: why ? "left-out" : checked ? "checked" : picture.state })),
+      h("span.dot", { class: why ? "left-out" : slip ? "slip" : checked ? "checked" : picture.state })),
     h("span.strip-text", h("span.strip-name", filters.baseOf(name)),
       h("span.strip-state", folder ? `${what} · ${folder}` : what)));
   }
 
   /** The item of a picture, made again if the picture has changed. */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag, checked } = picture;
+    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why].join("|");
+    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
@@ -174,6 +177,13 @@ export function mountStrip(root, app) {
     list.scrollTo(BESIDE.matches ? { top: to } : { left: to });
   }
 
+  /** While pictures are added or fitted, those in the list keep their places, and others come after them. */
+  function inPlace(found) {
+    if (!state.adding && !state.project.fitting) return found;
+    const places = new Map(state.order.map((name, i) => [name, i]));
+    return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
+  }
+
   let known = null;
   /** Show the subfolders to choose from; the choice of one that is gone ends. */
   function showFolders(all) {
@@ -189,7 +199,7 @@ export function mountStrip(root, app) {
   function show() {
     const all = state.project.pictures;
     showFolders(all);
-    pictures = filters.matching(all, { ...wanted, folder: state.folder }, leftOut());
+    pictures = inPlace(filters.matching(all, { ...wanted, folder: state.folder }, leftOut()));
     state.order = pictures.map(({ name }) => name);
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
@@ -200,9 +210,22 @@ export function mountStrip(root, app) {
     render();
   }
 
+  document.addEventListener("keydown", ({ key: pressed }) => {
+    if (pressed === "Escape" && selecting && !document.querySelector("dialog[open]")) select(false);
+  });
+  state.addEventListener("to-review", () => {
+    wanted.filter = filter.value = "review";
+    show();
+    if (pictures.length) state.select(pictures[0].name);
+  });
   list.addEventListener("scroll", perFrame(render), { passive: true });
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);
+  state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
+  state.addEventListener("added", () => {
+    wanted.order = order.value = "quality";
+    show();
+  });
   state.addEventListener("select", () => { reveal(); render(); });
   show();
   reveal();

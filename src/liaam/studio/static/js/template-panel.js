@@ -60,7 +60,8 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     if (saved) return hint(EDIT);
     if (draft.names.length) return hint(CONTINUE);
     const label = h("label.button", { for: "template-file" }, icon("upload"), "Load a landmark file");
-    const other = hint("Or start with a common set, or with a landmark file (.pts, .ljson, .asf …):");
+    const files = window.liaamStudio.state.project.formats.landmarks.join(" ");
+    const other = hint(`Or start with a common set, or with a landmark file (${files}):`);
     const common = menu("Choose a common set…", PRESETS, loadPreset, {
       "aria-label": "Common sets of points", testid: "template-preset",
     });

@@ -133,9 +133,9 @@ export function menu(title, labels, onchoose, attributes = {}) {
 
 export const slider = (attributes) => h("input.slider", { type: "range", ...attributes });
 
-/** A hidden field for a file, which is opened by its click(); onfile(file). */
+/** A hidden field for a file, which is opened by its click(); onfile(file, all). */
 export function fileField(onfile, attributes = {}) {
-  const onchange = () => field.files[0] && onfile(field.files[0]);
+  const onchange = () => field.files[0] && onfile(field.files[0], [...field.files]);
   const onclick = () => { field.value = ""; }; // so that the same file can be chosen again
   const field = h("input.visually-hidden", { type: "file", tabindex: "-1", onclick, onchange, ...attributes });
   return field;
@@ -219,6 +219,7 @@ export function saveFile(blob, name) {
 
 /** Show a message at the bottom of the page; errors stay until they are closed. Returns a function that removes it. */
 export function toast(message, kind = "info") {
+  if (message?.unreachable) return () => {}; // the notice above the page says so
   const box = document.getElementById("toasts");
   const text = message instanceof Error ? message.message : String(message);
   for (const other of box.querySelectorAll(".toast")) if (other.textContent === text) other.remove();

@@ -58,6 +58,16 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
+  /** Show a part of the picture, [left, top, right, bottom], and a margin around it, as large as they fit. */
+  fitTo([left, top, right, bottom], margin) {
+    const { w, h } = this._size();
+    this.scale = Math.min(w / (right - left + 2 * margin), h / (bottom - top + 2 * margin), LARGEST);
+    this.left = w / 2 - (this.scale * (left + right)) / 2;
+    this.top = h / 2 - (this.scale * (top + bottom)) / 2;
+    this._fitted = false;
+    this._changed();
+  }
+
   /** Replace the source of the picture; the view stays. */
   setSource(source) {
     this.source = source;

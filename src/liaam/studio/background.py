@@ -1,0 +1,225 @@
+"""Work in the background: fit new pictures as soon as there is a model, and look for slips in the landmarks.
+
+In a folder without points of its own, the face model that comes with liaam is tried on a few pictures. If it finds
+faces in them, the folder gets its points and its proposals, until a person defines other points or trains a model.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
+from liaam.errors import LiaamError
+from liaam.fitting import Fitter
+from liaam.io import Contour, Landmarks
+from liaam.model import AAM, load_model
+from liaam.models import FACE
+from liaam.studio.fits import WARM_UP, example
+from liaam.studio.model_store import ModelStore
+from liaam.studio.project import Project
+from liaam.studio.template import Template, template_of
+from liaam.studio.training import Trainer
+from liaam.studio.training_process import propose
+
+LOOK_SECONDS = 3.0
+"""How often the folder is looked at for files that other programs add."""
+
+QUIET_SECONDS = 0.2
+"""Files that are added together arrive in shorter intervals."""
+
+TRIED = 4
+"""Number of pictures in which faces are looked for before the points of the face model are offered."""
+
+THREADS = min(4, os.cpu_count() or 1)
+
+BATCH_SECONDS = 0.5
+"""Proposals are shown after so long, and after as long again for each thousand pictures, which the page fetches."""
+
+Picture = tuple[str, Path]
+
+
+class Background:
+    """Fits new pictures and checks landmarks in a thread.
+
+    Parameters
+    ----------
+    project : Project
+    models : ModelStore
+    trainer : Trainer
+        Nothing is fitted while it trains, since it then fits pictures itself.
+    publish : callable
+        Called with (kind, data) of every event.
+    """
+
+    def __init__(
+        self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]
+    ) -> None:
+        self.project = project
+        self.models = models
+        self.trainer = trainer
+        self.progress: dict[str, int] | None = None
+        """``done`` and ``total`` of the pictures that are being fitted."""
+        self._publish = publish
+        self._woken = threading.Event()
+        self._stopped = False
+        self._fitter: tuple[AAM, Fitter] | None = None
+        self._without_faces: set[tuple[str, str]] = set()
+        self._checked: object = None
+
+    def start(self) -> None:
+        """Start the thread."""
+        threading.Thread(target=self._run, name="studio-background", daemon=True).start()
+
+    def stop(self) -> None:
+        """End the thread after what it does at the moment."""
+        self._stopped = True
+        self._woken.set()
+
+    def wake(self) -> None:
+        """Look at the folder now."""
+        self._woken.set()
+
+    def _run(self) -> None:
+        with suppress(OSError, AttributeError):  # a person who fits a picture comes first
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
+        with suppress(LiaamError):
+            self._prepare()
+        while not self._stopped:
+            with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
+                self.fit_new()
+                self.check_landmarks()
+            if self._woken.wait(LOOK_SECONDS):
+                self._rest()
+
+    def _prepare(self) -> None:
+        """Fit an example with the face model if it may be needed, so that the first photographs do not wait for it."""
+        if self.models.own is None and self.project.settings.face and not self.project.has_own_points:
+            face = load_model(FACE)
+            self._fitter_of(face).fit(example(face, WARM_UP))
+
+    def _rest(self) -> None:
+        """Wait until no more files arrive, but not for ever."""
+        until = time.monotonic() + LOOK_SECONDS
+        self._woken.clear()
+        while self._woken.wait(QUIET_SECONDS) and not self._stopped and time.monotonic() < until:
+            self._woken.clear()
+        self._woken.clear()
+
+    # Proposals ------------------------------------------------------------------------------------
+
+    def fit_new(self) -> None:
+        """Propose landmarks for all pictures that have neither landmarks nor a proposal."""
+        if self._is_paused():
+            return
+        waiting = self.project.unfitted()
+        if _is_face(self.models.own) and self.project.has_own_points:
+            self.project.offer(None)
+            self.models.withdraw()
+            self._publish("project", {})
+            return
+        if waiting and self._find_model(waiting) is not None:
+            self._propose(waiting)
+
+    def decline(self) -> None:
+        """Do without the points of the face model in this folder."""
+        self.project.decline_offer()
+        if _is_face(self.models.own):
+            self.models.withdraw()
+        self._publish("project", {})
+
+    def _is_paused(self) -> bool:
+        return self._stopped or self.trainer.state.state == "running"
+
+    def _find_model(self, waiting: list[Picture]) -> AAM | None:
+        """Return the model of the folder, or else the face model if it finds faces."""
+        own, project = self.models.own, self.project
+        if own is not None:
+            if project.template is None:
+                project.offer(template_of_model(own.model))
+            return own.model
+        if project.has_own_points or project.declined or not project.settings.face:
+            return None
+        face = load_model(FACE)
+        if project.template is None and not self._has_faces(face, waiting):
+            return None
+        project.offer(template_of_model(face), FACE)
+        facts = {"source": FACE, "trained": None, "pictures": {}, "careful": False}
+        return self.models.publish(face, facts).model
+
+    def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
+        """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
+        tags = {name: self.project.tag_of(name) for name, _ in waiting}
+        fresh = [picture for picture in waiting if (picture[0], tags[picture[0]]) not in self._without_faces][:TRIED]
+        with ThreadPoolExecutor(THREADS) as pool:
+            found = list(pool.map(lambda picture: propose(self._fitter_of(face), picture[1]), fresh))
+        if fresh and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh):
+            return True
+        self._without_faces.update((name, tags[name]) for name, _ in fresh)
+        return False
+
+    def _fitter_of(self, model: AAM) -> Fitter:
+        if self._fitter is None or self._fitter[0] is not model:
+            self._fitter = model, Fitter(model)
+        return self._fitter[1]
+
+    def _propose(self, waiting: list[Picture]) -> None:
+        """Fit pictures in threads and save the proposals in batches."""
+        own, order = self.models.own, self.project.order
+        assert own is not None
+        fitter, total = self._fitter_of(own.model), len(waiting)
+        batch: dict[str, Any] = {}
+        seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
+        with ThreadPoolExecutor(THREADS) as pool:
+            pending: dict[Future[dict[str, Any]], str] = {
+                pool.submit(propose, fitter, path): name for name, path in waiting
+            }
+            try:
+                while pending and not self._is_paused() and self.models.own is own:
+                    for future in wait(pending, seconds, FIRST_COMPLETED).done:
+                        batch[pending.pop(future)] = future.result()
+                    if batch and (not pending or time.monotonic() - saved > seconds):
+                        self.project.add_proposals(batch, order)
+                        batch, saved = {}, time.monotonic()
+                        self._show(total - len(pending), total)
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+                self._show(0, 0)
+
+    def _show(self, done: int, total: int) -> None:
+        self.progress = {"done": done, "total": total} if total else None
+        self._publish("fitting", self.progress)
+        self._publish("project", {})
+
+    # Slips ----------------------------------------------------------------------------------------
+
+    def check_landmarks(self) -> None:
+        """Look for slips as ``liaam check`` does, if landmarks have changed since."""
+        done = self.project.annotated()
+        key = [(item.name, item.revision) for item in done]
+        if key == self._checked:
+            return
+        self._checked = key
+        found: dict[str, tuple[str, str]] = {}
+        faults = find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else []
+        for fault in faults:
+            item = done[fault.picture]
+            found.setdefault(item.name, (item.revision, fault.message))
+        if self.project.set_slips(found):
+            self._publish("project", {})
+
+
+def template_of_model(model: AAM) -> Template:
+    """Return the points of a model as a template."""
+    mean = model.shape_model.mean.reshape(-1, 2)
+    return template_of(Landmarks(mean, Contour.all_of(model.contours), model.landmark_names))
+
+
+def _is_face(own: Any) -> bool:
+    return own is not None and own.facts["source"] == FACE

@@ -1,0 +1,145 @@
+// Bringing files in: pictures and landmark files are added to the folder, a model is used, and a video is followed.
+
+import { several } from "./annotate-words.js";
+import { api } from "./api.js";
+import { openModel } from "./fit-only.js";
+import { takeWork } from "./handover.js";
+import { baseOf } from "./strip-filters.js";
+import { toast } from "./ui.js";
+
+const AT_ONCE = 4; // files sent at a time
+const SHOWN = 3; // reasons in the summary
+const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/i;
+const UNSAVED = /^\{"kind":"liaam-studio-unsaved"/;
+
+const suffixOf = (path) => /\.[^./]+$/.exec(path.toLowerCase())?.[0] ?? "";
+const stemOf = (path) => path.slice(0, path.length - suffixOf(path).length);
+const isVideo = ({ file, path }, { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
+
+/** All files of a drop with their paths: [{file, path}]; folders are opened. */
+export async function filesIn(transfer) {
+  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
+  if (!entries.some(({ isDirectory }) => isDirectory)) return [...transfer.files].map((file) => ({ file, path: file.name }));
+  const found = [];
+  for (const entry of entries) await collect(entry, found);
+  return found;
+}
+
+async function collect(entry, found) {
+  if (entry.isFile) {
+    const file = await new Promise((resolve, reject) => { entry.file(resolve, reject); });
+    found.push({ file, path: entry.fullPath.slice(1) });
+    return;
+  }
+  const reader = entry.createReader();
+  for (;;) { // a browser lists a hundred entries at a time
+    const some = await new Promise((resolve, reject) => { reader.readEntries(resolve, reject); });
+    if (!some.length) return;
+    for (const each of some) await collect(each, found);
+  }
+}
+
+/** Names in the folder for the paths of files: without their folders, unless two would then share a name. */
+export function namesFor(paths) {
+  const folders = new Map(); // stem -> folder
+  const clash = paths.some((path) => {
+    const [stem, folder] = [stemOf(baseOf(path)), path.slice(0, path.lastIndexOf("/") + 1)];
+    const other = folders.get(stem) ?? folder;
+    folders.set(stem, folder);
+    return other !== folder;
+  });
+  return paths.map((path) => (clash ? path.split("/").join("_") : baseOf(path)));
+}
+
+/** What has been done with the files. */
+export function summary({ pictures, known, landmarks, placed, refused }) {
+  const parts = [
+    (pictures || !(known || landmarks)) && `${several(pictures, "picture")} added`,
+    known && `${several(known, "file")} already here`,
+    landmarks && `landmarks for ${placed}`,
+    refused.length && `${several(refused.length, "file")} left out: ${refused.slice(0, SHOWN).join("; ")}` +
+      (refused.length > SHOWN ? `; and ${refused.length - SHOWN} more` : ""),
+  ];
+  return `${parts.filter(Boolean).join(", ")}.`;
+}
+
+export function createAdding(app) {
+  const { state } = app;
+
+  /** Take in files: [{file, path}]. A single picture is only shown if the open tab fits pictures. */
+  async function take(items) {
+    const { formats } = state.project;
+    const wanted = items.filter(({ path }) => !IGNORED.test(path));
+    const [only] = wanted;
+    if (wanted.length === 1 && formats.pictures.includes(suffixOf(only.path)) && app.showsPictures())
+      return app.sources.take(only.file);
+    const model = wanted.find(({ path }) => suffixOf(path) === ".liaam");
+    const video = wanted.find((item) => isVideo(item, formats));
+    const rest = [];
+    for (const item of wanted) {
+      if (suffixOf(item.path) === ".json" && UNSAVED.test(await item.file.slice(0, 99).text())) await restore(item.file);
+      else if (item !== model && item !== video) rest.push(item);
+    }
+    if (rest.length) await add(rest);
+    try {
+      if (model) await openModel(app, model.file);
+      if (video) app.openTab("live", { file: video.file });
+    } catch (error) {
+      toast(error, "bad");
+    }
+  }
+
+  /** Add files to the folder: pictures first, since landmarks belong to them. */
+  async function add(items) {
+    const { formats, limits } = state.project;
+    const before = new Set(state.project.pictures.filter(({ placed }) => placed).map(({ name }) => name));
+    const names = namesFor(items.map(({ path }) => path));
+    const isPicture = (i) => formats.pictures.includes(suffixOf(names[i]));
+    const queue = [...names.keys()].sort((a, b) => Number(isPicture(b)) - Number(isPicture(a)));
+    const result = { pictures: 0, known: 0, landmarks: 0, placed: 0, refused: [] };
+    const send = async () => {
+      for (let i = queue.shift(); i !== undefined; i = queue.shift()) {
+        state.adding = { done: items.length - queue.length, total: items.length };
+        state.dispatchEvent(new Event("fitting"));
+        try {
+          const { size } = items[i].file;
+          if (size > limits.upload_bytes)
+            throw new Error(`${names[i]} is larger than ${Math.round(limits.upload_bytes / 1e6)} MB: put it into the folder`);
+          const { kind, known } = await api.upload(api.url("files", { name: names[i] }), items[i].file, { quiet: true });
+          if (known) result.known += 1;
+          else if (kind === "picture") result.pictures += 1;
+          else result.landmarks += 1;
+        } catch (error) {
+          result.refused.push(error.message);
+        }
+      }
+    };
+    await Promise.all(Array.from({ length: AT_ONCE }, send));
+    state.adding = null;
+    await state.settled();
+    result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
+    toast(summary(result), result.refused.length ? "bad" : "good");
+    state.dispatchEvent(new Event("added"));
+    if (result.pictures && !app.guest()) app.openTab("annotate");
+  }
+
+  async function restore(file) {
+    try {
+      const left = takeWork(localStorage, state.project.id, await file.text(), file.name);
+      if (!left) return location.reload();
+      toast(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`, "bad");
+    } catch (error) {
+      toast(error, "bad");
+    }
+  }
+
+  /** Let the person choose files to add. */
+  function choose() {
+    const { pictures, landmarks, videos } = state.project.formats;
+    const accept = [...pictures, ...landmarks, ...videos, ".liaam"].join();
+    const takeAll = (_file, all) => take(all.map((file) => ({ file, path: file.name })));
+    app.ui.fileField(takeAll, { accept, multiple: true }).click();
+  }
+
+  return { take, choose };
+}

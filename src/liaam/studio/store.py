@@ -1,0 +1,333 @@
+"""What the studio keeps for a folder: one SQLite file, with the trained models beside it.
+
+They lie in a subfolder of the project's folder. The database holds JSON: values by kind and name (the template, a
+change of it that is under way, proposals, pictures left at the mean shape, invisible points of ``.pts`` files, deleted
+landmarks, facts about the models), and lines that are only appended (the log of reviews, the versions of the model).
+Landmarks themselves lie beside the pictures, in their own formats.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import sqlite3
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from liaam.errors import LiaamError
+from liaam.io.atomic import lock, sweep
+from liaam.io.files import real_path
+from liaam.studio.folder import STATE, Folder, remove, revision_of
+from liaam.studio.safety import Refusal
+
+DATABASE = "studio.db"
+LOCK_FILE = "lock"
+
+_SCHEMA = """
+CREATE TABLE IF NOT EXISTS item (kind TEXT, name TEXT, json TEXT, hash TEXT, PRIMARY KEY (kind, name)) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS line (number INTEGER PRIMARY KEY, kind TEXT, json TEXT, hash TEXT);
+"""
+
+
+class Store:
+    """The studio's own files of a folder; thread-safe.
+
+    Attributes
+    ----------
+    folder : Folder
+    faults : dict of str to str
+        Messages about files of the studio that cannot be used, by file.
+    writes : int
+        Incremented with every write.
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        self.folder = folder
+        self.faults: dict[str, str] = {}
+        self.writes = 0
+        self._lock = threading.RLock()
+        self._id = ""
+        self._connection: sqlite3.Connection | None = None
+        self._opened: os.stat_result | None = None
+        self._depth = 0
+
+    @property
+    def id(self) -> str:
+        """Unique identifier of the folder. It survives a move; a copy has another one."""
+        with self._lock:
+            if not self._id:
+                known = self.get("id")
+                if known is None:
+                    known = secrets.token_hex(16)
+                    with suppress(LiaamError):  # the id is then valid until the studio ends
+                        self.put("id", {"": known})
+                try:
+                    facts = self.folder.root.stat()
+                except OSError as fault:
+                    raise Refusal(409, f"the folder cannot be read ({fault.strerror or fault}): restore it") from fault
+                self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
+            return self._id
+
+    # Values ---------------------------------------------------------------------------------------
+
+    def get(self, kind: str, name: str = "") -> Any:
+        """Return a value, or None."""
+        return self.all(kind, name).get(name)
+
+    def all(self, kind: str, name: str | None = None) -> dict[str, Any]:
+        """Return the values of a kind by name, or only the one with a name."""
+        query, arguments = "SELECT name, json, hash FROM item WHERE kind = ?", [kind]
+        if name is not None:
+            query, arguments = f"{query} AND name = ?", [kind, name]
+        return dict(self._read(query, arguments))
+
+    def put(self, kind: str, values: Mapping[str, Any]) -> None:
+        """Set values by name; None removes one.
+
+        Raises
+        ------
+        Refusal
+            507 if the disk is full, 503 or 409 if the file cannot be written otherwise.
+        """
+        with self.transaction() as connection:
+            gone = [(kind, name) for name, value in values.items() if value is None]
+            connection.executemany("DELETE FROM item WHERE kind = ? AND name = ?", gone)
+            rows = [(kind, name, *_row(value)) for name, value in values.items() if value is not None]
+            connection.executemany("INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?)", rows)
+
+    def clear(self, kind: str) -> None:
+        """Remove all values of a kind."""
+        with self.transaction() as connection:
+            connection.execute("DELETE FROM item WHERE kind = ?", (kind,))
+
+    def append(self, kind: str, items: Iterable[Any]) -> None:
+        """Append lines."""
+        with self.transaction() as connection:
+            rows = [(kind, *_row(item)) for item in items]
+            connection.executemany("INSERT INTO line (kind, json, hash) VALUES (?, ?, ?)", rows)
+
+    def lines(self, kind: str) -> list[Any]:
+        """Return all lines of a kind, oldest first."""
+        rows = self._read("SELECT number, json, hash FROM line WHERE kind = ? ORDER BY number", [kind])
+        return [value for _, value in rows]
+
+    @contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """Write everything in the block, or nothing; blocks may be nested."""
+        with self._lock:
+            try:
+                connection = self._open()
+                if not self._depth:
+                    connection.execute("BEGIN IMMEDIATE")
+                self._depth += 1
+                try:
+                    yield connection
+                finally:
+                    self._depth -= 1
+                if not self._depth:
+                    connection.commit()
+                    self.writes += 1
+            except BaseException as fault:
+                if not self._depth and self._connection is not None:
+                    with suppress(sqlite3.Error):
+                        self._connection.rollback()
+                if isinstance(fault, sqlite3.Error):
+                    raise _refused(fault) from fault
+                raise
+
+    def _read(self, query: str, arguments: list[str]) -> list[tuple[Any, Any]]:
+        """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
+        with self._lock:
+            try:
+                if not (self._folder() / DATABASE).exists():  # a folder that is only looked at stays as it is
+                    self.note(DATABASE, None)
+                    return []
+                rows = self._open().execute(query, arguments).fetchall()
+            except (sqlite3.Error, LiaamError) as fault:
+                self.note(DATABASE, f"{STATE}/{DATABASE} is not used: {fault}")
+                return []
+        whole = [(key, json.loads(text)) for key, text, known in rows if _hash(text) == known]
+        if len(whole) < len(rows):
+            n = len(rows) - len(whole)
+            self.note("damaged", f"{n} of the entries of {STATE}/{DATABASE} were damaged, so they are ignored")
+        return whole
+
+    def _open(self) -> sqlite3.Connection:
+        """Return the connection. It is made again if the file was removed or replaced meanwhile."""
+        path = self.path(DATABASE)
+        if self._connection is not None and self._opened is not None:
+            with suppress(OSError):
+                if self._depth or os.path.samestat(path.stat(), self._opened):
+                    return self._connection
+            self.close()
+        try:
+            self._connection = _connected(path)
+        except sqlite3.DatabaseError as fault:
+            if isinstance(fault, sqlite3.OperationalError):  # such as a full disk: the file itself may be whole
+                raise
+            self._set_aside_damaged(path, fault)
+            self._connection = _connected(path)
+        else:
+            self.note(DATABASE, None)
+        self._opened = path.stat()
+        return self._connection
+
+    def _set_aside_damaged(self, path: Path, fault: Exception) -> None:
+        """Keep a damaged database under another name, so that a new one can be made."""
+        name = f"damaged-{secrets.token_hex(4)}.db"
+        for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
+            with suppress(FileNotFoundError):
+                path.with_name(path.name + end).replace(path.with_name(name + end))
+        self.note(
+            "damaged",
+            f"{STATE}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected, but the "
+            "template, proposals and reviews begin anew",
+        )
+
+    def close(self) -> None:
+        """Close the database."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = None
+
+    # Files ----------------------------------------------------------------------------------------
+
+    def path(self, name: str) -> Path:
+        """Return the path of a file and create its folder.
+
+        Raises
+        ------
+        Refusal
+            409 if it is a link that leads out of the studio's subfolder.
+        """
+        path = self._folder() / name
+        if not real_path(path).is_relative_to(self.folder.root / STATE):
+            raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as fault:
+            raise LiaamError(
+                f"{path.parent} cannot be made ({fault.strerror or fault}): check the rights on the folder."
+            ) from fault
+        return path
+
+    def remove(self, name: str) -> None:
+        """Remove a file if it exists."""
+        remove(self.path(name))
+
+    def set_aside(self, name: str) -> None:
+        """Move a file to ``kept`` if it exists, under a name by its content."""
+        path = self.path(name)
+        try:
+            if path.exists():
+                path.replace(self.path(f"kept/{path.stem}.{revision_of(path.read_bytes())}{path.suffix}"))
+        except OSError as fault:
+            raise LiaamError(f"{path} cannot be moved ({fault.strerror or fault}): check the rights on it.") from fault
+
+    def note(self, key: str, fault: str | None) -> None:
+        """Set or clear the message about a file."""
+        with self._lock:
+            if fault is None:
+                self.faults.pop(key, None)
+            else:
+                self.faults[key] = self.folder.plain(fault)
+
+    def sweep(self) -> None:
+        """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
+        with suppress(LiaamError):
+            for folder in (self.folder.root, self._folder(), self._folder() / "kept"):
+                sweep(folder)
+
+    def _folder(self) -> Path:
+        folder = self.folder.root / STATE
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
+        return folder
+
+
+def _connected(path: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(path, timeout=5.0, isolation_level=None, check_same_thread=False)
+    try:
+        (state,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+        if state != "ok":
+            raise sqlite3.DatabaseError(state)
+        connection.executescript(_SCHEMA)
+        connection.execute("SELECT item.hash, line.hash FROM item, line LIMIT 1")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _row(value: Any) -> tuple[str, str]:
+    """Return a value as JSON, and its hash. Raises for NaN, which no page can parse."""
+    text = json.dumps(value, allow_nan=False)
+    return text, _hash(text)
+
+
+def _hash(text: Any) -> str:
+    """SQLite does not notice a changed byte within a value."""
+    return revision_of(str(text).encode(errors="replace"))
+
+
+def _refused(fault: sqlite3.Error) -> Refusal:
+    is_full = getattr(fault, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
+    remedy = "make room on the disk" if is_full else "check the rights on the folder and the free space"
+    return Refusal(507 if is_full else 503, f"{STATE}/{DATABASE} cannot be written ({fault}): {remedy}")
+
+
+class FolderLock:
+    """A lock on a folder: two studios would overwrite each other's landmark files.
+
+    The system releases it when this process ends for any reason.
+
+    Parameters
+    ----------
+    folder : Path
+        Path with links resolved.
+    address : str
+        Address of this studio, for the error message of a second one.
+
+    Raises
+    ------
+    LiaamError
+        If another studio holds the lock.
+    """
+
+    def __init__(self, folder: Path, address: str) -> None:
+        self._descriptor: int | None = None
+        state = folder / STATE
+        if state.is_symlink() or (state.exists() and not state.is_dir()):
+            return  # the project reports this and writes nothing there
+        path = state / LOCK_FILE
+        try:
+            state.mkdir(exist_ok=True)
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+        except OSError as fault:
+            raise LiaamError(f"{path} cannot be made ({fault.strerror or fault}): check the rights on it.") from fault
+        try:
+            is_locked = lock(descriptor)
+        except BlockingIOError as fault:
+            holder = os.read(descriptor, 1000).decode(errors="replace")
+            os.close(descriptor)
+            raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
+        if not is_locked:  # a file system without locks
+            os.close(descriptor)
+            return
+        self._descriptor = descriptor
+        with suppress(OSError):  # only used for an error message
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
+
+    def release(self) -> None:
+        """Release the lock."""
+        descriptor, self._descriptor = self._descriptor, None
+        if descriptor is not None:
+            with suppress(OSError):
+                os.ftruncate(descriptor, 0)
+            os.close(descriptor)

@@ -1,0 +1,158 @@
+"""Bring pictures, folders and landmark files in, see them fitted, and see slips, in a real browser."""
+
+import base64
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import annotate, shoot, wait_for, wait_for_state
+
+from liaam import datasets
+from liaam.io import Landmarks, read_image, write_image, write_landmarks
+from liaam.io.landmarks import write_collection
+
+pytestmark = pytest.mark.slow
+
+FACE = Path(datasets.__file__).with_name("pictures") / "face" / "lisa.jpg"
+
+DROP = """(files) => {
+  const transfer = new DataTransfer();
+  for (const [name, data] of files)
+    transfer.items.add(new File([Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0))], name));
+  document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+}"""
+
+READY = "() => document.querySelector('[role=tab][aria-selected=true]')"
+
+NAMES = "() => [...document.querySelectorAll('.strip-item')].map((item) => item.dataset.name)"
+
+
+def drop(page, *paths: Path) -> None:
+    """Drop files on the page, as from a file manager."""
+    page.evaluate(DROP, [[path.name, base64.b64encode(path.read_bytes()).decode()] for path in paths])
+
+
+def pictures_of(page) -> list[dict]:
+    return page.evaluate("() => window.liaamStudio.state.project.pictures")
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """Give an empty folder."""
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def faces(tmp_path):
+    """Give three photographs of a face, one of them hard to fit."""
+    folder = tmp_path / "faces"
+    folder.mkdir()
+    image = read_image(FACE)
+    noise = np.random.default_rng(0).integers(0, 150, image.shape)
+    for name, picture in (
+        ("a.png", image),
+        ("b.png", np.clip(image // 4 + noise, 0, 255).astype(np.uint8)),
+        ("c.png", image[:, ::-1]),
+    ):
+        write_image(folder / name, np.ascontiguousarray(picture))
+    return sorted(folder.iterdir())
+
+
+def test_pictures_and_landmarks_are_added_with_one_summary(serve, page, empty, folder, marked, tmp_path, artefacts):
+    page.goto(serve(empty).address)
+    wait_for(page, READY)
+    assert page.locator("[data-testid=add-first]:visible").count() == 1
+    shoot(page, artefacts, "40-nothing-yet")
+    notes = tmp_path / "notes.txt"
+    notes.write_text("Buy milk")
+    drop(page, *sorted(marked.glob("*.png")), *sorted(marked.glob("*.ljson")), folder / "portrait-04.png", notes)
+    toast = page.locator(".toast", has_text="added")
+    toast.wait_for()
+    text = toast.inner_text()
+    assert "4 pictures added, landmarks for 3, 1 file left out: notes.txt" in text
+    assert len(list(empty.glob("*.png"))) == 4
+    assert [picture["state"] for picture in pictures_of(page)] == ["done", "done", "done", "new"]
+    drop(page, marked / "portrait-01.png")  # again
+    page.locator(".toast", has_text="1 file already here").wait_for()
+
+
+def test_a_table_for_all_pictures_is_added(serve, page, empty, portraits, tmp_path):
+    collection = {f"p{i}.png": Landmarks(portraits[i].landmarks[:9]) for i in range(3)}
+    for i in range(3):
+        write_image(tmp_path / f"p{i}.png", portraits[i].image)
+    sizes = dict.fromkeys(collection, (240, 320))
+    write_collection(tmp_path / "all.tps", collection, dict.fromkeys(sizes, (320, 240)))
+    page.goto(serve(empty).address)
+    wait_for(page, READY)
+    drop(page, tmp_path / "all.tps", *sorted(tmp_path.glob("p*.png")))
+    page.locator(".toast", has_text="3 pictures added, landmarks for 3.").wait_for()
+
+
+def test_files_are_chosen_with_a_button(serve, page, empty, folder):
+    page.goto(serve(empty).address)
+    wait_for(page, READY)
+    with page.expect_file_chooser() as chooser:
+        page.locator("[data-testid=add-first]").click()
+    assert chooser.value.is_multiple()
+    chooser.value.set_files(sorted(folder.glob("*.png"))[:2])
+    page.locator(".toast", has_text="2 pictures added.").wait_for()
+    with page.expect_file_chooser() as chooser:
+        page.locator("[data-testid=add-pictures]").click()
+    chooser.value.set_files(folder / "portrait-03.png")
+    page.locator(".toast", has_text="1 picture added.").wait_for()
+    assert len(list(empty.glob("*.png"))) == 3
+
+
+def test_faces_are_fitted_as_they_arrive_worst_first(serve, page, empty, faces, artefacts):
+    page.goto(serve(empty, face=True).address)
+    wait_for(page, READY)
+    drop(page, *faces)
+    for path in faces:
+        wait_for_state(page, path.name, "proposed")
+    wait_for(page, "() => !window.liaamStudio.state.project.fitting")
+    qualities = {picture["name"]: picture for picture in pictures_of(page)}
+    wait_for(page, "() => document.querySelectorAll('.strip-item').length === 3")
+    shown = page.evaluate(NAMES)
+    keys = [qualities[name]["quality"] - qualities[name]["doubtful"] for name in shown]
+    assert keys == sorted(keys), keys
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    assert "face model" in page.locator(".assist").inner_text()
+    shoot(page, artefacts, "41-faces-fitted")
+    page.locator("[data-testid=tab-fit]").click()  # the model fits at once
+    wait_for(page, "() => window.liaamStudio.fit.fit?.ok !== undefined")
+    page.locator("[data-testid=tab-annotate]").click()
+    page.locator("[data-testid=decline-face]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'template'")
+    assert page.evaluate("() => window.liaamStudio.state.project.template") is None
+
+
+def test_a_new_picture_is_fitted_as_soon_as_it_lies_in_the_folder(serve, page, folder, portrait_model, portraits):
+    page.goto(serve(folder, "--model", str(portrait_model)).address)
+    wait_for_state(page, "portrait-12.png", "proposed")
+    write_image(folder / "new.png", portraits[0].image)
+    wait_for_state(page, "new.png", "proposed")
+
+
+def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, folder, portraits, artefacts):
+    for i, scene in enumerate(portraits[:9], 1):
+        points = scene.landmarks.copy()
+        if i == 3:
+            points[[33, 39]] = points[[39, 33]]
+        write_landmarks(folder / f"portrait-{i:02d}.ljson", Landmarks(points))
+    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
+    page.goto(serve(folder).address)
+    wait_for(page, "() => window.liaamStudio?.state.picture('portrait-03.png')?.slip")
+    page.locator("[data-testid=strip-filter]").select_option("slips")
+    wait_for(page, "() => document.querySelectorAll('.strip-item').length === 1")
+    page.locator(".strip-item").click()
+    wait_for(page, "() => window.liaamStudio.annotate.name() === 'portrait-03.png'")
+    assert "exchanged" in page.locator("[data-testid=why-next]").inner_text()
+    shoot(page, artefacts, "42-slip")
+    page.locator("[data-testid=train]").click()
+    dialog = page.locator("dialog[open]")
+    assert "portrait-03.png" in dialog.inner_text()
+    dialog.locator("[data-testid=look-at-slips]").click()
+    assert page.evaluate("() => window.liaamStudio.state.project.training.state") == "idle"
+    assert annotate(page, "name()") == "portrait-03.png"

@@ -1,0 +1,116 @@
+"""What the studio does on its own: fit new pictures, and look for slips."""
+
+from pathlib import Path
+
+import pytest
+from small_projects import POINTS, by_name, put, states
+
+from liaam import datasets
+from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
+from liaam.studio.background import Background
+from liaam.studio.model_store import ModelStore
+from liaam.studio.project import Project
+from liaam.studio.training import Trainer
+
+FACE = Path(datasets.__file__).with_name("pictures") / "face" / "lisa.jpg"
+
+
+@pytest.fixture
+def faces(tmp_path):
+    """Give a folder of two photographs of a face: upright, and of half the brightness."""
+    folder = tmp_path / "faces"
+    folder.mkdir()
+    image = read_image(FACE)
+    write_image(folder / "a.png", image)
+    write_image(folder / "b.png", image // 2)
+    return folder
+
+
+@pytest.fixture
+def begin():
+    """Give a function that makes the background of a folder, and the events that it tells."""
+
+    def begin(folder, model=None):
+        project, models, told = Project(folder), ModelStore(), []
+        if model is not None:
+            models.publish(model, {"source": "file", "trained": None, "pictures": {}})
+        trainer = Trainer(project, models, lambda *event: told.append(event))
+        return Background(project, models, trainer, lambda *event: told.append(event)), told
+
+    return begin
+
+
+def test_new_pictures_are_fitted_with_the_model_of_the_folder(folder, head_model, begin):
+    background, told = begin(folder(3, 1), head_model)
+    background.fit_new()
+    pictures = background.project.overview().pictures
+    assert [picture["state"] for picture in pictures] == ["done", "proposed", "proposed"]
+    assert all(0 <= picture["quality"] <= 1 for picture in pictures[1:])
+    assert ("fitting", {"done": 2, "total": 2}) in told and told[-2] == ("fitting", None)
+    told.clear()
+    background.fit_new()  # nothing is fitted twice
+    assert told == []
+
+
+def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
+    background, _ = begin(faces)
+    background.fit_new()
+    project = background.project
+    assert states(project) == {"a.png": "proposed", "b.png": "proposed"}
+    assert project.is_offered and background.models.own.facts["source"] == "face"
+    assert not project.has_own_points
+    marks = project.marks("a.png")
+    put(project, "a.png", marks["points"], marks["revision"])  # accepted
+    assert read_landmarks(faces / "a.ljson").names == project.template.names
+    again, _ = begin(faces)  # after a restart
+    assert not again.project.has_own_points
+    write_image(faces / "c.png", read_image(FACE)[:, ::-1])
+    again.fit_new()
+    assert states(again.project) == {"a.png": "done", "b.png": "proposed", "c.png": "proposed"}
+
+
+def test_faces_can_be_declined_for_good(faces, begin):
+    background, _ = begin(faces)
+    background.fit_new()
+    background.decline()
+    for project in (background.project, Project(faces)):
+        assert project.template is None and states(project) == {"a.png": "new", "b.png": "new"}
+    background.fit_new()
+    assert background.models.own is None and background.project.template is None
+
+
+def test_own_points_replace_those_of_the_face_model(faces, begin):
+    background, _ = begin(faces)
+    background.fit_new()
+    write_landmarks(faces / "b.pts", Landmarks(POINTS))
+    background.fit_new()
+    assert background.models.own is None and len(background.project.template) == 3
+    assert states(background.project) == {"a.png": "new", "b.png": "done"}
+
+
+def test_without_faces_nothing_is_proposed(small, begin):
+    (small.root / ".liaam-studio" / "studio.db").unlink()
+    background, told = begin(small.root)
+    background.fit_new()
+    assert background.project.template is None and told == []
+
+
+def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):
+    home = folder(8, 8)
+    landmarks = read_landmarks(home / "p4.ljson")
+    points = landmarks.points.copy()
+    points[[33, 39]] = points[[39, 33]]
+    write_landmarks(home / "p4.ljson", Landmarks(points, landmarks.contours))
+    background, told = begin(home)
+    background.check_landmarks()
+    slips = {name: picture["slip"] for name, picture in by_name(background.project).items() if picture["slip"]}
+    assert list(slips) == ["p4.png"] and "exchanged" in slips["p4.png"]
+    assert told == [("project", {})]
+    background.check_landmarks()
+    assert len(told) == 1
+    background.project.review({"pictures": ["p4.png"], "did": "checked", "who": "Ann"})
+    assert by_name(background.project)["p4.png"]["slip"] is None
+    background.project.review({"pictures": ["p4.png"], "did": "unchecked", "who": "Ann"})
+    assert by_name(background.project)["p4.png"]["slip"]
+    write_landmarks(home / "p4.ljson", landmarks)
+    assert by_name(background.project)["p4.png"]["slip"] is None  # not known of the new landmarks
