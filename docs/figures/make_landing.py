@@ -1,5 +1,7 @@
-"""Make the figures of the first page: ``python -m docs.figures.make_landing``. They show the CC0 photograph that comes
-with liaam (LICENSE-DATA), fitted and relit by the face model."""
+"""Make the figures of the first page: ``python -m docs.figures.make_landing``.
+
+They show the CC0 photograph that comes with liaam (LICENSE-DATA), fitted and relit by the face model.
+"""
 
 import os
 from pathlib import Path
