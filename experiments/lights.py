@@ -11,6 +11,7 @@ import numpy as np
 from liaam.photometry import THETA_DEFAULT, linear_to_srgb, srgb_to_linear, temperature_direction
 
 Light = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
+"""From an image (h, w, 3) uint8 under diffuse light, landmarks (n, 2) and a generator to an image (h, w, 3) uint8."""
 
 SHADOW = (0.22, 0.28, 0.36)
 """Linear red, green and blue light in a cast shadow: skylight, which is bluer than sunlight."""
@@ -39,17 +40,6 @@ def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generato
 
     The head is an ellipsoid around the landmarks with Lambertian shading. The side away from the lamp is in a cast
     shadow whose edge bulges as behind a nose. Lamp and ambient light have different colour temperatures.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-        Image under diffuse light. Its own shading is kept.
-    landmarks : (n, 2) float64
-    rng : Generator
-
-    Returns
-    -------
-    (h, w, 3) uint8
     """
     x, y, radii = _about_head(image, landmarks)
     side = rng.choice([-1, 1])
@@ -101,16 +91,6 @@ def smooth_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Genera
 
     Log light is a random second-order polynomial of the position. Stored values of each channel are then scaled by
     about 25 %, shifted by about 0.03, and clipped to 8 bits.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    landmarks : (n, 2) float64
-    rng : Generator
-
-    Returns
-    -------
-    (h, w, 3) uint8
     """
     x, y = _grid(image)
     centre, size = landmarks.mean(axis=0), _size(landmarks)
@@ -123,18 +103,7 @@ def smooth_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Genera
 
 
 def cast_shadow(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Apply a shadow of :data:`SHADOW` to a half-plane whose edge passes near the object's centre.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    landmarks : (n, 2) float64
-    rng : Generator
-
-    Returns
-    -------
-    (h, w, 3) uint8
-    """
+    """Apply a shadow of :data:`SHADOW` to a half-plane whose edge passes near the object's centre."""
     x, y = _grid(image)
     middle = landmarks.mean(axis=0) + rng.normal(0, 0.08, 2) * np.ptp(landmarks, axis=0)
     angle = rng.uniform(0, 2 * np.pi)
@@ -143,18 +112,7 @@ def cast_shadow(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generat
 
 
 def dapples(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Scatter spots of light, as under leaves. The light between them is :data:`DAPPLE`.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    landmarks : (n, 2) float64
-    rng : Generator
-
-    Returns
-    -------
-    (h, w, 3) uint8
-    """
+    """Scatter spots of light, as under leaves. The light between them is :data:`DAPPLE`."""
     import cv2
 
     spots = cv2.GaussianBlur(rng.standard_normal(image.shape[:2]), (0, 0), SPOT_SIZE * _size(landmarks))

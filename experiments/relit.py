@@ -75,22 +75,16 @@ def lit_pairs(head: Head, lights: dict[str, Lights] = LIGHTS, size: tuple[int, i
         yield LitPair(name, lit, flat)
 
 
+# In the measures, log_rgb (h, w, 3) is the logarithm of light of the relit image, shape (n, 2) are the fitted
+# landmarks, and flat is the truth.
+
+
 def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:
     """Root mean square error of log light against the true flat-lit image, inside the mesh, as sharp as the model.
 
     Both images are warped to the model's reference frame by the true landmarks, and blurred like its sharpest level.
     The truth has neither noise nor rounding, and the same exposure as in training. All channels count, at all pixels of
     the frame that lie in the fitted mesh and whose true values are neither dark nor clipped.
-
-    Parameters
-    ----------
-    model : AAM
-    log_rgb : (h, w, 3) float32
-        Logarithm of light of the relit image.
-    shape : (n, 2) float
-        Fitted landmarks.
-    flat : Scene
-        The truth.
     """
     covered = mesh_mask(model, log_rgb, shape)
     made = np.where(covered[..., None], np.exp(log_rgb), 0.0).astype(np.float32)
@@ -122,16 +116,6 @@ def beyond_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene
     It covers the region that a change of light affects (:data:`liaam.relighting.painting.REACH`), where blending that
     hides a seam could smear the image. All pixels count, including hair and walls, except dark or clipped ones of the
     true flat-lit image.
-
-    Parameters
-    ----------
-    model : AAM
-    log_rgb : (h, w, 3) float32
-        Logarithm of light of the relit image.
-    shape : (n, 2) float
-        Fitted landmarks.
-    flat : Scene
-        The truth.
     """
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
@@ -148,15 +132,6 @@ def seam(model: AAM, picture: np.ndarray, shape: np.ndarray, flat: Scene) -> flo
     inside and one outside the mesh, divided by that of neighbours inside. Only neighbours with similar true flat-lit
     values in all channels count (:data:`SMOOTH`), because an edge of the object would hide a seam. An untouched image
     has about 1.
-
-    Parameters
-    ----------
-    model : AAM
-    picture : (h, w, 3) uint8
-    shape : (n, 2) float
-        Fitted landmarks.
-    flat : Scene
-        The truth.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -247,7 +247,7 @@ _CELLS = (b",", b";", b"\t", b"\n", b'"', b"\xef\xbb\xbf", b"#")
 
 def check_patches(data: bytes) -> None:
     """Read boxes of patches."""
-    from liaam.cli.photometry import read_patches
+    from liaam.cli.camera import read_patches
 
     path = Path("x.csv")
     path.write_bytes(data)

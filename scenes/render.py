@@ -119,7 +119,7 @@ def render(
     pixels = _draw_figure(body, size, pose, supersample)
     colour = _shrink(_paint_pixels(pixels, face, textures_of(head), expression), supersample)
     irradiance, missing = _irradiances(body, pixels, lights, supersample)
-    landmarks = _project(figure.turn(landmark_points(face, expression), pose.rotation()), size, pose)
+    landmarks = landmarks_of(head, pose, expression, size)
     mask = _hull_mask(landmarks, size)
     linear = _develop(colour, irradiance, lights, camera, mixing, radiator) * camera.falloff(*size)[..., None]
     gain = camera.exposure or _auto_exposure(linear, mask)
@@ -181,6 +181,11 @@ def random_expression(rng: np.random.Generator) -> Expression:
         eye_close=float(amount * closed),
         pucker=float(amount * 0.7 * max(rng.uniform(-2, 1), 0)),
     )
+
+
+def landmarks_of(head: Head, pose: Pose, expression: Expression, size: tuple[int, int]) -> np.ndarray:
+    """Pixels (58, 2) of the landmarks in an image of a size (height, width), which need no rendering."""
+    return _project(figure.turn(landmark_points(face_of(head), expression), pose.rotation()), size, pose)
 
 
 def _project(points: np.ndarray, size: tuple[int, int], pose: Pose) -> np.ndarray:

@@ -10,16 +10,15 @@ from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_landmarks
 from liaam.model.shape import rotation
 from scenes import Head, random_expression, random_pose
-from scenes.render import render
+from scenes.render import landmarks_of
 
 
 @pytest.fixture(scope="module")
 def shapes():
     """Give landmarks of faces that turn and talk, of several persons."""
     rng = np.random.default_rng(20080624)
-    return [
-        render(Head(1 + i % 4), random_pose(rng), random_expression(rng), size=(160, 120)).landmarks for i in range(24)
-    ]
+    draws = [(random_pose(rng), random_expression(rng)) for _ in range(24)]
+    return [landmarks_of(Head(1 + i % 4), *draw, (160, 120)) for i, draw in enumerate(draws)]
 
 
 def exchanged(shapes, picture, order):

@@ -9,23 +9,25 @@ from scenes.raster import depth_map, draw, splat_map, transform, visibility
 HEIGHT, WIDTH = 15, 14
 
 
-def weights_of(corners: np.ndarray, x: float, y: float) -> np.ndarray | None:
-    """Barycentric weights of a pixel in a triangle (3, 3), or None outside and for triangles without area."""
+def weights_of(corners: np.ndarray) -> np.ndarray | None:
+    """Barycentric weights (h, w, 3) of all pixels in a triangle (3, 3), or None for triangles without area."""
     system = np.array([corners[:, 0], corners[:, 1], np.ones(3)])
     if abs(np.linalg.det(system)) < 1e-9:
         return None
-    weights = np.linalg.solve(system, [x, y, 1.0])
-    return weights if weights.min() > -1e-9 else None
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    return np.linalg.solve(system, np.stack([x, y, np.ones_like(x)]).reshape(3, -1)).T.reshape(HEIGHT, WIDTH, 3)
 
 
 def plain_draw(points, triangles, attributes):
     """Nearness (m, h, w) of every triangle at every pixel, -inf where it is not, and its attributes there."""
     nearness = np.full((len(triangles), HEIGHT, WIDTH), -np.inf)
     values = np.zeros((*nearness.shape, attributes.shape[1]))
-    for t, y, x in np.ndindex(nearness.shape):
-        weights = weights_of(points[triangles[t]], x, y)
+    for t, corners in enumerate(triangles):
+        weights = weights_of(points[corners])
         if weights is not None:
-            nearness[t, y, x], values[t, y, x] = weights @ points[triangles[t], 2], weights @ attributes[triangles[t]]
+            inside = weights.min(axis=-1) > -1e-9
+            nearness[t][inside] = weights[inside] @ points[corners, 2]
+            values[t][inside] = weights[inside] @ attributes[corners]
     return nearness, values
 
 

@@ -22,7 +22,6 @@ def person(tmp_path_factory):
     ("name", "column", "by"),
     [
         ("displacement", "gamma", "displacement"),
-        ("noise", "sigma_n", "noise"),
         ("convergence", "iteration", "iteration"),
     ],
 )

@@ -67,7 +67,7 @@ def show(
 
 
 def show_model(file: Path) -> "Callable[[], Figure]":
-    """Print what a model holds. Return what draws it: of several shapes, the first."""
+    """Print what a model holds. Return what draws it."""
     from liaam.model import load_model
     from liaam.plotting import figure_of_model
 
