@@ -55,7 +55,7 @@ def show(
         if not lit:
             model = load_model(file)
             if model.others:
-                say(f"shapes: {describe_shapes(model)}; the figure shows the first")
+                say(f"shapes, from top to bottom: {describe_shapes(model)}")
             figure, credit = figure_of_model(model), model.credit
         elif image is None:
             figure = figure_of_lamps(read_lamps(file))
