@@ -79,6 +79,9 @@ RESULTS = {
 ``bound``: the same for the true shape projected on the shape model. ``held_95``: fraction of the landmarks inside their
 95 % ellipse. ``seconds``: time of the fit, which varies between runs."""
 
+FEWEST = 30
+"""Fewest fits in a tenth of the quality for which it is compared with the share of right ones."""
+
 OUTLINE = dict.fromkeys(("outline", "along", "across", "along_95", "across_95"), ".6f")
 """More columns. ``outline``: as ``nme``, with the distances of landmarks on contours from the true contours. ``along``
 and ``across``: median errors along and across contours; ``along_95``, ``across_95``: fractions inside the 95 %
@@ -311,6 +314,16 @@ def is_right(row: Row, error: str = "nme") -> bool:
 def quality_area(rows: Sequence[Row]) -> float | None:
     """Area under the ROC curve of the quality; None if all fits are right or all wrong."""
     return finite_or_none(roc_area(*qualities_of(rows)))
+
+
+def largest_bias(rows: Sequence[Row]) -> float | None:
+    """Largest difference of quality and share of fits right by outline, over tenths of the quality with 30 fits.
+
+    None if there are none, or qualities are unknown.
+    """
+    quality, right = (np.array(each) for each in ([r["quality"] for r in rows], [is_right(r, "outline") for r in rows]))
+    bins = [np.clip(10 * quality, 0, 9).astype(int) == i for i in range(10)] if np.isfinite(quality).all() else []
+    return max((float(abs(quality[b].mean() - right[b].mean())) for b in bins if b.sum() >= FEWEST), default=None)
 
 
 def qualities_of(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:

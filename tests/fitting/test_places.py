@@ -10,6 +10,7 @@ import pytest
 from liaam.fitting import Candidate, FitStatus, Fitter
 from liaam.fitting.fitter import BRIEF
 from liaam.fitting.search import LARGE
+from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 
 HIGH = 0.9
@@ -17,7 +18,12 @@ HIGH = 0.9
 
 @pytest.fixture
 def place(calibrated, lit_scene, monkeypatch):
-    """Give the function that fits without a start where the search finds places of given sizes and qualities."""
+    """Give the function that fits without a start where the search finds places of given sizes and qualities.
+
+    The qualities are for equal odds.
+    """
+    known = calibrated.views[SURROUNDINGS].reliability
+    calibrated = calibrated.with_view(SURROUNDINGS, reliability=replace(known, prior=1.0))
     image, right = lit_scene.image, Fitter(calibrated).fit(lit_scene.image, lit_scene.landmarks)
 
     def call(*places: tuple[float, float]):

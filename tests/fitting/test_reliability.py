@@ -8,7 +8,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
-from liaam.fitting import METHODS, FitStatus, Fitter
+from liaam.fitting import METHODS, Candidate, FitStatus, Fitter
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
 from liaam.training.covariances import (
@@ -80,6 +80,7 @@ def test_it_is_kept_in_the_model_file(calibrated, tmp_path):
     assert loaded.unit == calibrated.views[SURROUNDINGS].reliability.unit
     np.testing.assert_array_equal(loaded.weights, calibrated.views[SURROUNDINGS].reliability.weights)
     assert loaded.variance_factor == calibrated.views[SURROUNDINGS].reliability.variance_factor
+    assert loaded.prior == calibrated.views[SURROUNDINGS].reliability.prior
     assert loaded.typical == calibrated.views[SURROUNDINGS].reliability.typical
     assert 0.5 < loaded.low < loaded.typical < 1.0
 
@@ -108,6 +109,29 @@ def test_another_row_on_the_same_view_has_no_quality(calibrated, lit_scene):
     assert np.isnan(Fitter(calibrated, other).fit(lit_scene.image, disturb(lit_scene.landmarks)).quality)
 
 
+def test_the_quality_is_for_the_rate_of_right_fits_and_the_status_for_equal_odds(calibrated, lit_scene):
+    known, start = calibrated.views[SURROUNDINGS].reliability, disturb(lit_scene.landmarks)
+    assert known.prior > 3.0  # of right to wrong fits of left-out images
+    models = (calibrated.with_view(SURROUNDINGS, reliability=replace(known, prior=prior)) for prior in (1.0, 9.0))
+    equal, likely = (Fitter(model) for model in models)
+    one, other = equal.fit(lit_scene.image, start), likely.fit(lit_scene.image, start)
+    assert (one.least_quality, other.least_quality) == (0.5, pytest.approx(0.9))
+    assert other.quality / (1 - other.quality) == pytest.approx(9 * one.quality / (1 - one.quality))
+    assert one.status is other.status
+    sure, unsure = (Candidate(start, score, 0.0, 1.0) for score in (0.9, 0.3))
+    assert likely.fit(lit_scene.image, sure).quality == other.quality
+    assert likely.fit(lit_scene.image, unsure).quality == one.quality
+
+
+def test_a_file_without_a_prior_is_for_equal_odds(calibrated, tmp_path):
+    assert (
+        load_model(rewritten(calibrated, tmp_path / "m.liaam", prior=None)).views[SURROUNDINGS].reliability.prior == 1.0
+    )
+    for prior in (0.0, -1.0, np.nan):
+        with pytest.raises(ModelFileError):
+            load_model(rewritten(calibrated, tmp_path / "m.liaam", prior=np.array([prior])))
+
+
 def test_a_file_without_a_typical_quality_is_refused(calibrated, tmp_path):
     with pytest.raises(ModelFileError, match="typical"):
         load_model(rewritten(calibrated, tmp_path / "m.liaam", typical=None))
@@ -125,8 +149,9 @@ def test_low_is_two_thirds_of_the_log_odds(calibrated, typical, low):
 
 
 def test_nearly_all_right_fits_are_typical(calibrated, scenes):
-    fits = [Fitter(calibrated).fit(scene.image, disturb(scene.landmarks)) for scene in scenes]
-    assert np.mean([fit.quality >= calibrated.views[SURROUNDINGS].reliability.typical for fit in fits]) >= 0.8
+    fits, known = [Fitter(calibrated).fit(scene.image, disturb(scene.landmarks)) for scene in scenes], calibrated.views
+    least = known[SURROUNDINGS].reliability.with_prior(known[SURROUNDINGS].reliability.typical)
+    assert np.mean([fit.quality >= least for fit in fits]) >= 0.8
 
 
 def test_variances_grow_by_what_fits_understate(calibrated, lit_scene):

@@ -1,7 +1,10 @@
-"""Annotated frames."""
+"""Annotated frames, and models."""
+
+from dataclasses import replace
 
 import numpy as np
 
+from liaam.plotting import figure_of_model
 from liaam.plotting.video import BAD, GOOD, annotated
 
 
@@ -22,3 +25,8 @@ def test_any_size_has_room_for_a_caption(head_model):
     for size in ((12, 9), (40, 1500), (900, 30)):
         picture = annotated(np.full((*size, 3), 128, np.uint8), None, head_model, "a rather long caption " * 3)
         assert picture.ndim == 3
+
+
+def test_every_shape_of_a_model_is_drawn(head_model):
+    rows = [len(figure_of_model(model).axes) for model in (head_model, replace(head_model, others=(head_model,)))]
+    assert rows[1] == 2 * rows[0]

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import liaam
+from liaam import Landmarks, Sample
+from liaam.cli.check import faults_by_sample
 from liaam.errors import ModelFileError, TrainingError
 from liaam.evaluation import point_error
 from liaam.fitting import Finder
@@ -96,6 +98,16 @@ def test_kinds_of_shape_are_told_apart(rng, counts):
     assert sorted(np.concatenate(groups)) == list(range(len(shapes)))
 
 
+def test_kinds_of_shape_are_checked_apart(rng, capsys):
+    shapes = shapes_of(rng, 40, spread=0.3)
+    shapes[1::2] = mirrored(shapes[1::2])
+    image = np.zeros((9, 9, 3), np.uint8)
+    samples = [Sample(name, image, Landmarks(own)) for name, own in zip(names_of(40), shapes, strict=True)]
+    assert faults_by_sample(samples) == []
+    assert "2 kinds of shape (20 images, 20 images), each checked by itself" in capsys.readouterr().out
+    assert faults_by_sample(samples, 1)
+
+
 def test_a_person_is_not_a_kind_of_shape(rng):
     """Images of one person are alike, but a model of them says nothing about others."""
     means = [BODY + rng.normal(0.0, 4.0, BODY.shape) for _ in range(4)]
@@ -140,6 +152,7 @@ def test_fits_find_the_kind(model, samples, kind):
         result = fitter.fit(image, init)
         assert point_error(result.landmarks, truth) < 0.02 * diagonal_of(truth)
         part = fitter.part_for(result.landmarks)
+        assert fitter.part_for(result) is part and part is fitter.parts[result.part]
         assert np.allclose(result.pose(part.shapes.shape(result.p)), result.landmarks, atol=0.1)
 
 

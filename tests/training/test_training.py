@@ -1,6 +1,7 @@
 """Training: what comes out, and what is refused by name."""
 
 import inspect
+from collections import Counter
 from dataclasses import fields
 
 import numpy as np
@@ -16,7 +17,7 @@ from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
-from liaam.training import TrainingOptions, train
+from liaam.training import TrainingOptions, images as images_of_training, train
 from liaam.training.entries import read_entries
 from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
@@ -250,16 +251,21 @@ def test_landmarks_on_a_line_are_refused(pairs):
     refused(line, "lie on one line or at one point")
 
 
-def test_samples_that_fold_the_mesh_are_left_out_by_name(scenes, rng):
+def test_samples_that_fold_the_mesh_are_left_out_by_name(scenes, rng, monkeypatch):
     pairs = [(s.image, s.landmarks.copy()) for s in scenes]
     pairs[4] = (pairs[4][0], pairs[4][1] * [-1, 1] + [179, 0])
     pairs[6] = (pairs[6][0], rng.permutation(pairs[6][1]))
     options = {"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,), "leave_out": False}
+    read, checked = Counter(), images_of_training._look
+    monkeypatch.setattr(images_of_training, "_look", lambda *given: read.update([given[-1].name]) or checked(*given))
     with pytest.warns(
         UserWarning, match=r"2 of 8 images fold the mesh .*image 5 \(.*image 7 \(.*left out.*not mirrored"
     ):
         made = train(pairs, **options)
     assert made.n_images == 6
+    assert set(read.values()) == {1}  # each image is checked once
+    with pytest.raises(TrainingError, match=r"2 of 8 images fold the mesh .*image 5 "):
+        train(pairs, strict=True, **options)
     sound = train([pair for i, pair in enumerate(pairs) if i not in (4, 6)], **options)
     np.testing.assert_array_equal(made.shape_model.mean, sound.shape_model.mean)
 

@@ -4,17 +4,21 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from liaam.cli.inputs import (
+    AUTO,
     CategoryOption,
     GroupOption,
     ImagesOption,
     LandmarkedFolder,
     RecursiveOption,
+    ShapesOption,
     StoredOption,
     StrictOption,
     YDownOption,
+    parse_shapes,
     read_folder,
 )
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
@@ -41,6 +45,7 @@ def check(
             "--output", "-o", help="Folder for an image of each fault, and for landmarks in the corrected order."
         ),
     ] = None,
+    shapes: ShapesOption = AUTO,
     strict: StrictOption = False,
     category: CategoryOption = None,
     group: GroupOption = None,
@@ -59,7 +64,7 @@ def check(
     complete = complete_samples(data)
     if len(complete) < len(data):
         complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
-    faults = faults_by_sample(complete)
+    faults = faults_by_sample(complete, parse_shapes(shapes))
     if not faults:
         say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
         n_landmarks = len(data.samples[0].landmarks.points)
@@ -119,15 +124,28 @@ def complete_samples(data: Dataset) -> list[Sample]:
     return [sample for sample in data if not sample.landmarks.missing.any()]
 
 
-def faults_by_sample(samples: list[Sample]) -> "list[tuple[Sample, list[LabelFault]]]":
-    """Return each sample that has faults, with its faults. No sample may have missing landmarks."""
-    from liaam.datasets.label_faults import find_label_faults
+def faults_by_sample(samples: list[Sample], shapes: int | str = AUTO) -> "list[tuple[Sample, list[LabelFault]]]":
+    """Return each sample that has faults, with its faults. No sample may have missing landmarks.
 
+    Samples of different kinds of shape are compared with their own kind, and one line says so.
+    """
+    from liaam.datasets.label_faults import find_label_faults
+    from liaam.training.shapes import shape_groups
+
+    marks = np.array([sample.landmarks.points for sample in samples])
+    groups = shape_groups(marks, [sample.name for sample in samples], shapes) if len(marks) else []
+    if len(groups) > 1:
+        sizes = ", ".join(count_of(len(group), "image") for group in groups)
+        say(
+            f"{len(groups)} kinds of shape ({sizes}), each checked by itself; 'liaam check --shapes 1' compares all, "
+            "and shows images that were mirrored by mistake"
+        )
     found: dict[int, list[LabelFault]] = defaultdict(list)
     with progress_bar() as progress:
-        for fault in find_label_faults([sample.landmarks.points for sample in samples], progress):
-            found[fault.picture].append(fault)
-    return [(samples[i], own) for i, own in found.items()]
+        for group in groups:
+            for fault in find_label_faults(list(marks[group]), progress):
+                found[int(group[fault.picture])].append(fault)
+    return [(samples[i], own) for i, own in sorted(found.items())]
 
 
 def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[LabelFault]]]") -> None:
@@ -163,14 +181,14 @@ def write_reordered(place: Path, landmarks: Landmarks) -> None:
     write_landmarks(file, landmarks)
 
 
-def warn_of_faults(data: Dataset, folder: Path) -> None:
+def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = AUTO) -> None:
     """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
 
     complete = complete_samples(data)
     if len(complete) < LEAST_PICTURES:
         return
-    found = [(sample, fault) for sample, own in faults_by_sample(complete) for fault in own]
+    found = [(sample, fault) for sample, own in faults_by_sample(complete, shapes) for fault in own]
     for sample, fault in found[:MAX_WARNINGS]:
         complain(f"{sample.name}: {fault.message}")
     if found:

@@ -80,6 +80,24 @@ RotationsOption = Annotated[
 ]
 
 
+AUTO = "auto"
+"""Value of options that liaam chooses itself."""
+
+ShapesOption = Annotated[
+    str,
+    typer.Option(
+        "--shapes",
+        help="Number of kinds of shape, such as left and right wings, each with a model of its own: 1 to 4. 'auto' "
+        "finds out, from 16 images on.",
+    ),
+]
+
+
+def parse_shapes(text: str) -> int | str:
+    """Parse a number of kinds of shape, or ``auto``."""
+    return int(text) if text.isdecimal() else text
+
+
 def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool, reading: Reading = USUAL) -> Dataset:
     """Read a folder of landmarked images and print a summary."""
     data = load_folder(folder, recursive=recursive, reading=reading)

@@ -9,16 +9,19 @@ import typer
 
 from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import (
+    AUTO,
     CategoryOption,
     GroupOption,
     ImagesOption,
     LandmarkedFolder,
     ModelFile,
     RecursiveOption,
+    ShapesOption,
     StoredOption,
     StrictOption,
     YDownOption,
     camera_for,
+    parse_shapes,
     read_folder,
 )
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
@@ -27,11 +30,9 @@ from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io import IMAGE_SUFFIXES, LANDMARK_SUFFIXES
 from liaam.io.atomic import check_output
-from liaam.io.files import count_of, some_names
 from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
-    from liaam.datasets import Dataset
     from liaam.lamps import Lamps
     from liaam.model import AAM
     from liaam.photometry import CameraModel
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 MODEL_SUFFIX = ".liaam"
 """Suffix of files that may be replaced by a model."""
 
-AUTO = "auto"
 LAMP_WORDS: dict[str, Literal["auto"] | None] = {AUTO: AUTO, "none": None}
 """Values of --lamps that are neither a file nor a folder."""
 
@@ -119,13 +119,7 @@ def train(
         ),
     ] = None,
     methods: MethodsOption = "",
-    shapes: Annotated[
-        str,
-        typer.Option(
-            help="Number of kinds of shape, such as left and right wings, each with a model of its own: 1 to 4. 'auto' "
-            "finds out, from 16 images on."
-        ),
-    ] = AUTO,
+    shapes: ShapesOption = AUTO,
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -162,9 +156,7 @@ def train(
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     contours = [parse_contour(text) for text in contour or ()]
     light = parse_lamps(lamps, training_lamp, recursive, camera)
-    warn_of_faults(data, folder)
-    if strict:
-        refuse_missing(data)
+    warn_of_faults(data, folder, parse_shapes(shapes))
     if leave_out and (together := describe_objects([sample.name for sample in data])):
         say(together)
     with progress_bar(counted=False) as progress:
@@ -178,9 +170,10 @@ def train(
             points=points,
             contours=contours or None,
             methods=parse_methods(methods),
-            shapes=int(shapes) if shapes.isdecimal() else shapes,
+            shapes=parse_shapes(shapes),
             name=name or folder.name,
             leave_out=leave_out,
+            strict=strict,
             progress=progress,
             **options,
         )
@@ -224,16 +217,6 @@ def parse_contour(text: str) -> list[int]:
         first, last = int(ends[0]), int(ends[-1])
         numbers += range(first, last + 1) if first <= last else range(first, last - 1, -1)
     return [number - 1 for number in numbers]
-
-
-def refuse_missing(data: "Dataset") -> None:
-    """Raise if a landmark is missing in an image, which training would leave out, or place by the other images."""
-    lacking = [sample.name for sample in data if sample.landmarks.missing.any()]
-    if lacking:
-        raise LiaamError(
-            f"landmarks are missing in {count_of(len(lacking), 'image')} ({some_names(lacking)}): place them, or train "
-            "without --strict"
-        )
 
 
 def check_model_name(output: Path, folder: Path) -> None:

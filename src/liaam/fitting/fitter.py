@@ -259,7 +259,10 @@ class Fitter:
             result, prior, target, found = self._likeliest(target, result, found, region)
         if self.restarts and self._falls_short(_with_prior(result, prior)):
             result = self._fit_again(target, result)
-        result, model = _with_prior(result, prior), self.model
+        result, model, known = _with_prior(result, prior), self.model, self.reliability
+        if known is not None and (found is None or not found.doubtful):
+            likely = {"quality": known.with_prior(result.quality), "least_quality": known.with_prior(LEAST_QUALITY)}
+            result = replace(result, **likely)
         return replace(result, found=found, contours=model.contours, landmark_names=model.landmark_names)
 
     def _fit_from(self, target: Target, options: SolverOptions | None = None) -> FitResult:

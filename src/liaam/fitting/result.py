@@ -68,8 +68,8 @@ _MESSAGES = {
         "was kept fixed."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit converged, but its quality is low: it is probably wrong. Check the landmarks, and start nearer to the "
-        "object if they are."
+        "The fit converged, but its quality is low: right fits explain more of the image. Check the landmarks, and "
+        "start nearer to the object if they are wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit did not converge within its iterations; start nearer to the object or allow more iterations."
@@ -126,7 +126,7 @@ class Iteration:
 
 
 LEAST_QUALITY = 0.5
-"""Quality below which a converged fit is doubtful."""
+"""Quality for equal odds of right and wrong fits below which a converged fit is doubtful."""
 
 
 def trace(stages: Sequence[FittedLevel]) -> tuple[Iteration, ...]:
@@ -178,8 +178,11 @@ class FitResult:
     evidence : (2,) float64
         Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.uncertainty.evidence`).
     quality : float
-        Probability, 0 to 1, that the fit is right, calibrated on left-out training images; 0 if the fit has
-        failed. NaN for methods other than ``soft-li`` and for models trained without leaving out.
+        Probability, 0 to 1, that the fit is right, calibrated on left-out training images, with as many right fits as
+        among those from starts near the object; for equal odds if an uncertain detection was the start. 0 if the fit
+        has failed. NaN for methods other than ``soft-li`` and for models trained without leaving out.
+    least_quality : float
+        Quality below which a converged fit is doubtful: more likely than not, its image is one of a wrong fit.
     method : Method
         The fitted method.
     found : Candidate, optional
@@ -215,6 +218,7 @@ class FitResult:
     quality: float
     method: Method
     found: Candidate | None = None
+    least_quality: float = LEAST_QUALITY
     part: int = 0
     n_starts: int = 1
     contours: Contours = ()
@@ -253,7 +257,7 @@ class FitResult:
     @property
     def detection_doubtful(self) -> bool:
         """Whether the detection is uncertain, and the quality does not show that the fit is right."""
-        return self.found is not None and self.found.doubtful and not self.quality >= LEAST_QUALITY
+        return self.found is not None and self.found.doubtful and not self.quality >= self.least_quality
 
     @property
     def n_found(self) -> int | None:

@@ -62,7 +62,7 @@ STORED = {
     "points": ("weights", "errors", "noise"),
     "features": ("mean", "projection"),
     "shape": ("modes", "eigenvalues", "unexplained"),
-    "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical"),
+    "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical", "prior"),
 }
 """Tensors of each part of a model: a light basis, a map from another landmarker's points, a function's channels, and
 those of a view. Those of appearances and of the modes of light are in functions below."""
@@ -389,17 +389,19 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if "reliability.weights" not in tensors:
         return None
     landmarks, bias = (_tensor(tensors, f"reliability.{name}", np.float64, (n, 2, 2)) for name in ("landmarks", "bias"))
-    unit = float(_tensor(tensors, "reliability.unit", np.float64, (1,))[0])
-    if not unit > 0.0:
-        raise ValueError("reliability.unit is not positive")
-    variance_factor = float(_tensor(tensors, "reliability.variance_factor", np.float64, (1,))[0])
-    if variance_factor < 1.0:
+    tensors = {"reliability.prior": np.ones(1), **tensors}  # older files have none
+    unit, factor, typical, prior = (
+        float(_tensor(tensors, f"reliability.{name}", np.float64, (1,))[0])
+        for name in ("unit", "variance_factor", "typical", "prior")
+    )
+    if not (unit > 0.0 and prior > 0.0):
+        raise ValueError(f"reliability.{'prior' if unit > 0.0 else 'unit'} is not positive")
+    if factor < 1.0:
         raise ValueError("reliability.variance_factor is below 1")
-    typical = float(_tensor(tensors, "reliability.typical", np.float64, (1,))[0])
     if not 0.0 <= typical <= 1.0:
         raise ValueError("reliability.typical is not a probability")
     weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
-    return Reliability(landmarks, bias, unit, weights, variance_factor, typical)
+    return Reliability(landmarks, bias, unit, weights, factor, typical, prior)
 
 
 def _appearance(

@@ -59,7 +59,9 @@ class Reliability:
     variance_factor : float
         Factor, at least 1, by which the variances of a fit's parameters are too small, since the model biases them.
     typical : float
-        5th percentile of the quality of right fits to left-out images.
+        5th percentile of the quality, for equal odds, of right fits to left-out images.
+    prior : float
+        Odds of right to wrong fits from starts near the object, of left-out images.
     """
 
     landmarks: np.ndarray
@@ -68,6 +70,7 @@ class Reliability:
     weights: np.ndarray
     variance_factor: float
     typical: float = 0.5
+    prior: float = 1.0
 
     @property
     def low(self) -> float:
@@ -83,6 +86,10 @@ class Reliability:
         """Probability, 0 to 1, that a fit with the given evidence (2,) is right, for equal prior odds."""
         odds = self.weights[0] + self.weights[1:] @ evidence
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0)))) if np.isfinite(odds) else 0.0
+
+    def with_prior(self, quality: float) -> float:
+        """Probability that a fit near the object is right, from its quality for equal prior odds."""
+        return self.prior * quality / (self.prior * quality + 1.0 - quality)
 
 
 @dataclass(frozen=True, eq=False)

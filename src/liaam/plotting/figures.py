@@ -125,10 +125,25 @@ def figure_of_fits(
 
 
 def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
-    """Draw the mean appearance, the mesh, and the first shape and appearance modes (two standard deviations)."""
+    """Draw the mean appearance, the mesh, and the first shape and appearance modes (two standard deviations).
+
+    The shapes of a model of several are drawn below each other.
+    """
+    shown = max(1, min(n_modes, max(_n_modes(part) for part in model.parts)))
+    n_parts = len(model.parts)
+    figure, axes = subplots(2 * n_parts, 2 + shown, (2.6 * (2 + shown), 6.0 * n_parts))
+    for part, own in zip(model.parts, np.split(axes, n_parts), strict=True):
+        _show_model(own, part, shown)
+    return figure
+
+
+def _n_modes(model: AAM) -> int:
+    return max(len(model.shape_model.modes), model.levels[-1].appearances["log"].n_modes)
+
+
+def _show_model(axes: np.ndarray, model: AAM, shown: int) -> None:
+    """Draw a model of one shape on axes (2, 2 + shown)."""
     shape_model, appearance = model.shape_model, model.levels[-1].appearances["log"]
-    shown = max(1, min(n_modes, max(len(shape_model.modes), appearance.n_modes)))
-    figure, axes = subplots(2, 2 + shown, (2.6 * (2 + shown), 6.0))
     mean = _stored(model, appearance.mean)
     show_picture(axes[0, 0], mean, "mean appearance")
     show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
@@ -143,7 +158,6 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     for i in range(shown):
         _show_shape_mode(axes[0, 2 + i], model, i)
         _show_appearance_mode(axes[1, 2 + i], model, i)
-    return figure
 
 
 def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:

@@ -21,7 +21,6 @@ from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
-from liaam.fitting.result import LEAST_QUALITY
 from liaam.io import VideoReader
 from liaam.io.tables import Columns, landmark_columns
 from liaam.model import AAM
@@ -495,7 +494,7 @@ def sharpest(model: AAM, levels: int) -> AAM:
 
 def _usable(result: FitResult) -> bool:
     """Return whether to accept a fit: converged, or stopped at the iteration limit without a low quality."""
-    return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < LEAST_QUALITY)
+    return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < result.least_quality)
 
 
 def _lost(n: int, index: int, time: float, tried: FitResult | None) -> TrackedFrame:

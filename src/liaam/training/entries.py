@@ -39,12 +39,13 @@ class Entry:
 
 
 def read_entries(
-    data: Iterable, contours: Iterable | None = None
+    data: Iterable, contours: Iterable | None = None, strict: bool = False
 ) -> tuple[list[Entry], tuple, np.ndarray, tuple[str, ...]]:
     """Read and validate samples.
 
     Also return the contours and connectivity of the first sample that has any, and the names of the landmarks if all
-    samples that name them agree. ``contours``, if given, replace those of the samples.
+    samples that name them agree. ``contours``, if given, replace those of the samples. ``strict``
+    refuses samples with missing landmarks.
     """
     entries: list[Entry] = []
     found: tuple = ()
@@ -62,7 +63,7 @@ def read_entries(
         found = found or own
         if names:
             named.setdefault(tuple(sorted(names)), (names, entry.name))
-    entries = _complete(entries)
+    entries = _complete(entries, strict)
     if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
         raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
@@ -103,7 +104,7 @@ def _size_for(landmarks: str | os.PathLike, image: Any) -> tuple[int, int] | Non
     return (width, height) if width else None
 
 
-def _complete(entries: list[Entry]) -> list[Entry]:
+def _complete(entries: list[Entry], strict: bool) -> list[Entry]:
     """Leave out the samples with missing landmarks; if too few are complete, place these as the others suggest.
 
     Warns, in one line, about what was done.
@@ -113,6 +114,11 @@ def _complete(entries: list[Entry]) -> list[Entry]:
         return entries
     complete = [entry for entry in entries if not np.isnan(entry.points).any()]
     names = some_names([entry.name for entry in lacking])
+    if strict:
+        raise TrainingError(
+            f"landmarks are missing in {count_of(len(lacking), 'image')} ({names}): place them, or train without "
+            "--strict (strict=False)"
+        )
     have, are = ("image has", "is") if len(lacking) == 1 else ("images have", "are")
     if len(complete) >= FEWEST:
         warnings.warn(f"{len(lacking)} {have} missing landmarks and {are} left out: {names}", stacklevel=4)
@@ -220,10 +226,12 @@ def mesh_of(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np
     return triangles[:, ::-1].copy() if (signed_areas(mean, triangles) < 0).mean() > 0.5 else triangles
 
 
-def without_folded(entries: Sequence[Entry], mean: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def without_folded(
+    entries: Sequence[Entry], mean: np.ndarray, triangles: np.ndarray, strict: bool = False
+) -> np.ndarray:
     """Return the indices of samples whose landmarks do not fold the mesh, and warn of the others.
 
-    Raises a TrainingError if there are too few of them, or if most samples fold the mesh.
+    Raises a TrainingError if there are too few of them, if most samples fold the mesh, or, if ``strict``, if any does.
     """
     shares = np.array([folded_share(align(entry.points, mean)(entry.points), triangles) for entry in entries])
     kept = np.flatnonzero(shares <= FOLD_TOLERANCE)
@@ -238,7 +246,7 @@ def without_folded(entries: Sequence[Entry], mean: np.ndarray, triangles: np.nda
         "check that their points are in the same order as in the other images, that none is misplaced, and that the "
         "images are not mirrored ('liaam check' finds such points)"
     )
-    if len(kept) < max(FEWEST, len(folded)):
+    if strict or len(kept) < max(FEWEST, len(folded)):
         raise TrainingError(f"{fault}; {remedy}")
     warnings.warn(f"{fault}, and are left out; {remedy}", stacklevel=5)  # the caller of train, which is decorated
     return kept

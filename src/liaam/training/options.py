@@ -86,6 +86,8 @@ class TrainingOptions:
     leave_out : bool
         Whether to leave images out in turn and fit them, to calibrate ``FitResult.quality`` and
         ``landmark_covariances``. This doubles the time of training.
+    strict : bool
+        Whether to refuse images that are left out otherwise: with missing landmarks, or landmarks that fold the mesh.
     """
 
     diagonal: float = 150.0
@@ -98,6 +100,7 @@ class TrainingOptions:
     methods: Methods = ()
     shapes: int | str = AUTO
     leave_out: bool = True
+    strict: bool = False
 
     def __post_init__(self) -> None:
         """Check that the values are in range."""

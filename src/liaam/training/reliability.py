@@ -151,7 +151,9 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit]) -> Reliability | None:
     )
     made = Reliability(weights=weights, **about)
     qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
-    return replace(made, typical=float(np.quantile(qualities, RARE)))
+    near = [fit.right for fit in fits if fit.near]
+    prior = (sum(near) + 1) / (len(near) - sum(near) + 1)  # as if there were one more of each
+    return replace(made, typical=float(np.quantile(qualities, RARE)), prior=prior)
 
 
 def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:

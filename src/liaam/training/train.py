@@ -100,7 +100,7 @@ def train(
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     check_camera(camera)
-    entries, *about = read_entries(data, contours)
+    entries, *about = read_entries(data, contours, options.strict)
     shapes, names = np.array([entry.points for entry in entries]), [entry.name for entry in entries]
     groups = shape_groups(shapes, names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | Lamps | None):
@@ -123,11 +123,12 @@ def _train_one(
     points: Points | None,
     name: str,
     progress: Progress | bool | None,
+    greys: np.ndarray | None = None,
 ) -> AAM:
     """Train a model of one kind of shape.
 
     ``about`` are the contours, edges and names of the landmarks, and ``given`` the lamps, the training lamp and the
-    features, as of :func:`train`.
+    features, as of :func:`train`. ``greys`` says which images are grey if they have been checked, (m,) bool.
     """
     (contours, edges, names), (lamps, training_lamp, features) = about, given
     shapes, folds = np.array([entry.points for entry in entries]), folds_of([entry.name for entry in entries])
@@ -148,11 +149,11 @@ def _train_one(
         landmark_names=names,
         name=name,
     )
-    checked, grey = check_images(entries, model.warp, camera.response)
-    sound = without_folded(entries, mean, triangles)
+    checked, grey = check_images(entries, model.warp, camera.response) if greys is None else (entries, greys)
+    sound = without_folded(entries, mean, triangles, options.strict)
     if len(sound) < len(entries):
-        rest = [entries[i] for i in sound]
-        return _train_one(rest, about, options, camera, given, points_of(points, sound), name, progress)
+        rest, points = [checked[i] for i in sound], points_of(points, sound)
+        return _train_one(rest, about, options, camera, given, points, name, progress, grey[sound])
 
     encoder = None if features is None else encoder_of(features, checked, mean, camera)
     lit = _lamps(lamps, training_lamp, checked, mean, camera) if options.n_copies else None
