@@ -222,10 +222,7 @@ export function mountStrip(root, app) {
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
-  state.addEventListener("added", () => {
-    wanted.order = order.value = "quality";
-    show();
-  });
+  state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
   show();
   reveal();
