@@ -25,7 +25,7 @@ from liaam.studio.settings import LOOPBACK, Settings
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-UPLOADS, GUEST, FILES = "/api/uploads", "/api/model/guest", "/api/files"
+UPLOADS, GUEST, FILES, RECORDINGS = "/api/uploads", "/api/model/guest", "/api/files", "/api/recordings"
 """Paths that accept larger bodies."""
 
 HEADERS: dict[str, str] = {
@@ -127,7 +127,7 @@ class Guard:
 
     async def _limited(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
         """Pass a request to the application and limit the size of its body."""
-        is_upload = scope["path"] in (UPLOADS, GUEST, FILES)
+        is_upload = scope["path"] in (UPLOADS, GUEST, FILES, RECORDINGS)
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         declared = headers.get("content-length", "")
         if declared.isdecimal() and int(declared[:20]) > limit:

@@ -166,10 +166,10 @@ export function createAssist({ app, accept, skip, confirm }) {
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
-    const list = h("ul.assist-lines", wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`)));
-    const more = wrong.length > SHOWN && h("p", `And ${wrong.length - SHOWN} more.`);
-    const advice = h("p.small.muted", "Pictures marked as checked are not listed.");
-    const answer = await dialog(`Points of ${several(wrong.length, "picture")} may be wrong`, h("div", list, more, advice), [
+    const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`));
+    const advice = h("p.small.muted", "Show “Possible slips” in the list for all. Pictures marked as checked are left out.");
+    const title = `Points of ${several(wrong.length, "picture")} may be wrong`;
+    const answer = await dialog(title, h("div", h("ul.assist-lines", lines), advice), [
       { label: "Train anyway", value: "train" },
       { label: "Look at them", kind: "primary", value: "look", testid: "look-at-slips" },
     ]);
@@ -196,7 +196,6 @@ export function createAssist({ app, accept, skip, confirm }) {
   async function decline() {
     await api.delete(api.url("model", "face"));
     await state.refresh();
-    app.openTab("annotate");
   }
 
   async function stop() {
