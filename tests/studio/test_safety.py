@@ -89,7 +89,7 @@ def test_the_address_gives_a_cookie_and_hides_the_token(running):
         assert answer.status_code == 303 and answer.headers["location"] == "/"
         cookie = answer.headers["set-cookie"]
         assert cookie.startswith(f"liaam-studio-{running.port}=")
-        assert {"HttpOnly", "SameSite=Strict", "Path=/"} <= set(cookie.split("; "))
+        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
         assert stranger.get("/").status_code == 200  # with the cookie
         assert stranger.get("/api/project").status_code == 200
 

@@ -219,6 +219,7 @@ class _Handlers:
             "template": project.template_json(),
             "offered": project.is_offered,
             "model": model_json(studio.models.current, overview.done, overview.unread),
+            "checked": studio.background.has_checked(overview.done),
             "training": asdict(studio.training.state),
             "versions": studio.training.versions.as_json(project.order),
             "methods": [
@@ -236,7 +237,8 @@ class _Handlers:
     def _stamp_suffix(self) -> str:
         """Return the part of a stamp that depends on the model and the training, not on the folder."""
         model = self.studio.models.current
-        return f"-{0 if model is None else model.number}-{self.studio.training.state.state}"
+        checks = self.studio.background.checks
+        return f"-{0 if model is None else model.number}-{self.studio.training.state.state}-{checks}"
 
     async def landmarks(self, request: Request) -> Response:
         return JSONResponse(await run_sync(self.studio.project.marks, request.path_params["name"]))
@@ -245,6 +247,7 @@ class _Handlers:
         name, data = request.path_params["name"], await self._json(request)
         answer = await self._in_folder(data, self.studio.project.save_marks, name, data)
         self.studio.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
+        self.studio.background.wake()
         return JSONResponse(answer)
 
     async def history(self, request: Request) -> Response:
@@ -256,6 +259,7 @@ class _Handlers:
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.studio.events.publish("landmarks", written)
+        self.studio.background.wake()
         self.studio.events.publish("project", {})
         return JSONResponse(answer)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
@@ -71,10 +71,15 @@ class Background:
         self._stopped = False
         self._fitter: tuple[AAM, Fitter] | None = None
         self._without_faces: set[tuple[str, str]] = set()
-        self._checked: object = None
+        self._checked: dict[str, str] | None = None  # revisions of the landmarks that were checked, by picture
+        self.checks = 0
+        """Number of checks of the landmarks."""
+        self._next_check = 0.0
+        self._started = False
 
     def start(self) -> None:
         """Start the thread."""
+        self._started = True
         threading.Thread(target=self._run, name="studio-background", daemon=True).start()
 
     def stop(self) -> None:
@@ -200,19 +205,28 @@ class Background:
     # Slips ----------------------------------------------------------------------------------------
 
     def check_landmarks(self) -> None:
-        """Look for slips as ``liaam check`` does, if landmarks have changed since."""
-        done = self.project.annotated()
-        key = [(item.name, item.revision) for item in done]
-        if key == self._checked:
+        """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most."""
+        began = time.monotonic()
+        if began < self._next_check:
             return
-        self._checked = key
+        done = self.project.annotated()
+        revisions = {item.name: item.revision for item in done}
+        if revisions == self._checked:
+            return
         found: dict[str, tuple[str, str]] = {}
         faults = find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else []
         for fault in faults:
             item = done[fault.picture]
             found.setdefault(item.name, (item.revision, fault.message))
-        if self.project.set_slips(found):
-            self._publish("project", {})
+        self.project.set_slips(found)
+        self._checked = revisions
+        self.checks += 1
+        self._next_check = time.monotonic() + 9 * (time.monotonic() - began)
+        self._publish("project", {})
+
+    def has_checked(self, done: Mapping[str, str]) -> bool:
+        """Whether these landmarks, revisions by picture, have been checked, or nothing is checked at all."""
+        return not self._started or self._checked == done
 
 
 def template_of_model(model: AAM) -> Template:

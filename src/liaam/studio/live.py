@@ -6,6 +6,7 @@ tracker here. Frames are bare pixels: nothing has to be decoded.
 
 from __future__ import annotations
 
+import io
 import secrets
 import time
 from asyncio import wrap_future
@@ -15,6 +16,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -24,7 +26,7 @@ from liaam.fitting import FitResult
 from liaam.model import AAM
 from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
-from liaam.studio.safety import Refusal
+from liaam.studio.safety import RECORDINGS, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import read_body
 from liaam.tracking import TrackedFrame, Tracker, TrackStatus
@@ -190,6 +192,33 @@ class LiveVideos:
         self._videos.keep_only(lambda key, _: key != number)
 
 
+def seekable(recording: bytes) -> bytes:
+    """Return a WebM recording of a browser with its duration and an index, which browsers leave out.
+
+    Without PyAV it is returned as it is.
+
+    Raises
+    ------
+    Refusal
+        422 if it is not a video.
+    """
+    try:
+        import av
+    except ImportError:
+        return recording
+    whole = io.BytesIO()
+    try:
+        with av.open(io.BytesIO(recording), "r") as source, av.open(whole, "w", format="webm") as target:
+            stream = target.add_stream_from_template(source.streams.video[0])
+            for packet in source.demux(source.streams.video[0]):
+                if packet.dts is not None:  # the last one is empty
+                    packet.stream = stream
+                    target.mux(packet)
+    except (OSError, ValueError, IndexError) as fault:  # FFmpeg's errors are among these
+        raise Refusal(422, f"the recording is not a WebM video ({fault}): record again") from fault
+    return whole.getvalue()
+
+
 def routes(videos: LiveVideos) -> list[Route]:
     """Return the endpoints of live videos."""
     # A thread for each step keeps the frames in order, and makes one tracker at a time.
@@ -221,7 +250,12 @@ def routes(videos: LiveVideos) -> list[Route]:
         videos.close(request.path_params["id"])
         return Response(status_code=204)
 
+    async def recording(request: Request) -> Response:
+        data = await read_body(request, videos.settings.upload_bytes)
+        return Response(await run_sync(seekable, data), media_type="video/webm")
+
     return [
+        Route(RECORDINGS, recording, methods=["POST"]),
         Route("/api/live", begin, methods=["POST"]),
         Route("/api/live/{id}/frames", update, methods=["POST"]),
         Route("/api/live/{id}", end, methods=["DELETE"]),

@@ -354,13 +354,11 @@ class Project:
         with self._lock:
             return self._intake.add(name, data)
 
-    def set_slips(self, slips: dict[str, tuple[str, str]]) -> bool:
-        """Set the revision of the landmarks and the slip in them, by picture; return whether they have changed."""
+    def set_slips(self, slips: dict[str, tuple[str, str]]) -> None:
+        """Set the revision of the landmarks and the slip in them, by picture."""
         with self._lock:
-            changed = slips != self._states.slips
             self._states.slips.clear()
             self._states.slips.update(slips)
-            return changed
 
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""

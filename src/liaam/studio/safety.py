@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
-import json
 import socket
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
-from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse
 
 from liaam.errors import LiaamError
 from liaam.studio.settings import LOOPBACK, Settings
@@ -23,7 +25,7 @@ from liaam.studio.settings import LOOPBACK, Settings
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-UPLOADS, GUEST, FILES = "/api/uploads", "/api/model/guest", "/api/files"
+UPLOADS, GUEST, FILES, RECORDINGS = "/api/uploads", "/api/model/guest", "/api/files", "/api/recordings"
 """Paths that accept larger bodies."""
 
 HEADERS: dict[str, str] = {
@@ -79,57 +81,57 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008})
             return
         send = _with_headers(send)
-        headers = _Headers(scope["headers"])
-        refusal = self._refusal(headers)
-        shows_token = refusal is None and self._shows_token(scope)
-        if refusal is None and not shows_token and not self._knows_token(headers):
+        request = HTTPConnection(scope)
+        refusal = self._refusal(request.headers)
+        shows_token = refusal is None and self._shows_token(request)
+        if refusal is None and not shows_token and not self._knows_token(request):
             no_token = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
             refusal = Refusal(401, no_token)
         if refusal is not None:
-            await _refuse(send, refusal, html="text/html" in headers.one("accept"))
+            # The message contains no user input, so it needs no escaping.
+            page = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"
+            wants_page = "text/html" in request.headers.get("accept", "")
+            answer = HTMLResponse(page, refusal.status) if wants_page else _answer_of(refusal)
+            await answer(scope, receive, send)
         elif shows_token:
-            cookie = f"{self.settings.cookie}={self.settings.token}; HttpOnly; SameSite=Strict; Path=/"
-            await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", cookie.encode())])
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(self.settings.cookie, self.settings.token, httponly=True, samesite="strict")
+            await answer(scope, receive, send)
         else:
-            await self._limited(scope, headers, receive, send)
+            await self._limited(scope, request.headers, receive, send)
 
-    def _refusal(self, headers: _Headers) -> Refusal | None:
+    def _refusal(self, headers: Headers) -> Refusal | None:
         """Check the origin of a request."""
-        hosts = headers.all("host")
+        hosts = headers.getlist("host")
         if len(hosts) != 1 or not is_own_host(hosts[0], self.settings):
             return Refusal(421, "this server has another name: open the address that 'liaam studio' printed")
-        origins = headers.all("origin")
+        origins = headers.getlist("origin")
         if any(not _is_own_origin(origin, self.settings) for origin in origins):
             return Refusal(403, "the request comes from another site: send it from the studio's own page")
-        if any(site not in ("same-origin", "none") for site in headers.all("sec-fetch-site")):
+        if any(site not in ("same-origin", "none") for site in headers.getlist("sec-fetch-site")):
             return Refusal(403, "the request comes from another site: type or paste the studio's address instead")
         return None
 
-    def _shows_token(self, scope: Scope) -> bool:
-        if scope["method"] != "GET" or scope["path"] != "/":
-            return False
-        try:
-            given = parse_qs(scope["query_string"].decode("ascii"), max_num_fields=20).get("token", [])
-        except ValueError:
-            return False
-        return len(given) == 1 and self._is_token(given[0])
+    def _shows_token(self, request: HTTPConnection) -> bool:
+        given = request.query_params.getlist("token")
+        is_page = request.scope["method"] == "GET" and request.scope["path"] == "/"
+        return is_page and len(given) == 1 and self._is_token(given[0])
 
-    def _knows_token(self, headers: _Headers) -> bool:
-        bearers = [text[7:].strip() for text in headers.all("authorization") if text[:7].lower() == "bearer "]
-        crumbs = [crumb.partition("=") for line in headers.all("cookie") for crumb in line.split(";")]
-        cookies = [value.strip() for name, _, value in crumbs if name.strip() == self.settings.cookie]
-        return any(self._is_token(text) for text in (*bearers, *cookies))
+    def _knows_token(self, request: HTTPConnection) -> bool:
+        lines = request.headers.getlist("authorization")
+        bearers = [text[7:].strip() for text in lines if text[:7].lower() == "bearer "]
+        return any(self._is_token(text) for text in (*bearers, request.cookies.get(self.settings.cookie, "")))
 
     def _is_token(self, text: str) -> bool:
-        return hmac.compare_digest(text.encode(), self.settings.token.encode())
+        return hmac.compare_digest(text.encode(errors="replace"), self.settings.token.encode())
 
-    async def _limited(self, scope: Scope, headers: _Headers, receive: Receive, send: Send) -> None:
+    async def _limited(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
         """Pass a request to the application and limit the size of its body."""
-        is_upload = scope["path"] in (UPLOADS, GUEST, FILES)
+        is_upload = scope["path"] in (UPLOADS, GUEST, FILES, RECORDINGS)
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
-        declared = headers.one("content-length")
+        declared = headers.get("content-length", "")
         if declared.isdecimal() and int(declared[:20]) > limit:
-            await self._refuse_body(receive, send, _too_large(limit))
+            await self._refuse_body(scope, receive, send, _too_large(limit))
             return
         started = False
 
@@ -143,9 +145,9 @@ class Guard:
                 await self.app(scope, _Body(receive, limit, self.settings.body_seconds, hold), watched)
         except Stopped as stopped:
             if not started:
-                await self._refuse_body(receive, send, stopped.refusal)
+                await self._refuse_body(scope, receive, send, stopped.refusal)
 
-    async def _refuse_body(self, receive: Receive, send: Send, refusal: Refusal) -> None:
+    async def _refuse_body(self, scope: Scope, receive: Receive, send: Send, refusal: Refusal) -> None:
         """Discard the rest of the body for a while, because a client that is cut off does not read the answer."""
         import anyio
 
@@ -156,7 +158,7 @@ class Guard:
                 left -= len(message.get("body", b""))
                 if message["type"] != "http.request" or not message.get("more_body", False):
                     break
-        await _refuse(send, refusal, close=True)
+        await _answer_of(refusal, close=True)(scope, receive, send)
 
 
 def _too_large(limit: int) -> Refusal:
@@ -244,19 +246,6 @@ class _Body:
         return message
 
 
-class _Headers:
-    """Headers of a request by lower-case name."""
-
-    def __init__(self, raw: Iterable[tuple[bytes, bytes]]) -> None:
-        self._raw = [(name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in raw]
-
-    def all(self, wanted: str) -> list[str]:
-        return [value for name, value in self._raw if name == wanted]
-
-    def one(self, wanted: str) -> str:
-        return next(iter(self.all(wanted)), "")
-
-
 def is_own_host(host: str, settings: Settings) -> bool:
     """Whether a ``Host`` header names this server.
 
@@ -291,29 +280,16 @@ def _is_own_origin(origin: str, settings: Settings) -> bool:
 def _with_headers(send: Send) -> Send:
     async def with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
-            given = {name.lower() for name, _ in message.get("headers", [])}
-            more = [(n.encode(), v.encode()) for n, v in HEADERS.items() if n.encode() not in given]
-            message = {**message, "headers": [*message.get("headers", []), *more]}
+            headers = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
         await send(message)
 
     return with_headers
 
 
-async def _refuse(send: Send, refusal: Refusal, html: bool = False, close: bool = False) -> None:
-    headers = [(b"connection", b"close")] if close else []
+def _answer_of(refusal: Refusal, close: bool = False) -> JSONResponse:
+    headers = {"connection": "close"} if close else {}
     if "retry_after" in refusal.details:
-        headers.append((b"retry-after", str(refusal.details["retry_after"]).encode()))
-    if html:
-        # The message contains no user input, so it needs no escaping.
-        text = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"
-        headers.append((b"content-type", b"text/html; charset=utf-8"))
-    else:
-        text = json.dumps({"error": str(refusal)})
-        headers.append((b"content-type", b"application/json"))
-    await _answer(send, refusal.status, text.encode(), headers)
-
-
-async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
-    length = (b"content-length", str(len(body)).encode())
-    await send({"type": "http.response.start", "status": status, "headers": [*headers, length]})
-    await send({"type": "http.response.body", "body": body})
+        headers["retry-after"] = str(refusal.details["retry_after"])
+    return JSONResponse({"error": str(refusal)}, refusal.status, headers)

@@ -95,7 +95,7 @@ def test_unsaved_marks_reach_a_studio_on_another_port(serve, page, marked, tmp_p
     open_picture(page, NAMES[1])
     assert np.abs(points_of(page) - mine).max() > 5
     page.evaluate(DROP, ["{}", "other.json"])
-    page.locator(".toast.bad", has_text="other.json is not unsaved work").wait_for()
+    page.locator(".toast.bad", has_text="1 file left out: other.json").wait_for()
     with page.expect_navigation():
         page.evaluate(DROP, [(tmp_path / "work.json").read_text(), "work.json"])
     opened(page, NAMES[1])

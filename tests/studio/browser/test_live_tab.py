@@ -1,10 +1,12 @@
 """The Live tab in a real browser, with a file as the camera: tracking, shading, timeline, recording, export."""
 
+import base64
 import csv
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from people import shoot, violations, wait_for
@@ -14,6 +16,18 @@ from liaam.io import video_writer
 from liaam.training import train
 
 pytestmark = pytest.mark.slow
+
+SIZE = "() => { const video = window.liaamStudio.live.video(); return [video.videoWidth, video.videoHeight]; }"
+
+DURATION = """async (data) => {
+  const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+  const video = document.createElement("video");
+  video.src = URL.createObjectURL(new Blob([bytes], { type: "video/webm" }));
+  await new Promise((resolve, reject) => { video.onloadedmetadata = resolve; video.onerror = reject; });
+  video.currentTime = video.duration / 2;
+  await new Promise((resolve) => { video.onseeked = resolve; });
+  return video.duration;
+}"""
 
 STATUS = "[data-testid=live-status]"
 
@@ -106,6 +120,27 @@ def test_the_shading_is_removed_and_the_picture_recorded(live, tmp_path):
     video = saved(live, "live-record", tmp_path)
     assert video.suffix == ".webm" and video.stat().st_size > 1000
     assert video.read_bytes().startswith(b"\x1a\x45\xdf\xa3"), "not a WebM file"
+
+
+def test_the_recording_is_the_picture_at_its_own_rate_and_seekable(live, tmp_path):
+    use_camera(live)
+    rows = "() => window.liaamStudio.live.track().rows.size"
+    live.locator("[data-testid=live-record]").click()
+    before = live.evaluate(rows)
+    live.wait_for_timeout(2500)
+    video = saved(live, "live-record", tmp_path)
+    tracked = live.evaluate(rows) - before
+    with av.open(str(video)) as container:
+        stream = container.streams.video[0]
+        frames = list(container.decode(stream))
+        seconds = container.duration / av.time_base
+        assert [stream.width, stream.height] == live.evaluate(SIZE)
+        # An encoder takes a while to begin.
+        assert 1.0 < seconds < 3.5 and len(frames) / seconds > 0.6 * tracked / 2.5
+    seen = frames[-1].to_ndarray(format="rgb24").astype(float)
+    assert not (seen.max(axis=2) < 8).all(axis=0).any()  # no black columns
+    data = base64.b64encode(video.read_bytes()).decode()
+    assert live.evaluate(DURATION, data) == pytest.approx(seconds, abs=0.1)
 
 
 def test_the_camera_is_off_in_other_tabs(live):

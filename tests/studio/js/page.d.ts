@@ -85,6 +85,8 @@ interface Project {
   offered: boolean;
   model: Model | null;
   training: Training;
+  /** Whether slips were looked for in the landmarks as they are. */
+  checked: boolean;
   /** Trained models, oldest first; same: measured on the pictures of the newest. */
   versions: { time: string; pictures: number; error: number; held_out: number; same: boolean }[];
   methods: Method[];

@@ -26,15 +26,12 @@ export async function filesIn(transfer) {
 }
 
 async function collect(entry, found) {
-  if (entry.isFile) {
-    const file = await new Promise((resolve, reject) => { entry.file(resolve, reject); });
-    found.push({ file, path: entry.fullPath.slice(1) });
-    return;
-  }
+  const file = entry.isFile && (await new Promise((resolve, reject) => { entry.file(resolve, reject); }));
+  if (file) return found.push({ file, path: entry.fullPath.slice(1) });
   const reader = entry.createReader();
   for (;;) { // a browser lists a hundred entries at a time
     const some = await new Promise((resolve, reject) => { reader.readEntries(resolve, reject); });
-    if (!some.length) return;
+    if (!some.length) return found;
     for (const each of some) await collect(each, found);
   }
 }
@@ -70,9 +67,8 @@ export function createAdding(app) {
   async function take(items) {
     const { formats } = state.project;
     const wanted = items.filter(({ path }) => !IGNORED.test(path));
-    const [only] = wanted;
-    if (wanted.length === 1 && formats.pictures.includes(suffixOf(only.path)) && app.showsPictures())
-      return app.sources.take(only.file);
+    if (wanted.length === 1 && formats.pictures.includes(suffixOf(wanted[0].path)) && app.showsPictures())
+      return app.sources.take(wanted[0].file);
     const model = wanted.find(({ path }) => suffixOf(path) === ".liaam");
     const video = wanted.find((item) => isVideo(item, formats));
     const rest = [];
@@ -106,9 +102,7 @@ export function createAdding(app) {
           if (size > limits.upload_bytes)
             throw new Error(`${names[i]} is larger than ${Math.round(limits.upload_bytes / 1e6)} MB: put it into the folder`);
           const { kind, known } = await api.upload(api.url("files", { name: names[i] }), items[i].file, { quiet: true });
-          if (known) result.known += 1;
-          else if (kind === "picture") result.pictures += 1;
-          else result.landmarks += 1;
+          result[known ? "known" : kind === "picture" ? "pictures" : "landmarks"] += 1;
         } catch (error) {
           result.refused.push(error.message);
         }
@@ -137,8 +131,8 @@ export function createAdding(app) {
   function choose() {
     const { pictures, landmarks, videos } = state.project.formats;
     const accept = [...pictures, ...landmarks, ...videos, ".liaam"].join();
-    const takeAll = (_file, all) => take(all.map((file) => ({ file, path: file.name })));
-    app.ui.fileField(takeAll, { accept, multiple: true }).click();
+    const onfiles = (_, all) => take(all.map((file) => ({ file, path: file.name })));
+    app.ui.fileField(onfiles, { accept, multiple: true }).click();
   }
 
   return { take, choose };

@@ -11,6 +11,8 @@ const AUTO_KEY = "liaam-studio:auto-train";
 
 const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
 
+const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
+
 /** The pictures that a training uses. */
 const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
 
@@ -22,7 +24,7 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
-  if (slipped(pictures).length) return false; // a person looks at them first
+  if (project.checked === false || slipped(pictures).length) return false; // a person looks at slips first
   if (forTraining(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
   return !model || model.stale >= AUTO_AGAIN;
 }
@@ -150,7 +152,7 @@ export function createAssist({ app, accept, skip, confirm }) {
   const end = h("div.column.assist-end", { hidden: true },
     h("p", icon("check"), " All pictures are done. What next?"),
     h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
-      go("Export", "export", () => document.querySelector("[data-testid=export-all]").showPicker?.()),
+      go("Export", "export", () => openList("[data-testid=export-all]")),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
   const offered = h("p.small.muted", { hidden: true },
@@ -164,10 +166,10 @@ export function createAssist({ app, accept, skip, confirm }) {
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
-    const list = h("ul.assist-lines", wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`)));
-    const more = wrong.length > SHOWN && h("p", `And ${wrong.length - SHOWN} more.`);
-    const advice = h("p.small.muted", "Pictures marked as checked are not listed.");
-    const answer = await dialog(`Points of ${several(wrong.length, "picture")} may be wrong`, h("div", list, more, advice), [
+    const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`));
+    const advice = h("p.small.muted", "Show “Possible slips” in the list for all. Pictures marked as checked are left out.");
+    const title = `Points of ${several(wrong.length, "picture")} may be wrong`;
+    const answer = await dialog(title, h("div", h("ul.assist-lines", lines), advice), [
       { label: "Train anyway", value: "train" },
       { label: "Look at them", kind: "primary", value: "look", testid: "look-at-slips" },
     ]);
@@ -194,7 +196,6 @@ export function createAssist({ app, accept, skip, confirm }) {
   async function decline() {
     await api.delete(api.url("model", "face"));
     await state.refresh();
-    app.openTab("annotate");
   }
 
   async function stop() {
@@ -285,14 +286,15 @@ export function createAssist({ app, accept, skip, confirm }) {
 
   /** Train between two pictures, when no point is being moved. */
   async function left() {
+    known = null; // train once the landmarks have been checked
     await state.refresh().catch(() => {});
-    await trainIfNeeded();
+    watch();
   }
 
   /** Train on opening, once the states of all pictures are known, and when pictures are left out or taken in. */
   function watch() {
-    const { pictures, training } = state.project;
-    if (asking || training?.state === "running" || pictures.some(({ state: is }) => is === "reading")) return;
+    const { pictures, training, checked } = state.project;
+    if (asking || training?.state === "running" || !checked || pictures.some(({ state: is }) => is === "reading")) return;
     const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
     if (now !== known) trainIfNeeded();
     known = now;

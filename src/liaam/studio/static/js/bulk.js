@@ -54,7 +54,7 @@ export function createBulk({ app, chosen, onall, onend }) {
   /** Whether landmarks may be deleted. */
   function mayDelete(names) {
     const some = names.map((name) => app.state.picture(name)).filter((one) => one?.placed || one?.state === "reading");
-    const text = `The landmarks of ${pictures(some)} will be deleted. Copies stay in .liaam-studio/kept.`;
+    const text = `The landmarks of ${pictures(some)} will be deleted. Undo brings them back.`;
     return !some.length || app.confirm("Delete landmarks?", text, "Delete");
   }
 

@@ -156,8 +156,7 @@ class CompareTab {
 
   /** In a small view, show the object instead of the whole picture, unless the user has zoomed. */
   _enlarge() {
-    const { viewer } = this.left;
-    const shape = this.sides.find(({ fit }) => fit?.ok)?.fit.shape;
+    const [{ viewer }, shape] = [this.left, this.sides.find(({ fit }) => fit?.ok)?.fit.shape];
     if (!shape || viewer.container.clientHeight > SMALL || !viewer.view._fitted) return;
     const [xs, ys] = [0, 1].map((axis) => shape.map((point) => point[axis]));
     const margin = 0.08 * (Math.max(...ys) - Math.min(...ys));

@@ -66,8 +66,24 @@ export class LiveView {
   show(frame) {
     this.shown?.flat?.close();
     this.shown = frame && { ...frame, isNew: true };
+    if (frame && this._film) this._expose(frame);
     this.divider.visible = Boolean(frame?.flat);
     this.viewer.redraw();
+  }
+
+  /** Film the frames as they are shown from now on, in the video's own size; returns the stream. */
+  film({ videoWidth: width, videoHeight: height }) {
+    this._film = h("canvas", { width, height });
+    return (this._filmed = this._film.captureStream(0)); // a frame at a time
+  }
+
+  _expose({ canvas, flat, fit }) {
+    const [{ width, height }, ctx] = [this._film, this._film.getContext("2d")];
+    const plane = { left: 0, top: 0, scale: 1, width, height, toScreen: ([x, y]) => [x + 0.5, y + 0.5] };
+    drawOver(ctx, plane, canvas);
+    if (flat) drawOver(ctx, plane, flat, { from: (this.divider.x - this.viewer.left) / this.viewer.scale });
+    if (fit.ok) drawFit(ctx, plane, fit, this._overlays.shown);
+    this._filmed.getVideoTracks()[0].requestFrame();
   }
 
   key(event) {

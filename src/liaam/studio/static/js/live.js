@@ -157,12 +157,12 @@ class LiveTab {
     if (this.source.video.paused && this.view.shown) this._frame(this.view.shown.time);
   }
 
-  /** Record the picture as it is seen, until the next call. */
+  /** Record the picture with what is drawn over it, until the next call. */
   _record() {
     if (this._recorder) return this._recorder.stop();
     const [name, recorded] = [`${this.source.name}_fit.webm`, []];
     this.recorded = new Blob();
-    const recorder = new MediaRecorder(this.view.viewer.canvas.captureStream(), { mimeType: "video/webm" });
+    const recorder = new MediaRecorder(this.view.film(this.source.video), { mimeType: "video/webm" });
     const use = (now) => {
       this._recorder = now;
       press(this.view.tools.record, Boolean(now));
@@ -171,9 +171,11 @@ class LiveTab {
       recorded.push(data);
       this.recorded = new Blob(recorded, { type: "video/webm" });
     };
-    recorder.onstop = () => {
+    recorder.onstop = async () => {
       use(null);
-      if (this.recorded.size) saveFile(this.recorded, name);
+      // The server adds the duration and an index, so that players can seek; a recording too large for it has none.
+      const whole = this.recorded.size && api.blob(api.url("recordings"), { method: "POST", body: this.recorded });
+      if (whole) saveFile(await whole.catch(() => this.recorded), name);
       else this.app.toast("Nothing was recorded: record for a second or longer.");
     };
     recorder.start(1000);

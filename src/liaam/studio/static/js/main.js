@@ -173,12 +173,7 @@ async function showKeys() {
   const table = (title, rows) => h("section", h("h2", title), h("dl", rows.map(({ keys: names, what }) => [
     h("dt", names.split(" ").map((key) => [h("kbd", key), " "])), h("dd", what)])));
   const sections = TABS.map(({ name, label }) => table(label, tabs.get(name).tab.shortcuts ?? []));
-  const actions = [
-    { label: "Open unsaved work…", kind: "ghost", value: "work" }, { label: "Close", kind: "primary", value: null },
-  ];
-  const body = h("div.keys", table("Everywhere", COMMON_KEYS), sections);
-  if ((await ui.dialog("Keys", body, actions, { wide: true })) === "work")
-    app.adding.choose();
+  await ui.dialog("Keys", h("div.keys", table("Everywhere", COMMON_KEYS), sections), undefined, { wide: true });
 }
 
 function actions() {

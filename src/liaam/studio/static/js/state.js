@@ -61,10 +61,8 @@ export class State extends EventTarget {
 
   /** Fetch the project until the states of all pictures are known. */
   async settled() {
-    for (;;) {
-      await this.refresh().catch(() => {});
-      if (!this._again && !this.project.pictures.some(({ state }) => state === "reading")) return;
-    }
+    do await this.refresh().catch(() => {});
+    while (this._again || this.project.pictures.some(({ state }) => state === "reading"));
   }
 
   select(name) {

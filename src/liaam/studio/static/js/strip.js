@@ -210,22 +210,17 @@ export function mountStrip(root, app) {
     render();
   }
 
-  document.addEventListener("keydown", ({ key: pressed }) => {
-    if (pressed === "Escape" && selecting && !document.querySelector("dialog[open]")) select(false);
-  });
+  document.addEventListener("keydown", (event) => event.key === "Escape" && selecting && select(false));
   state.addEventListener("to-review", () => {
     wanted.filter = filter.value = "review";
     show();
-    if (pictures.length) state.select(pictures[0].name);
+    state.step(-Infinity);
   });
   list.addEventListener("scroll", perFrame(render), { passive: true });
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
-  state.addEventListener("added", () => {
-    wanted.order = order.value = "quality";
-    show();
-  });
+  state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
   show();
   reveal();
