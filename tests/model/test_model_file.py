@@ -236,11 +236,11 @@ def test_a_lamp_file_is_refused_as_such(tmp_path):
     assert_refused(path, "is a lamp file, not a model; draw it with 'liaam show'")
 
 
-@pytest.mark.parametrize("schema", [0, 1, 2, 3, 7, 99, None, "4"])
+@pytest.mark.parametrize("schema", [0, 1, 2, 3, 8, 99, None, "4"])
 def test_another_schema_version_is_refused(tiny_file, tmp_path, schema):
     header, tensors = parts(tiny_file)
     path = forge(tmp_path / "old.liaam", header | {"schema": schema}, tensors)
-    assert_refused(path, f"schema version {schema}, this liaam reads versions 4 to 6; train the model again")
+    assert_refused(path, f"schema version {schema}, this liaam reads versions 4 to 7; train the model again")
 
 
 @pytest.mark.parametrize("size", [10**12, 2**62, 2**64 - 1])

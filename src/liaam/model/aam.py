@@ -11,6 +11,7 @@ from liaam.io.files import count_of
 from liaam.model.file import file_bytes, read_fields
 from liaam.model.light import LightBasis
 from liaam.model.mesh import ReferenceFrame
+from liaam.model.mirror import mirrored_model
 from liaam.model.point_map import PointMap
 from liaam.model.shape import ShapeModel
 from liaam.model.views import MESH, Level, View
@@ -206,5 +207,8 @@ def _included(name: str) -> AAM:
 
 
 def _read(path: str | os.PathLike[str]) -> AAM:
-    first, *others = (AAM(**fields) for fields in read_fields(path))
-    return replace(first, others=tuple(others)) if others else first
+    first, others = read_fields(path)
+    parts = [AAM(**first)]
+    for fields in others:
+        parts.append(AAM(**fields) if isinstance(fields, dict) else mirrored_model(parts[-1], fields))
+    return replace(parts[0], others=tuple(parts[1:])) if others else parts[0]

@@ -13,9 +13,10 @@ from liaam.io.files import json_object, writable
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel, spread, strongest_modes
 from liaam.model.light import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
+from liaam.model.mirror import mirrored_model
 from liaam.model.point_map import LEAST_NOISE, PointMap
 from liaam.model.rounding import decoded, encoded
-from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
+from liaam.model.shape import ShapeModel, diagonal_of, mirror_order, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
 from liaam.photometry import CameraModel, camera_from, describe_response, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
@@ -24,11 +25,15 @@ if TYPE_CHECKING:
     from liaam.model.aam import AAM
 
 
-SCHEMA_VERSION, OF_SHAPES = 5, 6
-"""Versions of the format, increased when its meaning changes: of a model, and of one of several shapes."""
+SCHEMA_VERSION, OF_SHAPES, OF_MIRRORED = 5, 6, 7
+"""Versions of the format, increased when its meaning changes: of a model, of one of several shapes, and of one with
+shapes that are stored as mirror images of others."""
 
-READABLE = (4, 5, 6)
+READABLE = (4, 5, 6, 7)
 """Versions that are read. Version 4 has the appearances of all methods, modes in single precision."""
+
+MIRRORED = "mirrored"
+"""Key of a shape's header that is the mirror image of the shape before: the index of each landmark's mirror image."""
 
 MOST_SHAPES = 4
 """Largest number of shapes of a model."""
@@ -80,10 +85,28 @@ def file_bytes(model: "AAM") -> bytes:
 
     header, tensors = _header(model), _tensors(model)
     if model.others:
-        header |= {"schema": OF_SHAPES, "others": [_header(other) for other in model.others]}
+        header |= {"schema": OF_SHAPES, "others": []}
     for i, other in enumerate(model.others):
-        tensors |= {f"{_prefix(i)}{key}": value for key, value in _tensors(other).items()}
+        own, order = _tensors(other), _mirror(model, i)
+        if order is None:
+            header["others"].append(_header(other))
+            tensors |= {f"{_prefix(i)}{key}": value for key, value in own.items()}
+        else:
+            header |= {"schema": OF_MIRRORED}
+            header["others"].append({MIRRORED: order.tolist()})
     return save(tensors, {"liaam": json.dumps(header)})
+
+
+def _mirror(model: "AAM", i: int) -> np.ndarray | None:
+    """Return the order of landmarks that makes the i-th other shape the mirror image of the one before, or None."""
+    before, other = model.others[i - 1], model.others[i]
+    order = mirror_order(model.shape_model.mean) if i and before.n_pixels == other.n_pixels else None
+    if order is None or before.features is not None:
+        return None
+    mirrored = mirrored_model(before, order)
+    own, theirs = _tensors(mirrored), _tensors(other)
+    same = own.keys() == theirs.keys() and all(np.array_equal(own[key], theirs[key]) for key in own)
+    return order if same and _header(mirrored) == _header(other) else None
 
 
 def _prefix(i: int) -> str:
@@ -91,8 +114,12 @@ def _prefix(i: int) -> str:
     return f"others/{i}/"
 
 
-def read_fields(path: str | os.PathLike) -> list[dict[str, Any]]:
-    """Read and validate the fields of an :class:`~liaam.model.aam.AAM` for each shape; raises like ``load_model``."""
+def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str, Any] | np.ndarray]]:
+    """Read and validate the fields of an :class:`~liaam.model.aam.AAM`, and of those of the other shapes.
+
+    Of a shape that is the mirror image of the one before, return the index of each landmark's mirror image, (n,) int.
+    Raises like ``load_model``.
+    """
     from liaam.io.tensors import read_tensors
 
     path, make = Path(path), "liaam train FOLDER -o MODEL"
@@ -104,7 +131,7 @@ def read_fields(path: str | os.PathLike) -> list[dict[str, Any]]:
         path, lambda text, _: _checked_header(path, text), ModelFileError, "model file", make, broken
     )
     try:
-        return [_fields(header, tensors), *_fields_of_others(header, tensors)]
+        return _fields(header, tensors), _fields_of_others(header, tensors)
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, LiaamError) as error:
         raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
 
@@ -264,18 +291,31 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     }
 
 
-def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict[str, Any]]:
-    """Fields of the models of the other shapes, which have as many landmarks."""
+def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict[str, Any] | np.ndarray]:
+    """Fields of the models of the other shapes, which have as many landmarks; see :func:`read_fields`."""
     others = header.get("others", [])
     if not isinstance(others, list) or len(others) >= MOST_SHAPES:
         raise ValueError(f"there are not 1 to {MOST_SHAPES} shapes")
-    made = []
+    made: list[dict[str, Any] | np.ndarray] = []
     for i, about in enumerate(others):
+        if i and MIRRORED in about:
+            made.append(_order(about[MIRRORED], len(tensors["mean"])))
+            continue
         own = {key.removeprefix(_prefix(i)): value for key, value in tensors.items() if key.startswith(_prefix(i))}
         if own["mean"].shape != tensors["mean"].shape:
             raise ValueError("the shapes do not have the same number of landmarks")
         made.append(_fields(about, own))
     return made
+
+
+def _order(indices: list, n: int) -> np.ndarray:
+    """Return the index of each landmark's mirror image."""
+    order = np.array(indices)
+    if order.shape != (n,) or order.dtype.kind != "i" or not 0 <= order.min() <= order.max() < n:
+        raise ValueError(f"{MIRRORED} has not {n} indices of landmarks")
+    if not np.array_equal(order[order], np.arange(n)):
+        raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
+    return order
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:

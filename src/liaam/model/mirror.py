@@ -1,0 +1,87 @@
+"""The mirror image of a model: of heads turned to one side, it is a model of heads turned to the other."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.errors import ModelFileError
+from liaam.model.appearance import AppearanceModel
+from liaam.model.mesh import ReferenceFrame
+from liaam.model.shape import ShapeModel
+from liaam.model.views import Level, Reliability, View, make_view
+
+if TYPE_CHECKING:
+    from liaam.model.aam import AAM
+
+GRADIENTS = ("orientation", "search", "soft")
+"""Appearances whose first channel is a gradient along x."""
+
+
+def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
+    """Mirror a model of one shape left to right. Its light basis and its map from other points are left out.
+
+    Parameters
+    ----------
+    model : AAM
+    order : (n,) int
+        Index of each landmark's mirror image, as of :func:`liaam.model.shape.mirror_order`.
+
+    Raises
+    ------
+    ModelFileError
+        For a model with channels of a user's function, whose mirror images are not known.
+    """
+    if model.features is not None:
+        raise ModelFileError("a model with features of a function cannot be mirrored; train it without them")
+    triangles = order[model.triangles][:, ::-1].astype(np.int32)
+    views = {name: _view(name, view, triangles, order) for name, view in model.views.items()}
+    return replace(model, views=views, triangles=triangles, light=None, points=None)
+
+
+def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> View:
+    bare = make_view(name, _shape_model(view.shape_model, order), triangles)
+    pixels = _pixels(bare.warp.frame, view.warp.frame)
+    levels = tuple(
+        Level(level.blur, {kind: _appearance(kind, each, pixels) for kind, each in level.appearances.items()})
+        for level in view.levels
+    )
+    known = view.reliability
+    return replace(bare, levels=levels, reliability=None if known is None else _reliability(known, order))
+
+
+def _shape_model(model: ShapeModel, order: np.ndarray) -> ShapeModel:
+    modes = (model.modes.reshape(len(model.modes), -1, 2) * [-1.0, 1.0])[:, order].reshape(model.modes.shape)
+    unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
+    return replace(model, mean=(model.mean * [-1.0, 1.0])[order], modes=modes, unexplained=unexplained)
+
+
+def _pixels(frame: ReferenceFrame, other: ReferenceFrame) -> np.ndarray:
+    """Return the index of each pixel of a frame in its mirror image."""
+    (width, height), (x, y) = other.size, other.origin
+    number = np.zeros((height, width), int)
+    number[other.pixels[:, 0], other.pixels[:, 1]] = np.arange(other.n_pixels)
+    at = frame.pixels[:, ::-1] + frame.origin
+    return number[(at[:, 1] - y).astype(int), (-at[:, 0] - x).astype(int)]
+
+
+def _appearance(kind: str, known: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:
+    mean, modes = (np.take(values, pixels, axis=-2) for values in (known.mean, known.modes))
+    errors = None if known.unexplained is None else known.unexplained[pixels]
+    if kind in GRADIENTS:
+        for values in (mean, modes):
+            values[..., 0] *= -1.0
+        if errors is not None:
+            errors[:, 0, 1:] *= -1.0
+            errors[:, 1:, 0] *= -1.0
+    return AppearanceModel(mean, modes, known.eigenvalues, known.usable[pixels], errors)
+
+
+def _reliability(known: Reliability, order: np.ndarray) -> Reliability:
+    landmarks, bias = (_covariances(each)[order] for each in (known.landmarks, known.bias))
+    return replace(known, landmarks=landmarks, bias=bias)
+
+
+def _covariances(matrices: np.ndarray) -> np.ndarray:
+    """Mirror covariances (n, 2, 2) of landmarks."""
+    return matrices * np.array([[1.0, -1.0], [-1.0, 1.0]])
