@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, point_error
-from liaam.fitting.fitter import LEAST_QUALITY, Fitter
+from liaam.fitting.fitter import Fitter
 from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
@@ -256,7 +256,7 @@ class Fits:
             begin = self._search(current, source, image) if start is None else start
             searched = time.perf_counter()
             result = fitter.fit(image, begin, source.name)
-            if start is None and result.quality < LEAST_QUALITY:  # try the other places that the search finds
+            if start is None and result.quality < result.least_quality:  # try the other places that the search finds
                 result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
             fitted = time.perf_counter()
             fit = Fit(
