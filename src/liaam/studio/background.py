@@ -75,6 +75,7 @@ class Background:
         self.checks = 0
         """Number of checks of the landmarks."""
         self._next_check = 0.0
+        self._seen: object = None
         self._started = False
 
     def start(self) -> None:
@@ -98,10 +99,18 @@ class Background:
             self._prepare()
         while not self._stopped:
             with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
-                self.fit_new()
-                self.check_landmarks()
+                self._work()
             if self._woken.wait(LOOK_SECONDS):
                 self._rest()
+
+    def _work(self) -> None:
+        """Do what is to do, unless nothing has changed since."""
+        own = self.models.own
+        now = (self.project.stamp, self.trainer.state.state, own and own.number)
+        if now == self._seen:
+            return
+        self.fit_new()
+        self._seen = now if self.check_landmarks() else None
 
     def _prepare(self) -> None:
         """Fit an example with the face model if it may be needed, so that the first photographs do not wait for it."""
@@ -204,15 +213,18 @@ class Background:
 
     # Slips ----------------------------------------------------------------------------------------
 
-    def check_landmarks(self) -> None:
-        """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most."""
+    def check_landmarks(self) -> bool:
+        """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most.
+
+        Returns False if that has to wait.
+        """
         began = time.monotonic()
         if began < self._next_check:
-            return
+            return False
         done = self.project.annotated()
         revisions = {item.name: item.revision for item in done}
         if revisions == self._checked:
-            return
+            return True
         found: dict[str, tuple[str, str]] = {}
         faults = find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else []
         for fault in faults:
@@ -223,6 +235,7 @@ class Background:
         self.checks += 1
         self._next_check = time.monotonic() + 9 * (time.monotonic() - began)
         self._publish("project", {})
+        return True
 
     def has_checked(self, done: Mapping[str, str]) -> bool:
         """Whether these landmarks, revisions by picture, have been checked, or nothing is checked at all."""

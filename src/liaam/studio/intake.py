@@ -21,7 +21,7 @@ ADDED = "added"
 longer list these."""
 
 SOME_SIZE = (640, 480)
-"""Size of a picture for landmark files that need one, to tell whether they can be read at all."""
+"""Size assumed for landmark files that need one, to check whether they can be read."""
 
 
 @dataclass(frozen=True, eq=False)

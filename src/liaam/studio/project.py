@@ -497,7 +497,7 @@ class Project:
 
     @property
     def is_offered(self) -> bool:
-        """Whether the template is one that a model offers, and that nobody has accepted."""
+        """Whether the template is offered by a model and was not accepted yet."""
         with self._lock:
             template = self._templates.current
             return template is not None and template is self._templates.offered

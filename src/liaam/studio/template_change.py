@@ -52,7 +52,7 @@ class TemplateChanges:
         self.finish()
         self.listing.scan()
         templates = self.templates
-        # Points of one's own may replace those that a model offers, which nobody has accepted.
+        # The user's points may replace those that a model offers, unless these were accepted.
         is_offer = templates.current is not None and templates.current is templates.offered
         old = None if is_offer and data.get("revision") is None else templates.current
         marks = [(file, marks) for file in self.listing.pictures if (marks := self.landmarks.of(file)).file]

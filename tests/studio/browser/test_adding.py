@@ -1,6 +1,7 @@
 """Bring pictures, folders and landmark files in, see them fitted, and see slips, in a real browser."""
 
 import base64
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,22 @@ def test_a_table_for_all_pictures_is_added(serve, page, empty, portraits, tmp_pa
     wait_for(page, READY)
     drop(page, tmp_path / "all.tps", *sorted(tmp_path.glob("p*.png")))
     page.locator(".toast", has_text="3 pictures added, landmarks for 3.").wait_for()
+
+
+def test_a_folder_is_dropped(serve, page, empty, folder, tmp_path):
+    nested = tmp_path / "session" / "second"
+    nested.mkdir(parents=True)
+    shutil.copy(folder / "portrait-01.png", tmp_path / "session")
+    shutil.copy(folder / "portrait-02.png", nested)
+    (nested / ".DS_Store").write_bytes(b"x")
+    page.goto(serve(empty).address)
+    page.locator("[data-testid=add-first]:visible").wait_for()
+    session = page.context.new_cdp_session(page)
+    data = {"items": [], "files": [str(tmp_path / "session")], "dragOperationsMask": 1}
+    for kind in ("dragEnter", "dragOver", "drop"):
+        session.send("Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 400, "data": data})
+    page.locator(".toast", has_text="2 pictures added.").wait_for()
+    assert sorted(path.name for path in empty.glob("*.png")) == ["portrait-01.png", "portrait-02.png"]
 
 
 def test_files_are_chosen_with_a_button(serve, page, empty, folder):

@@ -249,7 +249,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null;
     explain(project, done);
-    why.hidden = !end.hidden && !why.classList.contains("warn-text");
+    why.hidden = !end.hidden && why.textContent === allDone(state.folder);
     note(project);
   }
 
