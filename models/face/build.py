@@ -45,8 +45,8 @@ CREDIT = (
 )
 
 KEPT = {"mesh": 0.92, "surroundings": 0.77}
-"""Fractions of the appearances' variance. That of the mesh serves relighting. With 0.95 and 0.85, the errors of images of
-IMM are the same within 0.02 % in the median, and the file exceeds 8 MB."""
+"""Fractions of the appearances' variance. That of the mesh serves relighting. With 0.95 and 0.85, errors on IMM are the
+same within 0.02 % in the median, and the file exceeds 8 MB."""
 
 KEPT_TURNED = {"mesh": 0.5, "surroundings": 0.8}
 """The same for turned faces. Relighting uses the mesh of frontal ones."""
