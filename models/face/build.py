@@ -4,7 +4,7 @@ FACES-CC is a folder with the pictures and WebMorph templates of ``london/``, ``
 pictures of ``smiling/``; LICENSE-DATA says where they are from. ``points.json`` beside this script chooses and names
 landmarks of the template. ``smiling.csv`` has the same landmarks of the smiling faces. The model has three parts: of
 frontal faces, and of faces turned to either side, which are made from the frontal ones. On one machine, the model is
-always the same, byte for byte. It takes three minutes.
+always the same, byte for byte. It takes three minutes of processor time.
 """
 
 import argparse
