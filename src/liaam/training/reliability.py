@@ -36,6 +36,10 @@ PLACES = 3
 RARE = 0.05
 """Fraction of right fits whose quality is below :attr:`liaam.model.Reliability.typical`."""
 
+MOST_ODDS = 9.0
+"""Largest odds of right to wrong fits that are assumed before an image is seen. Left-out images are like those of
+training, and others are not: of the face model's fits to photographs in the wild, a quarter are wrong."""
+
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
@@ -152,7 +156,7 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit]) -> Reliability | None:
     made = Reliability(weights=weights, **about)
     qualities = [made.quality(fit.evidence) for fit in judged if fit.right]
     near = [fit.right for fit in fits if fit.near]
-    prior = (sum(near) + 1) / (len(near) - sum(near) + 1)  # as if there were one more of each
+    prior = min((sum(near) + 1) / (len(near) - sum(near) + 1), MOST_ODDS)  # as if there were one more of each
     return replace(made, typical=float(np.quantile(qualities, RARE)), prior=prior)
 
 
