@@ -28,7 +28,7 @@ from liaam.evaluation import finite_or_none
 from liaam.model import AAM
 from liaam.model.shape import Similarity, align
 from liaam.photometry.response import from_linear, log_slope
-from liaam.relighting.lamplight import light_on_frame, lit_frame
+from liaam.relighting.basis import light_on_frame
 from liaam.relighting.painting import box_around, eight_bits, paint
 from liaam.training.textures import sample_appearance
 
@@ -121,12 +121,18 @@ class Codec:
     step: float
 
     @cached_property
+    def lit(self) -> np.ndarray:
+        """Modes of the model's light, (k, n_pixels, 3); k is 0 without lamps."""
+        modes = light_on_frame(self.model)
+        return modes if self.model.light is not None else modes[:0]
+
+    @cached_property
     def variances(self) -> tuple[np.ndarray, ...]:
         """Variances of the coordinates of shape, appearance and light."""
         return (
             self.model.shape_model.eigenvalues,
             self.model.levels[-1].appearances["log"].eigenvalues,
-            np.ones(len(light_on_frame(self.model))),
+            np.ones(len(self.lit)),
         )
 
     @cached_property
@@ -173,7 +179,7 @@ class Codec:
         log, usable = sample_appearance(image, shape, self.model.warp, "log", self.model.response, blur)
         slopes = usable[:, None] / log_slope(from_linear(np.exp(log), self.model.response), self.model.response)
         weights = np.square(slopes / max(float(slopes.max()), 1e-12)).ravel()
-        modes = np.concatenate([known.modes, light_on_frame(self.model)]).reshape(-1, log.size).astype(np.float64)
+        modes = np.concatenate([known.modes, self.lit]).reshape(-1, log.size).astype(np.float64)
         weighted = modes * weights
         prior = NOISE**2 / np.maximum(np.concatenate(self.variances[1:]), 1e-12)
         return np.linalg.solve(weighted @ modes.T + np.diag(prior), weighted @ (log - known.mean).ravel())
@@ -181,7 +187,8 @@ class Codec:
     def picture(self, image: np.ndarray, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Paint an object at its place in an image, whose size alone is used: (h, w, 3) uint8, and (h, w) bool."""
         _, appearance, light = np.split(coordinates[4:], np.cumsum([len(each) for each in self.variances[:2]]))
-        log_rgb = self.model.levels[-1].appearances["log"].texture(appearance) + lit_frame(self.model, light)
+        lit = np.tensordot(light, self.lit, axes=1)
+        log_rgb = self.model.levels[-1].appearances["log"].texture(appearance) + lit
         painted, inside = paint(image, self.shape_of(coordinates), self.model, log_rgb.astype(np.float32))
         return eight_bits(painted, self.model.response), inside
 
