@@ -30,6 +30,16 @@ ANOTHER_COLOUR, COLOUR_BLUR = 0.5, 0.1
 """Difference of log-chromaticity from the object's mean from which a pixel is rather background, and standard deviation
 of the Gaussian before it is measured, in reaches."""
 
+EVEN = 0.5
+"""Scale within which that division is evened out, in reaches."""
+
+BRIGHTER, BRIGHTEST = 0.3, 0.95
+"""Logarithm of light above the brightest of the object, from which a pixel is rather background, as a wall is behind a
+dark face; the brightest is this quantile."""
+
+DARK = 0.03
+"""Light that is added before edges are measured: in the dark, noise and JPEG's blocks are edges of logarithms."""
+
 ROUNDS = 3
 """Number of passes over rows and columns; three leave no visible stripes."""
 
@@ -68,7 +78,9 @@ def around(
     """
     import cv2
 
-    known, seen = inside[..., None].astype(np.float32), cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
+    known = inside[..., None].astype(np.float32)
+    own = np.log(np.exp(own) + np.float32(DARK))
+    seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
     layers, nearby = np.concatenate([values * known, known], axis=2), np.zeros(1, np.float32)
     for scale in NEARBY:
         sums = averaged(layers, seen, max(1.0, scale * reach))
@@ -81,9 +93,12 @@ def around(
     object_side, other_side = np.square(sums[..., :1]), np.square(sums[..., 1:])
     belongs = np.where(known > 0, 1.0, object_side / np.maximum(object_side + other_side, 1e-12))
     colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
-    colours = colours - colours.mean(axis=2, keepdims=True)
+    brightness = colours.mean(axis=2, keepdims=True)
+    brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
+    colours = colours - brightness
     apart = np.square(colours - colours[inside].mean(axis=0)).sum(axis=2, keepdims=True) / ANOTHER_COLOUR**2
-    belongs = np.where(known > 0, 1.0, belongs * np.exp(-0.5 * np.maximum(apart - 1.0, 0.0)))
+    belongs = belongs * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
+    belongs = np.where(known > 0, 1.0, averaged(np.where(known > 0, 1.0, belongs), seen, max(1.0, EVEN * reach)))
     share = belongs * _smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
     return nearby, np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32), belongs.astype(np.float32)
 
