@@ -152,3 +152,20 @@ def test_images_of_one_name_in_two_folders_do_not_overwrite_each_other(run, file
     code, _, err = run("relight", files / "head.liaam", tmp_path / "a/lit.png", tmp_path / "b/lit.png", "-o", tmp_path)
     assert (code, err) == (0, "")
     assert len(list(tmp_path.glob("*_flat.png"))) == 2
+
+
+def test_a_map_of_certainty_is_written_beside_the_picture(relight, tmp_path):
+    code, _, _ = relight("--certainty", "-o", tmp_path / "flat.png")
+    assert code == 0
+    known = read_image(tmp_path / "flat_certainty.png")
+    assert known.shape[:2] == read_image(tmp_path / "flat.png").shape[:2]
+    assert known.max() > 150
+    assert known[0, 0].max() == 0
+
+
+def test_strict_writes_nothing_of_what_is_doubtful(run, files, tmp_path, rng):
+    write_image(tmp_path / "noise.png", rng.integers(0, 255, (120, 90, 3), np.uint8))
+    code, _, err = run("relight", files / "head.liaam", tmp_path / "noise.png", "--strict", "-o", tmp_path / "out.png")
+    assert code == 1
+    assert "nothing was written" in err
+    assert not (tmp_path / "out.png").exists()

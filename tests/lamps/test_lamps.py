@@ -454,7 +454,7 @@ def test_relighting_with_lamps_reaches_beyond_the_mesh(trained):
     for name, model in zip(("plain", "lit"), trained, strict=True):
         fitter = Fitter(model)
         relighter = Relighter.of(fitter, dark.image, fitter.fit(dark.image, day.landmarks))
-        assert relighter.log_flat.dtype == relighter.log_shading.dtype == np.float32
+        assert relighter.log_flat.dtype == relighter.log_own.dtype == np.float32
         covered = np.zeros(truth.shape[:2], bool)
         covered[relighter.box] = relighter.inside
         away = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

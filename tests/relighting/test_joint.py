@@ -7,11 +7,10 @@ import pytest
 
 from experiments.relit import train_on_flat_light
 from liaam.model import MESH
-from liaam.photometry.invariant import CHROMATICITY
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.domain_transform import averaged
-from liaam.relighting.joint import appearance_in_light, at_a_known_level, light_curve
-from liaam.relighting.shading import Seen
+from liaam.relighting.extrapolation import averaged
+from liaam.relighting.joint import appearance_in_light, as_in_training, at_a_known_level
+from liaam.relighting.seen import Seen
 from scenes import Head
 
 AMBIENT, LAMP = np.array([0.10, 0.12, 0.15]), np.array([1.1, 0.9, 0.6])
@@ -53,7 +52,7 @@ def a_face(faces, rng) -> tuple[np.ndarray, np.ndarray]:
 def test_one_lamp_is_taken_off(faces, rng):
     _, truth = a_face(faces, rng)
     start = first_guess(faces)
-    found, displaced = appearance_in_light(faces, seen_as(faces, truth + one_lamp(faces)), start)
+    found, displaced, _ = appearance_in_light(faces, seen_as(faces, truth + one_lamp(faces)), start)
     before = rms(start.log_rgb - truth)
     assert rms(found.log_rgb - truth) < 0.2 * before
     assert rms(displaced - truth) < 0.2 * before
@@ -62,13 +61,13 @@ def test_one_lamp_is_taken_off(faces, rng):
 def test_landmarks_that_lie_off_are_put_right(faces, rng):
     _, truth = a_face(faces, rng)
     moved = truth + 0.5 * faces.frame.gradient(truth)[:, 0]
-    _, displaced = appearance_in_light(faces, seen_as(faces, moved + one_lamp(faces)), first_guess(faces))
+    _, displaced, _ = appearance_in_light(faces, seen_as(faces, moved + one_lamp(faces)), first_guess(faces))
     assert rms(displaced - moved) < 0.5 * rms(truth - moved)
 
 
 def test_without_a_change_of_light_the_appearance_is_the_picture(faces, rng):
     _, truth = a_face(faces, rng)
-    found, _ = appearance_in_light(faces, seen_as(faces, truth), first_guess(faces))
+    found, _, _ = appearance_in_light(faces, seen_as(faces, truth), first_guess(faces))
     assert rms(found.log_rgb - truth) < 0.1 * rms(first_guess(faces).log_rgb - truth)
 
 
@@ -82,8 +81,9 @@ def test_the_level_of_light_is_not_taken_for_the_object(faces, rng):
 
 def test_what_the_picture_does_not_show_stays_as_it_was(faces):
     start = first_guess(faces)
-    found, displaced = appearance_in_light(faces, seen_as(faces, np.full((faces.n_pixels, 3), -5.0), 0.0), start)
-    assert found is start
+    found, displaced, _ = appearance_in_light(faces, seen_as(faces, np.full((faces.n_pixels, 3), -5.0), 0.0), start)
+    np.testing.assert_array_equal(found.lam, start.lam)
+    assert not found.light.any()
     np.testing.assert_array_equal(displaced, start.log_rgb)
 
 
@@ -92,7 +92,7 @@ def test_a_few_pixels_are_enough_for_an_answer(faces, rng, usable):
     _, truth = a_face(faces, rng)
     seen = seen_as(faces, truth + one_lamp(faces), 0.0)
     seen.usable[rng.permutation(faces.n_pixels)[: usable * 10]] = 1.0
-    found, displaced = appearance_in_light(faces, seen, first_guess(faces))
+    found, displaced, _ = appearance_in_light(faces, seen, first_guess(faces))
     assert np.isfinite(found.log_rgb).all()
     assert np.isfinite(found.deviations).all()
     assert np.isfinite(displaced).all()
@@ -102,7 +102,7 @@ def test_without_a_prior_there_is_an_answer(faces, rng):
     _, truth = a_face(faces, rng)
     seen = seen_as(faces, truth + one_lamp(faces), 0.0)
     seen.usable[rng.permutation(faces.n_pixels)[:20]] = 1.0
-    found, _ = appearance_in_light(faces, seen, first_guess(faces), prior=0.0)
+    found, _, _ = appearance_in_light(faces, seen, first_guess(faces), prior=0.0)
     assert np.isfinite(found.log_rgb).all()
 
 
@@ -113,30 +113,8 @@ def test_models_without_pictures_left_out_will_do(faces, rng):
         MESH, levels=(*faces.levels[:-1], replace(level, appearances={**level.appearances, "log": known}))
     )
     _, truth = a_face(faces, rng)
-    found, _ = appearance_in_light(plain, seen_as(plain, truth + one_lamp(plain)), first_guess(plain))
+    found, _, _ = appearance_in_light(plain, seen_as(plain, truth + one_lamp(plain)), first_guess(plain))
     assert rms(found.log_rgb - truth) < 0.3 * rms(first_guess(plain).log_rgb - truth)
-
-
-def test_the_curve_goes_through_most_pixels_and_no_farther(rng):
-    brightness = rng.uniform(-2, 0, 3000)
-    colours = np.column_stack([0.3 * brightness, 0.1 * brightness**2])
-    shading = brightness[:, None] + colours @ CHROMATICITY + rng.normal(0, 0.02, (3000, 3))
-    shading[:300] += [2.0, 0.0, -2.0]  # lips and eyes
-    curve = light_curve(brightness, shading, np.ones(3000))
-    at = np.linspace(-1.8, -0.2, 9)
-    colour, slope = curve(at)
-    np.testing.assert_allclose(colour @ CHROMATICITY.T, np.column_stack([0.3 * at, 0.1 * at**2]), atol=0.02)
-    near = curve(at + 1e-4)[0]
-    np.testing.assert_allclose((near - colour) / 1e-4, slope, atol=1e-3)
-    beyond, flat = curve(np.array([-9.0, 9.0]))
-    assert not flat.any()
-    np.testing.assert_allclose(beyond, curve(np.quantile(brightness, [0.005, 0.995]))[0], atol=1e-9)
-
-
-def test_a_curve_of_nothing_is_none():
-    colour, slope = light_curve(np.zeros(10), np.ones((10, 3)), np.zeros(10))(np.zeros(4))
-    assert not colour.any()
-    assert not slope.any()
 
 
 def test_averages_stay_on_their_side_of_an_edge(rng):
@@ -164,3 +142,9 @@ def test_a_weak_lamp_stays_weak():
     assert at_a_known_level(np.array([-0.3]), certain, np.ones(1), levels) == pytest.approx(-0.2, abs=0.01)
     unknown = at_a_known_level(np.array([-0.3]), np.zeros((1, 1)), np.ones(1), levels)
     assert unknown == pytest.approx(-0.3)
+
+
+def test_no_light_is_more_likely_where_the_data_say_so():
+    assert as_in_training(np.zeros(4), 0.1 * np.eye(4)) > 0.98
+    assert as_in_training(np.full(4, 2.0), 0.1 * np.eye(4)) < 1e-6
+    assert as_in_training(np.zeros(4), np.eye(4)) == pytest.approx(0.5)  # nothing was learnt

@@ -11,18 +11,18 @@ from liaam.errors import LiaamError, MethodError
 from liaam.fitting import Fitter
 from liaam.io import write_image
 from liaam.model.mesh import ReferenceFrame, delaunay
-from liaam.relighting import Lamp, Relighter, extrapolation
-from liaam.relighting.extrapolation import around, continued
+from liaam.relighting import Lamp, Relighter
+from liaam.relighting.extrapolation import around
 from liaam.relighting.one_call import lamps_of
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.relief import normals_of
-from liaam.relighting.shading import piecewise_smooth
 from scenes import Head
 
 SIZE = (240, 180)
 
-BAR, SEAM = 0.065, 2.0
-"""What is reached with a small model of ten pictures; ``python -m benchmarks relight`` measures larger ones."""
+BAR, SEAM = 0.16, 2.0
+"""What is reached with a small model of ten pictures; ``python -m benchmarks relight`` measures larger ones. The light
+is smooth: at the edge of a hard shadow it is a little beside it."""
 
 
 @pytest.fixture(scope="module")
@@ -55,16 +55,93 @@ def test_the_flat_picture_is_near_the_truth(head, taken_apart):
 
 
 def test_what_is_kept_is_in_single_precision(taken_apart):
-    assert taken_apart.log_flat.dtype == taken_apart.log_shading.dtype == np.float32
+    assert taken_apart.log_flat.dtype == taken_apart.log_own.dtype == taken_apart.grain.dtype == np.float32
 
 
-def test_detail_is_kept(head, taken_apart):
+def fine(log: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
+    """Detail of log luminance within a mask, finer than a Gaussian."""
+    from scipy.ndimage import gaussian_filter
+
+    mean = gaussian_filter(log * inside, scale) / np.maximum(gaussian_filter(inside.astype(float), scale), 1e-6)
+    return (log - mean)[inside]
+
+
+def test_detail_is_kept(taken_apart):
+    inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
+    before, after = (log_light(each, "srgb").mean(axis=2) for each in (taken_apart.picture, taken_apart.flat()))
+    assert np.corrcoef(fine(before, inside, 2.0), fine(after, inside, 2.0))[0, 1] > 0.97
+
+
+def test_painted_marks_keep_their_contrast():
+    """A moustache, moles and a letter, in the colours of hair and ink, on a real face under light from the side."""
+    import cv2
+
+    image, fitter = liaam.datasets.load_face().read_image(), Fitter(liaam.load_model("face"))
+    result, mark = fitter.fit(image), np.zeros(image.shape[:2], np.uint8)
+    light = 1.2 * (np.arange(image.shape[1]) - result.landmarks[:, 0].mean())[None, :, None] / image.shape[1]
+    image = eight_bits(log_light(image, "srgb") - 0.6 + light, "srgb")
+    centre, size = result.landmarks.mean(axis=0), np.ptp(result.landmarks, axis=0)
+    for at, radius in (((-0.25, 0.05), 2), ((0.25, 0.1), 3), ((0.0, -0.35), 3)):
+        cv2.circle(mark, tuple(int(v) for v in centre + size * at), radius, 1, -1)
+    cv2.ellipse(mark, tuple(int(v) for v in centre + size * (0, 0.15)), (30, 6), 0, 0, 360, 1, -1)
+    cv2.putText(mark, "A", tuple(int(v) for v in centre + size * (0.22, 0.25)), 0, 0.8, 1, 2)
+    image[mark > 0] = (0.35 * image[mark > 0] * [0.8, 1.0, 1.25]).astype(np.uint8)
+    relighter = Relighter.of(fitter, image, result)
+    assert np.abs(relighter.shading()).max() > 0.3  # some light was taken off
+    beside = cv2.dilate(mark, np.ones((9, 9), np.uint8)) > cv2.dilate(mark, np.ones((3, 3), np.uint8))
+    before, after = (log_light(each, "srgb").mean(axis=2) for each in (image, relighter.flat()))
+    contrast = [each[beside].mean() - each[mark > 0].mean() for each in (before, after)]
+    assert contrast[1] > 0.85 * contrast[0]
+
+
+def test_a_picture_in_the_training_light_stays_as_it_is(head):
     model, pair = head
-    log_model, _ = model_alone(taken_apart)
-    made = log_light(taken_apart.picture, "srgb")
-    made[taken_apart.box] = taken_apart.log_flat
-    errors = [flat_error(model, log, taken_apart.shape, pair.flat) for log in (log_model, made)]
-    assert errors[1] < 0.95 * errors[0]
+    fitter = Fitter(model)
+    relighter = Relighter.of(fitter, pair.flat.image, fitter.fit(pair.flat.image, pair.flat.landmarks))
+    assert np.abs(relighter.shading()).mean() < 0.03
+
+
+def test_a_smooth_light_is_taken_off(head):
+    model, pair = head
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    light = (-0.8 * (x / SIZE[1]) - 0.3 * (y / SIZE[0]))[..., None]
+    image = eight_bits(log_light(pair.flat.image, "srgb") + light, "srgb")
+    fitter = Fitter(model)
+    relighter = Relighter.of(fitter, image, fitter.fit(pair.flat.image, pair.flat.landmarks))
+    made = log_light(image, "srgb")
+    before = flat_error(model, made, relighter.shape, pair.flat)
+    made[relighter.box] = relighter.log_flat
+    assert flat_error(model, made, relighter.shape, pair.flat) < 0.2 * before
+
+
+def test_noise_in_the_dark_is_not_amplified_more_than_three_times(head, taken_apart, rng):
+    model, pair = head
+    dark = eight_bits(log_light(pair.lit.image, "srgb") - 2.5, "srgb").astype(float)
+    fitter = Fitter(model)
+    result = fitter.fit(pair.lit.image)
+    images = [np.clip(dark + rng.normal(0, 1.5, dark.shape), 0, 255).astype(np.uint8) for _ in range(6)]
+    relighters = [Relighter.of(fitter, image, result) for image in images]
+    inside = relighters[0].shading().any(axis=2)
+    before, after = (np.std(np.array(each, float), axis=0)[inside] for each in (images, [r.flat() for r in relighters]))
+    assert np.median(after / np.maximum(before, 0.5)) < 3.5
+    assert relighters[0].certain < taken_apart.certain
+
+
+def test_clipped_highlights_stay(head, taken_apart):
+    model, pair = head
+    image, (x, y) = pair.lit.image.copy(), taken_apart.shape.mean(axis=0).astype(int)
+    image[y - 6 : y + 7, x - 6 : x + 7] = 255
+    fitter = Fitter(model)
+    flat = Relighter.of(fitter, image, fitter.fit(pair.lit.image)).flat()
+    assert flat[y - 3 : y + 4, x - 3 : x + 4].min() > 250
+
+
+def test_how_certain_the_light_is(taken_apart):
+    certainty = taken_apart.certainty()
+    inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
+    assert np.isnan(certainty[~inside]).all()
+    assert 0 <= np.nanmin(certainty) <= np.nanmax(certainty) <= 1
+    assert taken_apart.certain == pytest.approx(np.nanmean(certainty))
 
 
 def test_what_is_dark_in_two_channels_keeps_its_colour(head, taken_apart):
@@ -243,18 +320,6 @@ def square(n: int = 40) -> ReferenceFrame:
     return ReferenceFrame(points, delaunay(points))
 
 
-def test_jumps_stay_and_noise_goes(rng):
-    frame = square()
-    truth = np.where(frame.pixels[:, 1:] < 20, -1.5, 0.0) * np.ones(3)
-    weights = np.ones(len(truth))
-    noisy = truth + rng.normal(0, 0.1, truth.shape)
-    holes = (np.abs(frame.pixels - [10, 10]) < 3).all(axis=1)
-    noisy[holes], weights[holes] = 7.0, 0.0
-    smooth = piecewise_smooth(frame, noisy, weights)
-    assert np.sqrt(np.mean((smooth - truth) ** 2)) < 0.07
-    assert np.abs(smooth - truth)[holes].max() < 0.15
-
-
 def test_normals_point_outwards_and_have_no_ridges(model):
     for frame in (square(), model.frame):
         normals = normals_of(frame)
@@ -268,125 +333,54 @@ def test_normals_point_outwards_and_have_no_ridges(model):
         assert max(np.nanmax(step) for step in steps) < 0.15
 
 
+def known_in(shape: tuple[int, int], rows: slice, columns: slice) -> np.ndarray:
+    inside = np.zeros(shape, bool)
+    inside[rows, columns] = True
+    return inside
+
+
 def test_values_are_carried_on_as_far_as_things_look_alike():
-    values, weights = np.full((60, 80, 1), 2.0, np.float32), np.zeros((60, 80, 1), np.float32)
-    weights[20:40, 30:50] = 1.0
-    own = np.zeros((60, 80, 3), np.float32)
-    own[:, 52:] = [1.5, 0.0, -1.0]  # a wall on the right
-    carried, share = around(values, weights, own, 5.0)
+    inside = known_in((160, 200), slice(40, 140), slice(40, 150))
+    own = np.zeros((160, 200, 3), np.float32)
+    own[:, 154:] = [1.5, 0.0, -1.0]  # a wall on the right
+    carried, share, belongs = around(np.full((160, 200, 1), 2.0, np.float32), inside, own, 6.0)
     np.testing.assert_allclose(carried[share > 0], 2.0, rtol=1e-4)
-    assert share[30, 28] > 0.9 > share[30, 22] > 0.05
-    assert share[30, 54:].max() < 0.01
-    assert share[:, :10].max() == 0.0
+    assert share[90, 38] > 0.8 > share[90, 20] > 0.05
+    assert share[90, 160:].max() < 0.01
+    assert share[:, :14].max() == 0.0
+    assert (belongs[inside] == 1).all()
 
 
 @pytest.mark.parametrize("size", [1, 6])
 def test_a_shadow_that_goes_on_takes_the_shadows_change(size):
-    values, weights = np.zeros((60 * size, 80 * size, 1), np.float32), np.zeros((60 * size, 80 * size, 1), np.float32)
-    weights[20 * size : 40 * size] = 1.0
-    own = np.zeros((60 * size, 80 * size, 3), np.float32)
+    inside = known_in((60 * size, 80 * size), slice(20 * size, 40 * size), slice(0, 80 * size))
+    values, own = np.zeros((60 * size, 80 * size, 1), np.float32), np.zeros((60 * size, 80 * size, 3), np.float32)
     own[:, 50 * size :] = values[:, 50 * size :] = -1.5  # in the shadow
-    values[weights == 0] = 7.0  # not known there
-    carried, share = around(values, weights, own, 5.0 * size)
+    values[~inside] = 7.0  # not known there
+    carried, share, _ = around(values, inside, own, 5.0 * size)
     row = 44 * size
     np.testing.assert_allclose(carried[row, 45 * size], 0.0, atol=0.2)
     np.testing.assert_allclose(carried[row, 55 * size], -1.5, atol=0.2)
     assert share[row, 45 * size] > 0.3
-    np.testing.assert_allclose(share[row, 55 * size], share[row, 45 * size], rtol=0.05)
 
 
 def test_a_wall_that_edges_cut_off_gets_no_halo():
     """Behind a cheek in shadow, a wall somewhere looks like the cheek: a new light on it would be a halo."""
-    values, weights = np.ones((80, 160, 1), np.float32), np.zeros((80, 160, 1), np.float32)
-    weights[20:60, 20:60] = 1.0
+    inside = known_in((80, 160), slice(20, 60), slice(20, 60))
     own = np.full((80, 160, 3), -2.0, np.float32)
     own[:, 66:72] = [0.0, 0.5, 1.0]  # its bright rim
-    _, share = around(values, weights, own, 8.0)
-    assert share[40, 62] > 0.9
-    assert share[40, 73:].max() < 0.1
-    own[:, 66:72] = -2.0
-    assert around(values, weights, own, 8.0)[1][40, 74] > 0.5
+    _, _, belongs = around(np.ones((80, 160, 1), np.float32), inside, own, 5.0)
+    assert belongs[40, 62] > 0.9
+    assert belongs[40, 76:].max() < 0.1
 
 
-def test_light_is_added_to_dark_hair_but_not_taken_from_it():
-    values, weights = np.ones((60, 80, 1), np.float32), np.zeros((60, 80, 1), np.float32)
-    weights[20:40, 20:50] = 1.0
-    own = np.zeros((60, 80, 3), np.float32)
-    own[:, 53:] = -1.2
-    taken, added = (around(values, weights, own, 10.0, lightened=light)[1][30, 54, 0] for light in (False, True))
-    assert taken < 0.4
-    assert added > 0.9
-
-
-def ridge(rng, noise=0.0):
-    """Log light of hair and skin, whose border the mesh follows, and the shadow that lies along it; the mesh."""
-    height, width = 80, 120
-    down, right = np.mgrid[:height, :width].astype(np.float32)
-    edge = 38.0 + 5.0 * np.sin(right / 7.0)
-    shadow = -0.9 / (1.0 + np.exp((edge - down) / 1.5))[..., None] * [0.8, 1.0, 1.2]
-    hair = ((down % 24 < 9) & (right % 40 < 25))[..., None]
-    paint = np.where(hair, [-2.2, -2.3, -2.2], [-0.8, -1.3, -1.6])
-    own = paint + shadow + rng.normal(0, noise, paint.shape)
-    return own.astype(np.float32), shadow.astype(np.float32), down > 38
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_shadows_edge_along_the_border_is_told_from_paint(rng, noise):
-    own, shadow, inside = ridge(rng, noise)
-    change = np.where(inside[..., None], shadow, 7.0).astype(np.float32)  # not known outside
-    found = continued(change, inside, own, 8.0)
-    next_to_it = np.zeros_like(inside)
-    next_to_it[31:39] = True
-    off = np.abs(found - shadow)[next_to_it]
-    carried, _ = around(change, inside[..., None].astype(np.float32), own, 8.0)
-    before = np.abs(carried - shadow)[next_to_it]
-    assert before.mean() > 0.2
-    assert off.mean() < 0.5 * before.mean()
-    np.testing.assert_array_equal(found <= shadow[inside].max(axis=0) + 1e-6, True)
-
-
-@pytest.mark.parametrize("reach", [1.0, 3.0, 40.0, 70.0, 200.0])
-def test_a_change_that_is_the_same_everywhere_goes_on_as_it_is(rng, reach):
-    inside = np.zeros((90, 70), bool)
-    inside[30:60, 20:50] = True
-    own = rng.normal(-1, 0.5, (90, 70, 3)).astype(np.float32)
-    change = np.where(inside[..., None], np.float32([0.3, -0.2, 0.1]), np.float32(9))
-    near = np.zeros_like(inside)
-    near[29:61, 19:51] = True
-    found = continued(change, inside, own, reach)
-    np.testing.assert_allclose(found[near], np.broadcast_to([0.3, -0.2, 0.1], found[near].shape), atol=1e-5)
-
-
-def test_large_objects_are_extrapolated_at_a_lower_resolution(rng, monkeypatch):
-    y, x = np.mgrid[:300, :240]
-    inside = (np.square(x - 120) + np.square(y - 150) < 70**2)[..., None].astype(np.float32)
-    values = inside * np.dstack([x / 240, y / 300, 1 + 0 * x]).astype(np.float32)
-    own = np.where(x[..., None] < 200, -1.0, -2.5) + rng.normal(0, 0.02, (300, 240, 3))  # a wall beside the object
-    few, share_of_few = around(values, inside, own.astype(np.float32), 60.0)
-    monkeypatch.setattr(extrapolation, "LARGEST", np.inf)
-    found, share = around(values, inside, own.astype(np.float32), 60.0)
-    assert 0.05 < share[..., 0].mean() < 0.95 and share[150, 230] < 0.05
-    assert np.abs(share_of_few - share).mean() < 0.01
-    assert np.abs(share * (few - found)).mean() < 0.005
-
-
-def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_share():
-    inside = np.zeros((200, 150, 1), np.float32)
+def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_values():
     y, x = np.mgrid[:200, :150]
-    inside[np.abs(x - 0.3 * y - 40) < 1.5] = 1.0  # slanted, so that reduced pixels hold various parts of it
-    values = inside * (y / 200)[..., None].astype(np.float32)
-    found, share = around(values, inside, np.full((200, 150, 3), -1.0, np.float32), 130.0)
-    own = inside[..., 0] > 0
-    assert share[own].min() > 0.9
-    assert np.abs(found - values)[own].mean() < 0.25
-
-
-def test_nothing_inside_changes_nothing():
-    none = np.zeros((9, 8), bool)
-    assert not continued(np.ones((9, 8, 3), np.float32), none, np.ones((9, 8, 3), np.float32), 2.0).any()
-    own = np.full((9, 8, 3), -5.0, np.float32)  # one colour: nothing to tell by
-    change = np.full((9, 8, 3), 0.4, np.float32)
-    np.testing.assert_allclose(continued(change, ~none, own, 2.0), 0.4, atol=1e-5)
+    inside = np.abs(x - 0.3 * y - 40) < 1.5  # slanted, so that reduced pixels hold various parts of it
+    values = inside[..., None] * (y / 200)[..., None].astype(np.float32)
+    found, share, _ = around(values, inside, np.full((200, 150, 3), -1.0, np.float32), 130.0)
+    assert share[inside].min() > 0.9
+    assert np.abs(found - values)[inside].mean() < 0.25
 
 
 def test_one_call_does_it_all(head, taken_apart):

@@ -7,10 +7,9 @@ import pytest
 
 from liaam.errors import MethodError
 from liaam.fitting import Fitter
-from liaam.relighting.blending import blended
-from liaam.relighting.painting import soft_edge
+from liaam.relighting.painting import log_light
 from liaam.tracking import Tracker
-from liaam.tracking.shading import ShadingRemover, filtered
+from liaam.tracking.shading import ShadingRemover
 from scenes import lateral
 from setups import MOVING_FRAMES, moving_scene
 
@@ -43,10 +42,14 @@ def test_the_shading_is_gone(taken_off):
 
 
 def test_nothing_flickers(taken_off):
+    """What varies is the noise of the frames, which a multiplication leaves as it is in logarithms."""
     scene, pairs = taken_off
-    before, after = (np.array(pictures, dtype=float)[2:] for pictures in zip(*pairs, strict=True))
-    assert after[:, scene.mask].std(axis=0).mean() < 0.5 * before[:, scene.mask].std(axis=0).mean()
-    assert after[:, scene.mask].std(axis=0).max() < 2 * before[:, scene.mask].std(axis=0).max()
+    before, after = (
+        np.array([log_light(each, "srgb")[scene.mask].mean(axis=1) for each in pictures])[2:]
+        for pictures in zip(*pairs, strict=True)
+    )
+    assert after.std(axis=0).mean() < 1.02 * before.std(axis=0).mean()
+    assert after.mean(axis=1).std() < 0.02
 
 
 def test_far_from_the_object_nothing_changes(taken_off):
@@ -61,37 +64,19 @@ def test_far_from_the_object_nothing_changes(taken_off):
         assert not changed[outside].any()
 
 
-def test_the_edge_is_soft(head_model):
-    weights = soft_edge(head_model)
-    picture = head_model.frame.picture(weights, 0.0)
-    assert weights.min() == 0.0
-    assert weights.max() == 1.0
-    assert max(np.abs(np.diff(picture, axis=axis)).max() for axis in (0, 1)) < 0.5
-
-
-def test_weights_of_zero_and_one():
-    image = np.full((30, 30, 3), 100, np.uint8)
-    painted = np.zeros((30, 30, 4), np.float32)
-    assert (blended(image, painted, "srgb", 1.0) == image).all()
-    painted[5:10, 5:10] = [0.0, 0.0, 0.0, 1.0]  # white
-    painted[20, 20] = [-9.0, -9.0, -9.0, 0.0]
-    fresh = blended(image, painted, "srgb", 1.0)
-    assert (fresh[5:10, 5:10] == 255).all()
-    assert (fresh[15:] == 100).all()
-    fading = fresh[7, 9:16, 0].astype(int)  # the shading next to it is taken off, too, and less and less
-    assert (np.diff(fading) <= 0).all()
-    assert 100 < fading[1] <= 255
-    assert fading[-1] == 100
-
-
-def test_values_that_wander_are_filtered(rng):
-    mean, variance = np.zeros(1), np.ones(1)
-    found = []
-    for _ in range(400):
-        mean, variance = filtered(mean, variance, rng.normal(size=1), np.ones(1), np.full(1, 0.01))
-        found.append(mean[0])
-    assert np.std(found[50:]) < 0.4
-    assert 0 < variance[0] < 1
+def test_what_moves_is_of_each_frame(taken_off, head_model):
+    """A mark that appears in one frame is there, and gone in the next."""
+    scene, _ = taken_off
+    tracker = Tracker(head_model)
+    remover, pictures = ShadingRemover(tracker.fitter), []
+    frame = tracker.update(scene.image)
+    x, y = frame.landmarks.mean(axis=0).astype(int)
+    marked = scene.image.copy()
+    marked[y - 2 : y + 3, x - 2 : x + 3] = [20, 200, 20]
+    pictures = [remover.remove(each, tracker.result, frame.landmarks) for each in (scene.image, marked, scene.image)]
+    greener = [int(each[y, x, 1]) - int(each[y, x, 0]) for each in pictures]
+    assert greener[1] > 100
+    assert abs(greener[2] - greener[0]) < 15
 
 
 def test_after_a_loss_it_begins_anew(head_model, moving):

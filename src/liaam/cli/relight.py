@@ -67,20 +67,30 @@ def relight(
     method: Annotated[
         str, typer.Option("--method", "-m", help="Fitting method: soft-li, or one on log-RGB such as li.")
     ] = "soft-li",
+    certainty: Annotated[
+        bool,
+        typer.Option(
+            "--certainty", help="Also write NAME_certainty.png: how well the light is known, black 0, white 1."
+        ),
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Write nothing where the fit is doubtful or the light is uncertain.")
+    ] = False,
     camera_file: CameraOption = None,
     response: ResponseOption = None,
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
     direction = check_lights(flat, light, like, ambient, like_init)
     outputs = output_paths(images, output, "relit" if light or like else "flat")
+    maps = [map_of(path) for path in outputs] if certainty else []
     inputs = [*images, *([] if like is None else [like])]
-    refuse_inputs(outputs, inputs)
+    refuse_inputs([*outputs, *maps], inputs)
 
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.relighting import Lamp
     from liaam.relighting.lamp import AMBIENT, check_ambient
-    from liaam.relighting.one_call import check_colour, relit, separated
+    from liaam.relighting.one_call import UNCERTAIN, check_colour, relit, separated, uncertainty_of
 
     ambient = AMBIENT if ambient is None else ambient
     lamps = None if direction is None else [Lamp(direction)]  # raises before any work
@@ -95,19 +105,30 @@ def relight(
         progress(0, len(inputs), inputs[-1].name)
         if like is not None:
             other, result = separated(fitter, *read_with_start(like, like_init), str(like))
-            failed = add_advice(advice, like, result, "its light was used")
+            failed = add_advice(advice, like, result, "its light was used although the fit may be wrong")
         for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(inputs) - len(images)):
             progress(i, len(inputs), image.name)
             try:
                 pixels, start = read_with_start(image, init)
-                picture, result = relit(fitter, pixels, start, lamps, other, ambient, str(image))
-                write_image(path, picture)
+                picture, result, relighter = relit(fitter, pixels, start, lamps, other, ambient, str(image))
+                uncertain = relighter.certain < UNCERTAIN
+                written_here = not (strict and (uncertain or not result.status.ok))
+                if written_here:
+                    write_image(path, picture)
+                    written.append(path)
+                if written_here and certainty:
+                    known = np.nan_to_num(relighter.certainty())
+                    write_image(map_of(path), np.rint(255 * known).astype(np.uint8)[..., None].repeat(3, axis=2))
+                    written.append(map_of(path))
             except LiaamError as error:
                 complain(f"error: {error}")
                 failed = True
                 continue
-            written.append(path)
-            failed |= add_advice(advice, image, result, "the image was relit")
+            done = "the image was relit although the fit may be wrong" if written_here else "nothing was written"
+            failed |= add_advice(advice, image, result, done)
+            if uncertain and result.status.ok:
+                advice[uncertainty_of(relighter)].append(image.name)
+                failed |= strict
         progress(len(inputs), len(inputs), images[-1].name)
     if written:
         say(f"written to {output or names_of(written)}")
@@ -143,10 +164,15 @@ def output_paths(images: list[Path], output: Path | None, ending: str) -> list[P
     return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
 
 
+def map_of(path: Path) -> Path:
+    """Return the path of the map of certainty of an image to write."""
+    return path.with_name(f"{path.stem}_certainty.png")
+
+
 def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:
     """Add what may be wrong with a fit, and what was done with it. Return whether it failed."""
     if not result.status.ok:
-        text = f"{result.status}: {result.message.rstrip('.')}; {what} although the fit may be wrong"
+        text = f"{result.status}: {result.message.rstrip('.')}; {what}"
         advice[text].append(image.name)
     if result.detection_doubtful and not result.status.unusable:
         advice[LOW_SCORE].append(image.name)

@@ -12,6 +12,9 @@ from liaam.model import AAM
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.relighting.relighter import Relighter
 
+UNCERTAIN = 0.6
+"""Certainty of the light, of 1, below which a warning is given."""
+
 Light = Sequence[float] | Lamp | Sequence[Lamp]
 
 
@@ -57,7 +60,7 @@ def relight(
     Warns
     -----
     UserWarning
-        If a fit may be wrong.
+        If a fit may be wrong, or the light is uncertain.
 
     Raises
     ------
@@ -78,8 +81,10 @@ def relight(
     if like is not None:
         other, result = separated(fitter, like, like_init, "like")
         _warn(result, "like")
-    picture, result = relit(fitter, image, init, lamps, other, ambient)
+    picture, result, relighter = relit(fitter, image, init, lamps, other, ambient)
     _warn(result, "image")
+    if relighter.certain < UNCERTAIN:
+        warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
     return picture
 
 
@@ -109,18 +114,29 @@ def relit(
     other: Relighter | None = None,
     ambient: float = AMBIENT,
     name: str = "image",
-) -> tuple[np.ndarray, FitResult]:
-    """Fit an image and show it under lamps, or the light of another image, or that of training; also return the fit."""
+) -> tuple[np.ndarray, FitResult, Relighter]:
+    """Fit an image and show it under lamps, or the light of another image, or that of training.
+
+    Also return the fit and the relighter.
+    """
     relighter, result = separated(fitter, image, init, name)
     if other is not None:
-        return relighter.like(other), result
-    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient), result
+        return relighter.like(other), result, relighter
+    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient), result, relighter
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:
     """Fit an image and separate it into appearance and shading."""
     result = fitter.fit(image, init, name)
     return Relighter.of(fitter, image, result, name=name), result
+
+
+def uncertainty_of(relighter: Relighter) -> str:
+    """Say that the light of an image is not well known."""
+    return (
+        f"the light is uncertain ({relighter.certain:.2f} of 1): the image may be too dark, clipped or unlike the "
+        "training images; look at the map of certainty"
+    )
 
 
 def _warn(result: FitResult, name: str) -> None:

@@ -1,6 +1,7 @@
 """Warping from the model's reference frame to an image, and blending at the mesh's border."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,9 @@ SOFT_EDGE = 0.05
 
 REACH = 0.04
 """Standard deviation of the Gaussian by which shading is removed beyond the mesh, as a fraction of the diagonal."""
+
+DARKEST, BINS = -9.0, 65536
+"""Logarithm of light that is stored as 0, and number of steps from there to white."""
 
 
 def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -118,9 +122,17 @@ def of_stored(function: Callable[[np.ndarray], np.ndarray], image: np.ndarray) -
     return function(stored_values(np.arange(256, dtype=np.uint8))).astype(np.float32)[image]
 
 
-def eight_bits(log_rgb: np.ndarray, response: Response) -> np.ndarray:
-    """Convert logarithms of light to stored values (h, w, 3) uint8, clipped at white."""
-    return np.rint(255 * np.clip(from_linear(np.exp(log_rgb), response), 0.0, 1.0)).astype(np.uint8)
+def eight_bits(log_light: np.ndarray, response: Response) -> np.ndarray:
+    """Convert logarithms of light (any shape) to stored values, uint8, clipped at white; by a table."""
+    at = np.clip((log_light - DARKEST) * np.float32((BINS - 1) / -DARKEST) + np.float32(0.5), 0.0, BINS - 1.0)
+    return _stored(response)[at.astype(np.uint16)]
+
+
+@lru_cache(4)
+def _stored(response: Response) -> np.ndarray:
+    """Return the stored values, (BINS,) uint8, of logarithms of light from DARKEST to 0."""
+    light = np.exp(np.linspace(DARKEST, 0.0, BINS))
+    return np.rint(255 * np.clip(from_linear(light, response), 0.0, 1.0)).astype(np.uint8)
 
 
 def as_eight_bit(image: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.model.mesh import ReferenceFrame
-from liaam.relighting.shading import neighbours
+from liaam.relighting.grid import neighbours
 
 STEEPEST = np.tan(np.deg2rad(65.0))
 """Limit of the surface's slope, at the mesh's border."""

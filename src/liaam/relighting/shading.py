@@ -1,156 +1,110 @@
-"""Estimation of the shading of a fitted image: piecewise smooth, with the edges of cast shadows.
+"""The light of a fitted image: that of the modes of light, and what they leave.
 
-In logarithms, a fitted image is the object's appearance under the training light plus shading. The model's appearance
-lacks fine detail, and misplaced landmarks cause errors at eyes and lips. The difference of image and model is thus
-shading plus errors of known variance. The shading is its piecewise smooth part, by weighted least squares in which the
-coupling of neighbours decreases at jumps (total variation by reweighting). Farbman, Fattal, Lischinski and Szeliski,
-"Edge-preserving decompositions", ACM TOG 2008, use similar weights.
+In logarithms, a fitted image is the object's appearance under the training light, plus light, plus what the model does
+not know: a beard, glasses, a mole, and errors of landmarks. Modes of light (:mod:`liaam.relighting.basis`) cannot
+explain any of these. What they leave is light mostly where light varies, as along the edge of a shadow, and it is not
+light where its colour is not that of light: where it changes the invariant (paper eq 7), or colour temperature more
+than brightness. Elsewhere it stays in the picture.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from liaam.evaluation import short_repr
 from liaam.model import AAM
-from liaam.model.mesh import ReferenceFrame
-from liaam.model.shape import align
-from liaam.photometry import Response, from_linear
-from liaam.photometry.noise import noise_deviation
-from liaam.photometry.response import log_slope
-from liaam.relighting.lamplight import lit_frame, unexplained_on_frame
-from liaam.relighting.painting import soft_edge
-from liaam.training.textures import sample_appearance
+from liaam.photometry.invariant import invariant_row, temperature_direction
+from liaam.relighting.basis import UNEXPLAINED, light_on_frame
+from liaam.relighting.seen import Seen, angle_of, errors_of_the_model
 
-MISPLACED = 0.4
-"""Standard deviation of the corrected landmarks, pixels of the reference frame."""
+SMOOTHNESS, WINDOW = 0.012, 0.06
+"""Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
+the frame's diagonal."""
 
-FINE = 0.03
-"""Standard deviation of detail finer than the model's appearance, in logarithms."""
+WRONG = 2.0
+"""Standard deviation of the errors of the modes of light, relative to that of their light within the window."""
 
-UNKNOWN = 0.05
-"""Standard deviation of the model's errors if training has not measured it on left-out images."""
+ERRORS_PER_AREA = 2.0
+"""Number of independent errors of the model in the area of the smoothing."""
 
-AT_THE_BORDER = 0.5
-"""Standard deviation of the model's errors at the mesh's border, where a landmark one pixel off samples the background.
-There the image's own detail is kept."""
+INVARIANT, TEMPERATURE = 0.06, 0.15
+"""Standard deviations of light's colour along the invariant and the temperature, in logarithms."""
 
-COUPLING, CORNER, PASSES = 0.03, 0.02, 2
-"""Weight of a jump of shading between neighbours, jump below which the penalty is quadratic, and number of
-reweightings."""
+OUTLYING = 30.0
+"""Weight against what differs more from its surroundings than errors of the model and of the light do."""
 
-UNIT = 0.1
-"""Standard deviation of a pixel's log light that gives a weight of 1."""
+COLOURED = 0.3
+"""Change of colour temperature that comes with a change of brightness, at most."""
+
+NOISE_FACTOR = 3.0
+"""Factor on the noise's variance: rounding and JPEG compression add to the measured noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Shading of a fitted picture, on the pixels of the reference frame."""
+    """Light of a fitted image relative to the training light, on the pixels of the reference frame."""
 
+    coordinates: np.ndarray
+    """(k,): of the modes of light."""
     log: np.ndarray
-    """(n_pixels, 3) float32: piecewise smooth part of log(image / appearance)."""
-    variance: np.ndarray
-    """(n_pixels,) float32: its variance, which is large at the edges of cast shadows."""
-    model_variance: np.ndarray
-    """(n_pixels,) float32: variance of the model's appearance."""
+    """(n_pixels, 3) float32: logarithm of the light."""
+    rest: np.ndarray
+    """(n_pixels, 3) float32: the part of ``log`` that is not that of the modes."""
+    deviation: np.ndarray
+    """(n_pixels,) float32: standard deviation of ``log``."""
 
     __repr__ = short_repr
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A fitted image sampled on the reference frame, at the blur of the model's sharpest level."""
+def find_shading(
+    model: AAM, seen: Seen, log_rgb: np.ndarray, coordinates: np.ndarray, covariance: np.ndarray
+) -> Shading:
+    """Estimate the light of a fitted image from its appearance and the coordinates of its light.
 
-    log: np.ndarray
-    """(n_pixels, 3) float32: logarithm of linear light."""
-    usable: np.ndarray
-    """(n_pixels,) float32 in {0, 1}."""
-    noise: np.ndarray
-    """(n_pixels, 3) float32: variance of the noise of ``log``."""
-
-    @classmethod
-    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> "Seen":
-        """Warp an image (h, w, 3) to the reference frame by its fitted landmarks (n, 2)."""
-        log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
-        pixel = max(1.0, align(model.shape_model.mean, shape).scale)
-        return cls(log, usable, noise_variance(log, response, noise_deviation(image) / pixel))
-
-
-def find_shading(model: AAM, seen: Seen, log_rgb: np.ndarray, light: np.ndarray) -> Shading:
-    """Estimate the shading of a fitted image from its appearance under the training light with corrected landmarks.
-
-    ``log_rgb`` (n_pixels, 3) is from :func:`liaam.relighting.joint.appearance_in_light`, and ``light`` (k,) are its
-    coordinates of the light.
+    ``log_rgb`` (n_pixels, 3), ``coordinates`` (k,) and their covariance (k, k) are from
+    :func:`liaam.relighting.joint.appearance_in_light`.
     """
-    model_variance = errors_of_the_model(model, log_rgb)
-    at_the_border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
-    weights = seen.usable * UNIT**2 / (model_variance + seen.noise.mean(axis=1))
-    lit = lit_frame(model, light)
-    held = np.square(UNIT / unexplained_on_frame(model))
-    log = (lit + piecewise_smooth(model.frame, seen.log - log_rgb - lit, weights, held)).astype(np.float32)
-    steepness = np.square(model.frame.gradient(log)).sum(axis=1).mean(axis=1)
-    return Shading(log, steepness.astype(np.float32), model_variance + at_the_border)
+    modes = light_on_frame(model)
+    lit = np.tensordot(coordinates, modes, axes=1)
+    left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
+    bright = lit.mean(axis=1)
+    varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
+    prior = WRONG**2 * np.maximum(varying, 0.0) + (UNEXPLAINED**2 if model.light is None else 0.0)
+    noise = NOISE_FACTOR * seen.noise.mean(axis=1)
+    errors = errors_of_the_model(model, log_rgb) + noise
+    apart = smoothed(model, left.mean(axis=1), 0.5 * SMOOTHNESS) - smoothed(model, left.mean(axis=1), WINDOW)
+    outlying = 0.0 if model.light is None else OUTLYING  # without lamps, cast shadows are so
+    errors *= 1.0 + not_light(model, left, noise) + outlying * np.square(np.square(apart) / (errors + prior))
+    weights = seen.usable / errors
+    rest = smoothed(model, left, SMOOTHNESS, weights)
+    uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * smoothed(model, weights, SMOOTHNESS), 1e-6)
+    kept = prior / (prior + uncertain)
+    rest = (kept[:, None] * rest).astype(np.float32)
+    brightness = modes.mean(axis=2)
+    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + kept * uncertain
+    return Shading(
+        coordinates, (lit + rest).astype(np.float32), rest, np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
+    )
 
 
-def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
-    """Return the variance of the errors of a model's appearance in a fitted image, (n_pixels,) float32."""
-    unexplained = model.levels[-1].appearances["log"].unexplained
-    known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
-    slopes = np.square(model.frame.gradient(log_rgb)).sum(axis=1).mean(axis=1)
-    return (known + FINE**2 + MISPLACED**2 * slopes).astype(np.float32)
+def not_light(model: AAM, left: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return how far the colour of what the modes leave, (n_pixels, 3), is from light's, (n_pixels,) squared."""
+    theta = angle_of(model.camera.theta)
+    row = invariant_row(theta)[0]
+    colours = np.column_stack([row / np.linalg.norm(row), temperature_direction(theta), np.full(3, 1 / 3)])
+    invariant, temperature, brightness = smoothed(model, left @ colours, 0.5 * SMOOTHNESS).T
+    beyond = np.abs(temperature - np.median(temperature)) - COLOURED * np.abs(brightness)
+    apart = np.square(invariant - np.median(invariant)) / (INVARIANT**2 + noise)
+    return apart + np.square(np.maximum(beyond, 0.0)) / (TEMPERATURE**2 + noise)
 
 
-def noise_variance(log_rgb: np.ndarray, response: Response, deviation: float) -> np.ndarray:
-    """Return the variance of logarithms of light (any shape), given the noise deviation of the stored values."""
-    return stored_noise(from_linear(np.exp(log_rgb), response), response, deviation).astype(np.float32)
+def smoothed(model: AAM, values: np.ndarray, scale: float, weights: np.ndarray | None = None) -> np.ndarray:
+    """Average values (n_pixels, ...) of the frame by a Gaussian of ``scale`` diagonals, with weights (n_pixels,)."""
+    import cv2
 
-
-def stored_noise(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:
-    """Return the same from the stored values in [0, 1]."""
-    return np.square(deviation * log_slope(np.maximum(stored, 0.5 / 255), response))
-
-
-def piecewise_smooth(
-    frame: ReferenceFrame, values: np.ndarray, weights: np.ndarray, held: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Compute the piecewise smooth part of values (n_pixels, c) on the reference frame, as float32.
-
-    Pixels of weight 0 are interpolated from their neighbours; ``held`` (n_pixels,) are weights of a pull towards 0.
-    """
-    pairs, weights = neighbours(frame), np.asarray(weights, np.float64)
-    right = values * weights[:, None]
-    jump, found = np.full(len(pairs[0]), 1.0), right
-    for _ in range(PASSES + 1):  # the first pass has uniform coupling
-        found = factorised(pairs, COUPLING / (jump + CORNER), weights + held).solve(right)
-        jump = np.linalg.norm(found[pairs[0]] - found[pairs[1]], axis=1)
-    return found.astype(np.float32)
-
-
-def factorised(pairs: tuple[np.ndarray, np.ndarray], coupling: np.ndarray, weights: np.ndarray):
-    """Return the sparse LU factors of the least-squares system of pixel weights (n,) and couplings (k,) of pairs."""
-    from scipy.sparse import coo_array, diags_array
-    from scipy.sparse.linalg import splu
-
-    (a, b), n = pairs, len(weights)
-    links = coo_array((np.tile(-coupling, 2), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
-    own = np.bincount(a, coupling, n) + np.bincount(b, coupling, n) + weights + 1e-9
-    system = (links.tocsc() + diags_array(own)).tocsc()
-    return splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-
-
-def neighbours(frame: ReferenceFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of horizontally and vertically adjacent pixels of a frame."""
-    return every_few(frame, 1)[1]
-
-
-@lru_cache(maxsize=8)
-def every_few(frame: ReferenceFrame, step: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return the pixels at every ``step``-th row and column of a frame, and pairs of neighbours among these."""
-    kept = np.flatnonzero((frame.pixels % step == 0).all(axis=1))
-    width, height = frame.size
-    number = np.full((-(-height // step), -(-width // step)), -1)
-    number[tuple(frame.pixels[kept].T // step)] = np.arange(len(kept))
-    pairs = [(number[:, :-1], number[:, 1:]), (number[:-1], number[1:])]
-    both = [(a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]) for a, b in pairs]
-    return kept, (np.concatenate([pair[0] for pair in both]), np.concatenate([pair[1] for pair in both]))
+    frame, weights = model.frame, np.ones(model.n_pixels) if weights is None else weights
+    layers = np.column_stack([values * weights.reshape(-1, *[1] * (values.ndim - 1)), weights])
+    deviation, border = scale * model.diagonal, cv2.BORDER_CONSTANT
+    picture = cv2.GaussianBlur(frame.picture(layers), (0, 0), deviation, borderType=border)
+    sums = picture[tuple(frame.pixels.T)]
+    return (sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9)).reshape(values.shape)
