@@ -71,7 +71,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
         If the method has no log appearance, or ``result`` is from another method than the fitter's.
     """
     check_method(fitter, result)
-    fitter = fitter.part_for(result.landmarks)
+    fitter = fitter.part_for(result)
     method = fitter.objectives[-1].method
     if method.appearance == "soft":  # use the invariant alone, as 'li' does
         image, name = load_picture(image, "image")

@@ -307,7 +307,7 @@ class Fits:
         if what == "residual":
             to = fitted_size(*fit.source.size, size)
             shape = layers.scaled_points(fit.result.landmarks, fit.source.size, to)
-            part = fit.fitter.part_for(fit.result.landmarks).model
+            part = fit.fitter.part_for(fit.result).model
             return layers.residual_layer(part, shape, fit.residual, to)
         light, to = self._light(fit, size)
         return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)

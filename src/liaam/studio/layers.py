@@ -58,7 +58,7 @@ class Residual:
 
 def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residual:
     """Return the channel of a fit's residual with the largest mean square."""
-    fitter = fitter.part_for(result.landmarks)
+    fitter = fitter.part_for(result)
     method, model = result.method, fitter.model
     residual, usable = fitter.residual(image, result)
     row = int(np.nan_to_num(np.square(residual, dtype=np.float64).mean(axis=0)).argmax())

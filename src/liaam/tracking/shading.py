@@ -70,7 +70,7 @@ class ShadingRemover:
         """
         image = as_colour(image)
         refuse_grey(image, "the video", "estimating shading needs colour; give a colour video", MethodError)
-        part = self.fitter.part_for(result.landmarks).model
+        part = self.fitter.part_for(result).model
         if part is not self._model:
             self._model, self._before = part, None
         return Relighter.of(
