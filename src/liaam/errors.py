@@ -18,7 +18,7 @@ class LiaamError(ValueError):
     """Base class of every error that liaam raises on purpose."""
 
 
-class MissingFileError(LiaamError, FileNotFoundError):
+class MissingFileError(FileNotFoundError, LiaamError):
     """A file or folder does not exist."""
 
 

@@ -149,6 +149,8 @@ def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
         lamps = [Lamp(**{**lamp, "colour": _linear(lamp.get("colour", (1, 1, 1)))}) for lamp in light["lamps"]]
         ambient = light.get("ambient", AMBIENT)
         check_ambient(ambient)
+    except LiaamError:
+        raise
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as fault:
         raise Refusal(422, "the light is unclear: send JSON with lamps, each with a direction, and ambient") from fault
     if len(lamps) > MOST_LAMPS:
