@@ -146,11 +146,12 @@ struct Early {
     int steps = 0;
 };
 
-Early early_of(const Options& options, StepKind step, bool is_finest, bool is_scored) {
+Early early_of(const Options& options, const Method& method, bool is_finest, bool is_scored) {
     Early early;
-    if (step == StepKind::expected) early = {kEarlyExpected, kEarlyExpectedSteps};
-    else if (!is_finest) early = {kEarlyOwn, kEarlyOwnSteps};
-    else if (is_scored) early = {kEarlyScored, options.max_iterations};
+    if (method.step == StepKind::expected) early = {kEarlyExpected, kEarlyExpectedSteps};
+    // Weights that the steps update are those of the solution only at the end.
+    else if (is_finest && is_scored && !method.reweighs()) early = {kEarlyScored, options.max_iterations};
+    else if (!is_finest || is_scored) early = {kEarlyOwn, kEarlyOwnSteps};
     // else these steps are the last: they converge slowly, and need the full tolerance
     if (early.steps > 0 && options.early_tolerance >= 0.0) early.fraction = options.early_tolerance;
     return early;
@@ -299,7 +300,7 @@ LevelFit solve_level(const Objective& objective, const LevelImage& image, const 
     const int scoring = options.scoring < 0 ? kScoringSteps : options.scoring;
     const int more = objective.method.step == StepKind::scored ? std::min(scoring, options.max_iterations) : 0;
     work.begin(objective, start);
-    const Early early = early_of(options, objective.method.step, evaluate_last, more > 0);
+    const Early early = early_of(options, objective.method, evaluate_last, more > 0);
     Trace trace = run_level(objective, image, controls_of(options, expected, reweighs, evaluate_last, blur, early), work,
                             interrupted);
     if (more > 0 && !trace.flat) {

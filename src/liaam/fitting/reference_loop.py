@@ -379,7 +379,7 @@ def solve_level(
     loop = Loop(problem, objective)
     scoring = int(T["SCORING_STEPS"]) if options.scoring is None else options.scoring
     more = min(scoring, options.max_iterations) if step == "scored" else 0
-    fraction, steps = early_of(options, step, evaluate_last, more > 0)
+    fraction, steps = early_of(options, objective.method, evaluate_last, more > 0)
     early, reweighs = (blur * fraction, steps), objective.method.reweighs
     controls = Controls(options, options.max_iterations, *early, options.damping, expected, reweighs, evaluate_last)
     trace = loop.run(controls)
@@ -390,14 +390,14 @@ def solve_level(
     return collect(loop, trace)
 
 
-def early_of(options: Any, step: str, is_finest: bool, is_scored: bool) -> tuple[float, float]:
+def early_of(options: Any, method: Any, is_finest: bool, is_scored: bool) -> tuple[float, float]:
     """Return the tolerance of the first steps of a level, as a fraction of the blur, and their number."""
-    if step == "expected":
+    if method.step == "expected":
         fraction, steps = T["EARLY_EXPECTED"], T["EARLY_EXPECTED_STEPS"]
-    elif not is_finest:
-        fraction, steps = T["EARLY_OWN"], T["EARLY_OWN_STEPS"]
-    elif is_scored:
+    elif is_finest and is_scored and not method.reweighs:
         fraction, steps = T["EARLY_SCORED"], options.max_iterations
+    elif not is_finest or is_scored:
+        fraction, steps = T["EARLY_OWN"], T["EARLY_OWN_STEPS"]
     else:  # these steps are the last: they converge slowly, and need the full tolerance
         return 0.0, 0
     return fraction if options.early_tolerance is None else options.early_tolerance, steps
