@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import liaam
-from liaam.cli.fit import model_and_images
+from liaam.cli.inputs import model_and_images
 from liaam.datasets import load_face
 from liaam.errors import LiaamError
 from liaam.io import read_landmarks
@@ -88,14 +88,15 @@ def test_fit_without_a_model_takes_it_and_writes_other_schemes(run, tmp_path):
 )
 def test_a_first_file_that_is_no_image_is_the_model(files, model):
     files = [Path(name) for name in files.split()]
-    found, images = model_and_images(files)
+    found, images = model_and_images(files, "fit")
     assert found == Path(model)
     assert images == files[len(files) - len(images) :] and images
 
 
 def test_a_model_without_images_is_refused(run):
-    code, _, err = run("fit", "face")
-    assert code == 1 and "give the images to fit, too" in err
+    for command in ("fit", "relight"):
+        code, _, err = run(command, "face")
+        assert code == 1 and f"give the images, too, as in 'liaam {command} MODEL IMAGE...'" in err
 
 
 def test_show_tells_its_terms(run, face, tmp_path):

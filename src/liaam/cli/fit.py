@@ -14,9 +14,11 @@ from liaam.cli.inputs import (
     TURNED,
     CameraOption,
     EllipsesOption,
+    ModelAndImages,
     ResponseOption,
     RotationsOption,
     camera_for,
+    model_and_images,
     read_with_start,
     say_advice,
     unique_stems,
@@ -32,13 +34,8 @@ from liaam.io import (
     write_image,
 )
 from liaam.io.files import count_of
-from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.results import FIT_SUFFIXES, corrected_file, read_fit
-from liaam.models import FACE, MODELS
 from liaam.morphometry.schemes import in_scheme
-
-MODEL_SUFFIXES = (".liaam", ".safetensors")
-"""Suffixes of models, to tell one that is given after the images."""
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -69,15 +66,7 @@ class FitCommand(TyperCommand):
 
 
 def fit(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="[MODEL] IMAGE...",
-            readable=False,
-            help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images to fit. If the first "
-            "name ends as that of an image does, there is no MODEL, and 'face' is used, which comes with liaam.",
-        ),
-    ],
+    files: ModelAndImages,
     init: Annotated[
         str | None,
         typer.Option(
@@ -108,7 +97,7 @@ def fit(
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
-    model_file, images = model_and_images(files)
+    model_file, images = model_and_images(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
     if output.suffix.lower() in IMAGE_SUFFIXES and not output.exists():
@@ -161,17 +150,6 @@ def fit(
     say_advice(advice)
     if failed:
         raise typer.Exit(1)
-
-
-def model_and_images(files: list[Path]) -> tuple[Path, list[Path]]:
-    """Split the files of a command: the first is the model, unless it is a folder, or its name ends as an image's."""
-    if files[0].is_dir() or files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
-        if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES or file.name in MODELS), None):
-            raise LiaamError(f"{late}: a model comes before the images, as in 'liaam fit {late.name} {files[0].name}'")
-        return Path(FACE), files
-    if len(files) == 1:
-        raise LiaamError(f"{files[0]}: give the images to fit, too, as in 'liaam fit MODEL IMAGE...'")
-    return files[0], files[1:]
 
 
 def row_of(result: "FitResult") -> tuple[str, ...]:

@@ -12,9 +12,10 @@ from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import USUAL, Reading
-from liaam.models import model_file
+from liaam.models import FACE, MODELS, model_file
 
 if TYPE_CHECKING:
     from liaam.photometry import CameraModel
@@ -38,6 +39,18 @@ LandmarkedFolder = Annotated[
     ),
 ]
 """Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
+MODEL_SUFFIXES = (".liaam", ".safetensors")
+"""Suffixes of models, to tell one that is given after the images."""
+
+ModelAndImages = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="[MODEL] IMAGE...",
+        readable=False,
+        help="Model file of 'liaam train', or a name that 'liaam show' lists; then the images. If the first name ends "
+        "as that of an image does, there is no MODEL, and 'face' is used, which comes with liaam.",
+    ),
+]
 ModelFile = Annotated[
     Path,
     typer.Argument(
@@ -175,3 +188,15 @@ def say_advice(advice: Mapping[str, Sequence[str]]) -> None:
 def names_of(paths: Sequence[Path]) -> str:
     """Return the names of the first six files and the number of the rest."""
     return some_names([path.name for path in paths])
+
+
+def model_and_images(files: list[Path], command: str) -> tuple[Path, list[Path]]:
+    """Split the files of a command: the first is the model, unless it is a folder, or its name ends as an image's."""
+    if files[0].is_dir() or files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
+        if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES or file.name in MODELS), None):
+            example = f"liaam {command} {late.name} {files[0].name}"
+            raise LiaamError(f"{late}: a model comes before the images, as in '{example}'")
+        return Path(FACE), files
+    if len(files) == 1:
+        raise LiaamError(f"{files[0]}: give the images, too, as in 'liaam {command} MODEL IMAGE...'")
+    return files[0], files[1:]

@@ -10,9 +10,10 @@ import typer
 from liaam.cli.inputs import (
     LOW_SCORE,
     CameraOption,
-    ModelFile,
+    ModelAndImages,
     ResponseOption,
     camera_for,
+    model_and_images,
     names_of,
     numbers_in,
     read_with_start,
@@ -30,8 +31,7 @@ if TYPE_CHECKING:
 
 
 def relight(
-    model_file: ModelFile,
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images to relight.")],
+    files: ModelAndImages,
     flat: Annotated[
         bool, typer.Option("--flat", help="Show the object under the training light, without shading (default).")
     ] = False,
@@ -80,6 +80,7 @@ def relight(
     response: ResponseOption = None,
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
+    model_file, images = model_and_images(files, "relight")
     direction = check_lights(flat, light, like, ambient, like_init)
     outputs = output_paths(images, output, "relit" if light or like else "flat")
     maps = [map_of(path) for path in outputs] if certainty else []
