@@ -186,7 +186,7 @@ def test_values_in_docstrings_are_those_of_the_code():
         (liaam.SolverOptions, f"up to {reference_loop.THRESHOLDS['SCORING_STEPS']} such steps"),
         (liaam.find, f"up to {search.MOST}."),
         (liaam.find, f"such as {search.DOUBTFUL}."),
-        (liaam.Candidate.doubtful, f"below {search.DOUBTFUL}."),
+        (liaam.Detection.doubtful, f"below {search.DOUBTFUL}."),
         (liaam.find_label_faults, f"fewer than {label_faults.LEAST_PICTURES} images"),
         (Lamp, f"0 to {STRONGEST:g}."),
         (Relighter.under_lamps, f"up to a factor {LONGEST}"),

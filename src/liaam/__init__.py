@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam.errors import LiaamError
     from liaam.fitting import (
         METHODS,
-        Candidate,
+        Detection,
         FitResult,
         FitStatus,
         Fitter,
@@ -60,8 +60,8 @@ __all__ = [
     "AAM",
     "METHODS",
     "CameraModel",
-    "Candidate",
     "Dataset",
+    "Detection",
     "Evaluation",
     "FitResult",
     "FitStatus",
@@ -113,7 +113,7 @@ _HOMES = {
     "errors": ("LiaamError",),
     "fitting": (
         "METHODS",
-        "Candidate",
+        "Detection",
         "FitResult",
         "FitStatus",
         "Fitter",

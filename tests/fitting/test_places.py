@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.fitting import Candidate, FitStatus, Fitter
+from liaam.fitting import Detection, FitStatus, Fitter
 from liaam.fitting.fitter import BRIEF
 from liaam.fitting.search import LARGE
 from liaam.model import SURROUNDINGS
@@ -29,7 +29,7 @@ def place(calibrated, lit_scene, monkeypatch):
     def call(*places: tuple[float, float]):
         unit = (lit_scene.landmarks - lit_scene.landmarks.mean(axis=0)) / diagonal_of(lit_scene.landmarks)
         shapes = [size * min(image.shape[:2]) * unit + 60.0 + 40.0 * i for i, (size, _) in enumerate(places)]
-        found = [Candidate(shape, 0.6, 0.0, 1.0) for shape in shapes]
+        found = [Detection(shape, 0.6, 0.0, 1.0) for shape in shapes]
         fits = {
             shape.tobytes(): replace(right, landmarks=shape, quality=quality, status=FitStatus.CONVERGED)
             for shape, (_, quality) in zip(shapes, places, strict=True)

@@ -8,7 +8,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
-from liaam.fitting import METHODS, Candidate, FitStatus, Fitter
+from liaam.fitting import METHODS, Detection, FitStatus, Fitter
 from liaam.model import SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
 from liaam.training.covariances import (
@@ -118,7 +118,7 @@ def test_the_quality_is_for_the_rate_of_right_fits_and_the_status_for_equal_odds
     assert (one.least_quality, other.least_quality) == (0.5, pytest.approx(0.9))
     assert other.quality / (1 - other.quality) == pytest.approx(9 * one.quality / (1 - one.quality))
     assert one.status is other.status
-    sure, unsure = (Candidate(start, score, 0.0, 1.0) for score in (0.9, 0.3))
+    sure, unsure = (Detection(start, score, 0.0, 1.0) for score in (0.9, 0.3))
     assert likely.fit(lit_scene.image, sure).quality == other.quality
     assert likely.fit(lit_scene.image, unsure).quality == one.quality
 

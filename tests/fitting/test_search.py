@@ -8,7 +8,7 @@ import pytest
 
 import liaam
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.fitting import Candidate, Finder, FitStatus, Fitter, find, search
+from liaam.fitting import Detection, Finder, FitStatus, Fitter, find, search
 from liaam.fitting.levels import LinearImage
 from liaam.fitting.search import (
     DOUBTFUL,
@@ -38,7 +38,7 @@ def photograph(pose: Pose, lights=DIFFUSE, size=WIDE):
     return render(Head(7), pose, lights=lights, camera=narrow_band_camera(), size=size, mixing="planckian")
 
 
-def error(candidate: Candidate, truth: np.ndarray) -> float:
+def error(candidate: Detection, truth: np.ndarray) -> float:
     """Mean distance from the truth as a share of the object's diagonal."""
     return float(np.linalg.norm(candidate.landmarks - truth, axis=1).mean()) / diagonal_of(truth)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import ImageError, MethodError, StartError, VideoError
-from liaam.fitting import Candidate, Finder, FitStatus, Fitter
+from liaam.fitting import Detection, Finder, FitStatus, Fitter
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import align, diagonal_of
 from liaam.tracking import Tracker, TrackingOptions, TrackStatus, track_video
@@ -98,7 +98,7 @@ def test_what_is_hidden_is_lost_and_found_again(head_model, moving):
 def test_a_short_gap_is_bridged_without_a_search(head_model, moving, monkeypatch):
     tracker = Tracker(head_model)
     frames = [tracker.update(scene.image) for scene in moving[:5]]
-    monkeypatch.setattr(Fitter, "find", lambda *_, **__: [Candidate(moving[0].landmarks, 0.0, 0.0, 1.0)])
+    monkeypatch.setattr(Fitter, "find", lambda *_, **__: [Detection(moving[0].landmarks, 0.0, 0.0, 1.0)])
     frames += [tracker.update(blank(moving[5])), tracker.update(moving[6].image)]
     assert [frame.status for frame in frames[-2:]] == [TrackStatus.LOST, TrackStatus.TRACKED]
     assert off(frames[-1].landmarks, moving[6]) < RIGHT
@@ -109,7 +109,7 @@ def test_searches_become_rare(head_model, moving, monkeypatch):
 
     def find(*_, **__):
         searched.append(frame)
-        return [Candidate(moving[0].landmarks, 0.0, 0.0, 1.0)]
+        return [Detection(moving[0].landmarks, 0.0, 0.0, 1.0)]
 
     monkeypatch.setattr(Finder, "find_in", find)
     tracker = Tracker(head_model.with_view(SURROUNDINGS, reliability=None), options=TrackingOptions(longest_wait=8))

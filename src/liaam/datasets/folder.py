@@ -337,7 +337,7 @@ def _track(files: list[Path], progress: bool) -> Iterable[Path]:
 
 @dataclass(frozen=True)
 class _Option:
-    """Candidate landmarks of an image."""
+    """Detection landmarks of an image."""
 
     file: Path
     landmarks: Landmarks

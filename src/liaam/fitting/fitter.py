@@ -18,7 +18,7 @@ from liaam.fitting.objective import Objective, State, make_objectives
 from liaam.fitting.picture import load_picture
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration, trace
-from liaam.fitting.search import DOUBTFUL, LARGE, Candidate, Finder, are_apart
+from liaam.fitting.search import DOUBTFUL, LARGE, Detection, Finder, are_apart
 from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, part_of_start, start_shape
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
@@ -139,7 +139,7 @@ class Fitter:
     def _method(self) -> Method:
         return self.objectives[0].method
 
-    def find(self, image, *, limit: int | None = 1, least: float = 0.0, name: str = "image") -> list[Candidate]:
+    def find(self, image, *, limit: int | None = 1, least: float = 0.0, name: str = "image") -> list[Detection]:
         """Find the object in an image (see :func:`liaam.fitting.search.find`).
 
         Parameters
@@ -154,7 +154,7 @@ class Fitter:
 
         Returns
         -------
-        list of Candidate
+        list of Detection
             Starts for :meth:`fit`, the best first.
         """
         return self.finder.find_in(self._linear(load_picture(image, name)[0]), limit=limit, least=least)
@@ -162,7 +162,7 @@ class Fitter:
     def _linear(self, image: np.ndarray) -> LinearImage:
         return LinearImage(self._camera.flatten(image), self._camera.response)
 
-    def find_all(self, image, name: str = "image") -> list[Candidate]:
+    def find_all(self, image, name: str = "image") -> list[Detection]:
         """Find all objects in an image, without uncertain detections.
 
         Raises
@@ -172,7 +172,7 @@ class Fitter:
         """
         image, name = load_picture(image, name)
         found = self.find(image, limit=None, name=name)
-        sure = [candidate for candidate in found if not candidate.doubtful]
+        sure = [detection for detection in found if not detection.doubtful]
         if not sure:
             raise StartError(
                 f"{name}: no object was found (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
@@ -187,7 +187,7 @@ class Fitter:
         Parameters
         ----------
         image : (h, w, 3) uint8, uint16 or float array, or path
-        init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
+        init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Detection, optional
             Start, image pixels (see :func:`liaam.fitting.start.start_shape`). By default the object is searched for,
             and ``result.found`` has the score. A box may be approximate: if the fit from it has low quality, the object
             is searched for around it. The m points of another landmarker, if the model was trained with such points,
@@ -235,7 +235,7 @@ class Fitter:
 
     def _parts_for(self, init, name: str) -> tuple["Fitter", ...]:
         """Return the fitters of the shapes that a start may belong to."""
-        given = init.landmarks if isinstance(init, Candidate) else init
+        given = init.landmarks if isinstance(init, Detection) else init
         own = part_of_start(self.model, given, name)
         return self.parts if own is None else self.parts[own : own + 1]
 
@@ -252,7 +252,7 @@ class Fitter:
         """Return the fitter of the model's part that made a fit, or to which a shape (n, 2) belongs."""
         return self.parts[fit.part if isinstance(fit, FitResult) else self.model.part_of(fit)]
 
-    def _completed(self, result: FitResult, target: Target, found: Candidate | None, init) -> FitResult:
+    def _completed(self, result: FitResult, target: Target, found: Detection | None, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
         prior, region = 1.0, self._region(init, target.image)
         if region is not None and self._has_quality(result):
@@ -316,7 +316,7 @@ class Fitter:
         limits = np.array(image.shape[1::-1])
         if init is None:
             return np.zeros(2, int), limits
-        if not self.restarts or isinstance(init, Candidate) or np.shape(getattr(init, "points", init)) != (4,):
+        if not self.restarts or isinstance(init, Detection) or np.shape(getattr(init, "points", init)) != (4,):
             return None
         low, high = np.asarray(init, np.float64).reshape(2, 2)
         low, high = low - AROUND_BOX * (high - low), high + AROUND_BOX * (high - low)
@@ -324,8 +324,8 @@ class Fitter:
         return low, np.clip(np.ceil(high).astype(int), low + LEAST_REGION, limits)
 
     def _likeliest(
-        self, target: Target, first: FitResult, found: Candidate | None, region: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[FitResult, float, Target, Candidate | None]:
+        self, target: Target, first: FitResult, found: Detection | None, region: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[FitResult, float, Target, Detection | None]:
         """Return the most likely fit in a region, the factor on its odds, and its start.
 
         The prior of a place is proportional to its area, because there are more small places than large ones. If the
@@ -368,7 +368,7 @@ class Fitter:
                 break
         return replace(best, n_starts=n_starts)
 
-    def target(self, image, init=None, name: str = "image") -> tuple[Target, Candidate | None]:
+    def target(self, image, init=None, name: str = "image") -> tuple[Target, Detection | None]:
         """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""
         image, name = load_picture(image, name)
         refuse_unscaled(image, name, self._camera.response)
@@ -380,7 +380,7 @@ class Fitter:
             )
         camera, linear = self._camera, self._linear(image)
         init = self.finder.find_in(linear)[0] if init is None else init
-        found = init if isinstance(init, Candidate) else None
+        found = init if isinstance(init, Detection) else None
         given = init if found is None else found.landmarks
         mapped = mapped_points(self.model, given, name)
         start = start_shape(self.model, given if mapped is None else mapped, (image.shape[1], image.shape[0]), name)

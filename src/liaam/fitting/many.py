@@ -13,7 +13,7 @@ from liaam.errors import ImageError, LiaamError, MethodError, StartError
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
-from liaam.fitting.search import Candidate
+from liaam.fitting.search import Detection
 from liaam.io.files import count_of
 from liaam.model import AAM
 from liaam.progress import progress_bar
@@ -259,7 +259,7 @@ _ONE_OR_EACH = "give one start for all images, or one for each"
 
 def _is_one_start(init) -> bool:
     """Return whether ``init`` is one start (a shape, a box, a point and a size), not several."""
-    if isinstance(init, Candidate) or hasattr(init, "points"):
+    if isinstance(init, Detection) or hasattr(init, "points"):
         return True
     if isinstance(init, (list, tuple)) and any(start is None for start in init):
         return False  # NumPy would convert None to NaN

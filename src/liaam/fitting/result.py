@@ -14,7 +14,7 @@ from liaam.evaluation import Contours, finite_list, short_repr
 from liaam.fitting.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
-from liaam.fitting.search import Candidate, are_beside
+from liaam.fitting.search import Detection, are_beside
 from liaam.io.files import count_of
 from liaam.io.tables import Columns, landmark_columns, to_dataframe
 from liaam.model.shape import Similarity
@@ -185,7 +185,7 @@ class FitResult:
         Quality below which a converged fit is doubtful: more likely than not, its image is one of a wrong fit.
     method : Method
         The fitted method.
-    found : Candidate, optional
+    found : Detection, optional
         The detection that the fit started from; None if the start was given.
     part : int
         Index of the shape of the model that was fitted (:attr:`liaam.AAM.parts`).
@@ -217,7 +217,7 @@ class FitResult:
     evidence: np.ndarray
     quality: float
     method: Method
-    found: Candidate | None = None
+    found: Detection | None = None
     least_quality: float = LEAST_QUALITY
     part: int = 0
     n_starts: int = 1

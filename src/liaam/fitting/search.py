@@ -115,7 +115,7 @@ GROWTH = (0.5, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Detection:
     """A possible place of the object.
 
     Attributes
@@ -128,7 +128,7 @@ class Candidate:
         Rotation of the mean shape, radians, clockwise in the image.
     scale : float
         Image pixels per pixel of the model's reference frame.
-    others : tuple of Candidate
+    others : tuple of Detection
         Further objects that the search for one object found with certainty, among those at least half as large.
     """
 
@@ -136,7 +136,7 @@ class Candidate:
     score: float
     rotation: float
     scale: float
-    others: tuple["Candidate", ...] = ()
+    others: tuple["Detection", ...] = ()
 
     __repr__ = short_repr
 
@@ -207,28 +207,28 @@ class Finder:
         least: float = 0.0,
         response: Response | None = None,
         name: str = "image",
-    ) -> list[Candidate]:
+    ) -> list[Detection]:
         """Find the object in an image; see :func:`find`."""
         if limit is not None and limit < 1:
             raise MethodError(f"limit {limit} is too small; give 1 or more, or None for all objects")
         response = self.model.response if response is None else response
         return self.find_in(LinearImage(load_picture(image, name)[0], response), limit=limit, least=least)
 
-    def find_in(self, linear: LinearImage, *, limit: int | None = 1, least: float = 0.0) -> list[Candidate]:
+    def find_in(self, linear: LinearImage, *, limit: int | None = 1, least: float = 0.0) -> list[Detection]:
         """Find the object in an image that is checked already; see :func:`find`."""
         most = MOST if limit is None else min(limit, MOST)
         if self.model.others:
-            found = [candidate for part in self.parts for candidate in part.find_in(linear, limit=limit, least=least)]
-            return _chosen(sorted(found, key=lambda candidate: -candidate.score), are_beside, most)
+            found = [detection for part in self.parts for detection in part.find_in(linear, limit=limit, least=least)]
+            return _chosen(sorted(found, key=lambda detection: -detection.score), are_beside, most)
         search = _Search(self, linear, 6 + 4 * most)
         seen = search.for_one(least) if most == 1 else search.for_all()
         seen = seen or [self._in_the_middle(linear.image)]
-        chosen = _chosen(sorted(seen, key=lambda candidate: -candidate.score), are_beside, most)
+        chosen = _chosen(sorted(seen, key=lambda detection: -detection.score), are_beside, most)
         if most == 1:
             chosen = [replace(chosen[0], others=search.beside(chosen[0]))]
-        return [candidate for candidate in chosen if candidate.score >= least]
+        return [detection for detection in chosen if detection.score >= least]
 
-    def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Candidate]:
+    def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Detection]:
         """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
 
         Parameters
@@ -239,7 +239,7 @@ class Finder:
 
         Returns
         -------
-        list of Candidate
+        list of Detection
             The best first, then those that fill the frame. Their shapes are the aligned mean shape, because
             deformations of the reduced model are a bad start.
         """
@@ -302,7 +302,7 @@ class Finder:
             return None
         return CompiledLevels(self._levels, self.small.shape_model, keeps_samples=True)
 
-    def _fitted(self, linear: LinearImage, place: Place, field: Field) -> Candidate:
+    def _fitted(self, linear: LinearImage, place: Place, field: Field) -> Detection:
         """Fit the reduced model at a place of a field, and score the result."""
         template, warp = self.templates[place.template], self.objective.warp
         pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
@@ -331,11 +331,11 @@ class Finder:
         score = product / np.sqrt(power) - SHAPE_PENALTY * unusual if power > 0 else 0.0
         return float(np.clip(score, 0.0, 1.0)) if np.isfinite(score) else 0.0
 
-    def _candidate(self, shape: np.ndarray, score: float) -> Candidate:
+    def _candidate(self, shape: np.ndarray, score: float) -> Detection:
         pose = align(self.model.shape_model.mean, shape)
-        return Candidate(shape, score, float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0])), pose.scale)
+        return Detection(shape, score, float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0])), pose.scale)
 
-    def _in_the_middle(self, image: np.ndarray) -> Candidate:
+    def _in_the_middle(self, image: np.ndarray) -> Detection:
         """Return the mean shape in the middle of the image with score 0, for images without any detection."""
         size = np.array(image.shape[1::-1])
         mean = self.model.shape_model.mean
@@ -359,10 +359,10 @@ class _Search:
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / finder.small.diagonal)
         self.fields: list[Field] = []
         self.found: list[Peaks] = []
-        self.fits: dict[Place, Candidate] = {}
+        self.fits: dict[Place, Detection] = {}
         finder.templates  # noqa: B018 (compute them before several threads need them)
 
-    def for_one(self, least: float) -> list[Candidate]:
+    def for_one(self, least: float) -> list[Detection]:
         """Fit the best places until one is certain and scores at least ``least``, large objects first."""
         large = self.sizes >= LARGE * min(self.image.shape[:2])  # never empty: the largest size exceeds the image
         most = None if large.all() else LARGE_PLACES
@@ -373,13 +373,13 @@ class _Search:
             return self.for_all()
         return seen
 
-    def for_all(self) -> list[Candidate]:
+    def for_all(self) -> list[Detection]:
         """Fit the best places of all sizes."""
         self.found = []
         seen = [self._fitted(place) for place in self._peaks(self.sizes).places()]
-        return [candidate for candidate in seen if _is_inside(candidate.landmarks, self.image)]
+        return [detection for detection in seen if _is_inside(detection.landmarks, self.image)]
 
-    def beside(self, best: Candidate) -> tuple[Candidate, ...]:
+    def beside(self, best: Detection) -> tuple[Detection, ...]:
         """Return further certain objects, from the responses that the search for one object has seen."""
         peaks, small = Peaks.join(self.found), self.finder.small
         peaks = peaks.take(strongest(peaks, 0.2 * small.diagonal, self.count))
@@ -393,7 +393,7 @@ class _Search:
         sure = [each for each, strength in seen if each.score + strength >= SURE_BESIDE]
         return tuple(_chosen([best, *sorted(sure, key=lambda each: -each.score)], are_beside)[1:])
 
-    def filling(self) -> list[Candidate]:
+    def filling(self) -> list[Detection]:
         """Fit objects in the middle that fill the frame, as in images cropped around an object.
 
         Templates respond little there, because they extend beyond the image.
@@ -420,21 +420,21 @@ class _Search:
         found = Peaks.join(self.found)
         return found.take(strongest(found, 0.2 * small.diagonal, self.count))
 
-    def _in_turn(self, peaks: Peaks, least: float, most: int | None = None) -> tuple[list[Candidate], bool]:
+    def _in_turn(self, peaks: Peaks, least: float, most: int | None = None) -> tuple[list[Detection], bool]:
         """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""
-        seen: list[Candidate] = []
+        seen: list[Detection] = []
         for place, strength in zip(peaks.places()[:most], peaks.responses, strict=False):
             if strength < WORTH * peaks.responses[0]:
                 break
-            candidate = self._fitted(place)
-            if not _is_inside(candidate.landmarks, self.image):
+            detection = self._fitted(place)
+            if not _is_inside(detection.landmarks, self.image):
                 continue
-            seen.append(candidate)
-            if candidate.score >= max(least, DOUBTFUL) and candidate.score + strength >= SURE:
+            seen.append(detection)
+            if detection.score >= max(least, DOUBTFUL) and detection.score + strength >= SURE:
                 return seen, True
         return seen, False
 
-    def _fitted(self, place: Place) -> Candidate:
+    def _fitted(self, place: Place) -> Detection:
         if place not in self.fits:
             field = self.fields[place.field]
             self.fits[place] = self.finder._fitted(self.linear, place, field)
@@ -443,7 +443,7 @@ class _Search:
 
 def find(
     model: AAM, image, *, limit: int | None = 1, least: float = 0.0, response: Response | None = None
-) -> list[Candidate]:
+) -> list[Detection]:
     """Find the model's object in an image. For many images make a :class:`Finder` once.
 
     Parameters
@@ -459,8 +459,8 @@ def find(
 
     Returns
     -------
-    list of Candidate
-        Candidates without overlap, the best first. With ``limit=1``, the search goes from large to small and stops at
+    list of Detection
+        Detections without overlap, the best first. With ``limit=1``, the search goes from large to small and stops at
         the first certain detection. Empty only if ``least`` is above 0: without any detection, the result is the mean
         shape in the middle of the image with score 0.
 
@@ -488,13 +488,13 @@ def _is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
 
 
 def _chosen(
-    candidates: list[Candidate], differ: Callable[[np.ndarray, np.ndarray], bool], most: int | None = None
-) -> list[Candidate]:
-    """Return the first candidates whose shapes differ from those chosen before them, at most ``most``."""
-    chosen: list[Candidate] = []
-    for candidate in candidates:
-        if len(chosen) != most and all(differ(candidate.landmarks, other.landmarks) for other in chosen):
-            chosen.append(candidate)
+    detections: list[Detection], differ: Callable[[np.ndarray, np.ndarray], bool], most: int | None = None
+) -> list[Detection]:
+    """Return the first detections whose shapes differ from those chosen before them, at most ``most``."""
+    chosen: list[Detection] = []
+    for detection in detections:
+        if len(chosen) != most and all(differ(detection.landmarks, other.landmarks) for other in chosen):
+            chosen.append(detection)
     return chosen
 
 

@@ -63,7 +63,7 @@ def fit(
     model : AAM or "face"
         A model, or the name of one that comes with liaam (:data:`liaam.models.MODELS`).
     image : (h, w, 3) uint8, uint16 or float array, or path
-    init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Candidate, optional
+    init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Detection, optional
         Start, image pixels (see :meth:`Fitter.fit`). If None, the object is searched for.
     method : str or Method
         See :data:`liaam.fitting.METHODS`.

@@ -23,7 +23,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
-from liaam.fitting.search import Candidate
+from liaam.fitting.search import Detection
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb
@@ -166,7 +166,7 @@ class Fits:
         self.pictures = pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
-        self._found: Kept[tuple[str, str, int], Candidate] = Kept(settings.fits_kept)
+        self._found: Kept[tuple[str, str, int], Detection] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
@@ -351,7 +351,7 @@ class Fits:
         with self.pictures.at_work(fit.source) as image:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
-    def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Candidate:
+    def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Detection:
         """Search for the object; all methods share one search."""
         searcher = self._searcher(current, source.raw)
         key = (source.name, source.tag, current.number)

@@ -15,7 +15,7 @@ from liaam.evaluation import outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.levels import LinearImage
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.fitting.search import Candidate, Finder
+from liaam.fitting.search import Detection, Finder
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import is_searchable
 from liaam.fitting.uncertainty import fitted_covariances
@@ -116,7 +116,7 @@ def _fits_of(pictures: Iterable[LeftOut], finder: Finder) -> Iterator[LeftOutFit
         yield from sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
 
 
-def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Candidate, near: bool = False) -> LeftOutFit | None:
+def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
     """Fit a left-out image; None if the fit is lost by its status."""
     result, model = fitter.fit(picture.image, start), picture.model
     if result.status.lost or not (np.isfinite(result.landmarks).all() and np.isfinite(result.evidence).all()):
