@@ -165,7 +165,9 @@ def test_grey_frames_keep_their_shading_and_only_a_grey_video_is_told(run, model
     options = () if kinds[0] == "b" else ("--init", "18,40,100,150")
     code, _, err = run("track", model_file, path, "--shading-free", fresh, *options)
     assert (f"an unchanged copy of {path}" in " ".join(err.split())) == (code == 1) == ("c" not in kinds)
-    changed = [np.abs(a.astype(int) - b).mean() > 1.5 for a, b in zip(frames_of(path), frames_of(fresh), strict=True)]
+    face = slice(40, 150), slice(18, 100)
+    pairs = zip(frames_of(path), frames_of(fresh), strict=True)
+    changed = [np.abs(before[face].astype(int) - after[face]).mean() > 1.5 for before, after in pairs]
     assert changed[:2] == [kind == "c" for kind in kinds[:2]]  # what fades is still a little coloured once compressed
 
 

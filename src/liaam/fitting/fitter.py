@@ -250,6 +250,8 @@ class Fitter:
 
     def part_for(self, fit: FitResult | np.ndarray) -> "Fitter":
         """Return the fitter of the model's part that made a fit, or to which a shape (n, 2) belongs."""
+        if not self._several:
+            return self
         return self.parts[fit.part if isinstance(fit, FitResult) else self.model.part_of(fit)]
 
     def _completed(self, result: FitResult, target: Target, found: Detection | None, init) -> FitResult:
