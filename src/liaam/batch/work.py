@@ -16,6 +16,7 @@ import numpy as np
 from liaam.errors import LiaamError, StartError
 from liaam.evaluation import finite_or_none
 from liaam.fitting import FitResult, Fitter, SolverOptions
+from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks, check_start, is_raw, read_image, read_start, start_file
 from liaam.io.files import json_object
@@ -72,8 +73,7 @@ class Settings:
     every: bool = False
 
     def __post_init__(self) -> None:
-        if self.every and self.init is not None:
-            raise StartError("every object is searched for, and init gives the place of one: use only one of them")
+        refuse_one_start(self.every, self.init)
         if isinstance(self.init, os.PathLike):
             object.__setattr__(self, "init", os.fspath(self.init))
         elif self.init is not None and not isinstance(self.init, str):

@@ -304,9 +304,8 @@ def _pair(root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Pa
 def _list_files(root: Path, recursive: bool) -> list[Path]:
     """List the visible files in natural order."""
     if not root.is_dir():
-        what, error = (
-            ("is a file, not a folder", ImageError) if root.exists() else ("does not exist", MissingImageError)
-        )
+        what = "is a file, not a folder" if root.exists() else "does not exist"
+        error = ImageError if root.exists() else MissingImageError
         raise error(f"{root} {what}: name the folder with the images and their landmarks.")
     try:
         paths = root.rglob("*") if recursive else root.iterdir()
@@ -337,7 +336,7 @@ def _track(files: list[Path], progress: bool) -> Iterable[Path]:
 
 @dataclass(frozen=True)
 class _Option:
-    """Detection landmarks of an image."""
+    """Candidate landmarks of an image."""
 
     file: Path
     landmarks: Landmarks

@@ -25,7 +25,7 @@ PRECISION, LEAST_DISTANCE = 0.003, 0.05
 second allows for turned faces and open mouths."""
 
 SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Detection variances of independent points, as fractions of the mean variance of a coordinate."""
+"""Candidate variances of independent points, as fractions of the mean variance of a coordinate."""
 
 POOLED = 100
 """Images that the landmarks' common scale counts for, when each landmark's own scale is estimated."""

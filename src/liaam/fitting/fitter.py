@@ -205,7 +205,7 @@ class Fitter:
         ImageError, StartError
             For invalid input.
         """
-        path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
+        path = _path_of(image)
         parts = self._parts_for(init, name)
         if len(parts) > 1:
             image, name = load_picture(image, name)  # once for all
@@ -229,7 +229,7 @@ class Fitter:
         ImageError, StartError
             For invalid input, and if no object is found.
         """
-        path = Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
+        path = _path_of(image)
         image, name = load_picture(image, name)
         return [replace(self.fit(image, found, name), image=path) for found in self.find_all(image, name)]
 
@@ -572,6 +572,10 @@ def _explained(result: FitResult) -> float:
 
 def _odds(probability: float) -> float:
     return probability / max(1.0 - probability, 1e-9)
+
+
+def _path_of(image) -> Path | None:
+    return Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
 
 
 def _with_prior(result: FitResult, prior: float) -> FitResult:

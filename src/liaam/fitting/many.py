@@ -175,10 +175,15 @@ def fit_each(
         raise MethodError(f"workers {workers} is too small; give 1 or more, or leave it out for one per core")
     if errors not in ERRORS:
         raise MethodError(f"unknown errors {errors!r}; choose from {', '.join(ERRORS)}")
-    if every and init is not None:
-        raise StartError("every object is searched for, and init gives the place of one: use only one of them")
+    refuse_one_start(every, init)
     n_images, perform = _count(images), partial(_fit, fitter, every, errors)
     return _fits(perform, _tasks(images, starts_for(init, n_images)), workers, n_images, progress)
+
+
+def refuse_one_start(every: bool, init: Any) -> None:
+    """Raise if every object is to be fitted and a start is given."""
+    if every and init is not None:
+        raise StartError("every object is searched for, and init gives the place of one: use only one of them")
 
 
 def _fits(

@@ -33,7 +33,7 @@ GRADIENT_ROWS, CORRELATED = 2, np.array([8.0, 30.0])
 for the model's errors in gradients and in colour: they are patches rather than grains, and widest in colour."""
 
 FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))
-"""Detection factors on the model's learnt errors; the most likely one is used."""
+"""Candidate factors on the model's learnt errors; the most likely one is used."""
 
 LEARNT = 6
 """Number of the loss ``learnt``."""

@@ -314,9 +314,9 @@ class Finder:
             (level,) = solve_levels(self._levels, target, SETTINGS)
         shape, growth = level.reached, diagonal_of(level.reached) / diagonal_of(start)
         if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
-            return self._candidate(start, 0.0)
+            return self._detection(start, 0.0)
         strength = field.strength(level.pose(warp.points(level.solution.p)))
-        return self._candidate(shape, self._score(level, strength))
+        return self._detection(shape, self._score(level, strength))
 
     def _score(self, level: FittedLevel, strength: np.ndarray) -> float:
         """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape."""
@@ -331,7 +331,7 @@ class Finder:
         score = product / np.sqrt(power) - SHAPE_PENALTY * unusual if power > 0 else 0.0
         return float(np.clip(score, 0.0, 1.0)) if np.isfinite(score) else 0.0
 
-    def _candidate(self, shape: np.ndarray, score: float) -> Detection:
+    def _detection(self, shape: np.ndarray, score: float) -> Detection:
         pose = align(self.model.shape_model.mean, shape)
         return Detection(shape, score, float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0])), pose.scale)
 
@@ -339,7 +339,7 @@ class Finder:
         """Return the mean shape in the middle of the image with score 0, for images without any detection."""
         size = np.array(image.shape[1::-1])
         mean = self.model.shape_model.mean
-        return self._candidate(mean * (0.8 * size.min() / diagonal_of(mean)) + 0.5 * (size - 1), 0.0)
+        return self._detection(mean * (0.8 * size.min() / diagonal_of(mean)) + 0.5 * (size - 1), 0.0)
 
 
 class _Search:

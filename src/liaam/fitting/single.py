@@ -83,8 +83,7 @@ def fit(
         If an argument is invalid.
     """
     fitter = _kept_fitter(_known(model), method, camera, rotations, restarts, margin, options)
-    result = fitter.fit(image, init)
-    return result if result.image is not None else replace(result, image=image)
+    return _with_image(fitter.fit(image, init), image)
 
 
 def fit_all(
@@ -116,7 +115,12 @@ def fit_all(
         If an argument is invalid, or if no object is found.
     """
     results = _kept_fitter(_known(model), method, camera, rotations, restarts, margin, options).fit_all(image)
-    return [result if result.image is not None else replace(result, image=image) for result in results]
+    return [_with_image(result, image) for result in results]
+
+
+def _with_image(result: FitResult, image) -> FitResult:
+    """Return a result with its image, unless it has the path."""
+    return result if result.image is not None else replace(result, image=image)
 
 
 def _known(model: Any) -> Any:

@@ -27,9 +27,10 @@ def read_tensors(
 
     try:
         if not path.is_file():
-            what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
-            fitting = error if path.exists() else missing(error)
-            raise fitting(f"{path}: the {kind} {what}; make one with '{make}'")
+            if not path.exists():
+                raise missing(error)(f"{path}: the {kind} does not exist; make one with '{make}'")
+            what = "is a folder" if path.is_dir() else "is not a regular file"
+            raise error(f"{path}: the {kind} {what}; make one with '{make}'")
         with safe_open(path, framework="numpy") as file:
             keys = list(file.keys())
             shapes = {key: tuple(file.get_slice(key).get_shape()) for key in keys}

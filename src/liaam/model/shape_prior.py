@@ -20,16 +20,16 @@ import numpy as np
 from liaam.model.pca import LeftOutCoordinates
 
 SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
-"""Detection fractions of smooth deformations."""
+"""Candidate fractions of smooth deformations."""
 
 WIDTHS = (0.1, 0.2)
-"""Detection standard deviations of the kernel, as fractions of the mean shape's diagonal."""
+"""Candidate standard deviations of the kernel, as fractions of the mean shape's diagonal."""
 
 NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
-"""Detection variances of the annotation noise, as fractions of the mean variance of a coordinate."""
+"""Candidate variances of the annotation noise, as fractions of the mean variance of a coordinate."""
 
 FREEDOMS = (3.0, 5.0, 10.0, 20.0, 50.0, np.inf)
-"""Detection degrees of freedom of the shapes' distribution; the last is a normal distribution."""
+"""Candidate degrees of freedom of the shapes' distribution; the last is a normal distribution."""
 
 MOST_POINTS = 80
 """Largest number of landmarks used to choose the mixture. A Gaussian process on a subset of points has the same

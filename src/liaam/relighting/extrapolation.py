@@ -79,13 +79,7 @@ def around(
     import cv2
 
     known = inside[..., None].astype(np.float32)
-    own = np.log(np.exp(own) + np.float32(DARK))
-    seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
-    layers, nearby = np.concatenate([values * known, known], axis=2), np.zeros(1, np.float32)
-    for scale in NEARBY:
-        sums = averaged(layers, seen, max(1.0, scale * reach))
-        means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
-        nearby = nearby + _smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
+    own, seen = _edges(own)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
     elsewhere = (away > BACKGROUND * reach).astype(np.float32)
     elsewhere[np.flatnonzero(inside.any(axis=1))[-1] :] = 0.0  # below
@@ -100,7 +94,34 @@ def around(
     belongs = belongs * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
     belongs = np.where(known > 0, 1.0, averaged(np.where(known > 0, 1.0, belongs), seen, max(1.0, EVEN * reach)))
     share = belongs * _smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
-    return nearby, np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32), belongs.astype(np.float32)
+    return (
+        means_nearby(values, known, seen, reach),
+        np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32),
+        belongs.astype(np.float32),
+    )
+
+
+def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
+    """Return only the means of nearby values, (h, w, c) float32, of :func:`around`."""
+    return means_nearby(values, inside[..., None].astype(np.float32), _edges(own)[1], reach)
+
+
+def means_nearby(values: np.ndarray, known: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
+    """Average values (h, w, c), with weights (h, w, 1), within the edges of an image (h, w, 3)."""
+    layers, nearby = np.concatenate([values * known, known], axis=2), np.zeros(1, np.float32)
+    for scale in NEARBY:
+        sums = averaged(layers, seen, max(1.0, scale * reach))
+        means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+        nearby = nearby + _smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
+    return nearby
+
+
+def _edges(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return logarithms of light (h, w, 3) without the noise of the dark, and the same blurred, whose edges divide."""
+    import cv2
+
+    own = np.log(np.exp(own) + np.float32(DARK))
+    return own, cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
 
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float, edge: float = EDGE) -> np.ndarray:

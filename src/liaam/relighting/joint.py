@@ -29,7 +29,7 @@ from liaam.model.mesh import ReferenceFrame
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.basis import light_on_frame, unexplained_on_frame
 from liaam.relighting.grid import every_few, factorised
-from liaam.relighting.seen import UNKNOWN, Seen
+from liaam.relighting.seen import NOISE_FACTOR, UNKNOWN, Seen
 
 COUPLING, CORNER = 0.03, 0.02
 """Weight of a jump of s between neighbours, and jump below which the penalty is quadratic."""
@@ -47,9 +47,6 @@ COLOURED = 0.37
 
 OFF = 0.5
 """Standard deviation of a fitted landmark, pixels of the reference frame."""
-
-NOISE_FACTOR = 3.0
-"""Factor on the noise's variance: rounding and JPEG compression add to the measured noise."""
 
 FINE_BRIGHTNESS, FINE_COLOUR = 0.03, 0.02
 """Standard deviations of detail that neither model nor light explains, in logarithms."""
@@ -139,10 +136,8 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     precision = np.concatenate([*priors, np.full(2 * len(barycentric), OFF**-2.0)])
     unexplained = unexplained_on_frame(model)
     weights = _weights(known, seen.noise, usable, np.square(COLOURED * unexplained))[kept]
-    held, together = (
-        np.square(UNIT / unexplained[kept]),
-        1.0 if model.light is None else max(1.0, np.square(side / step)),
-    )
+    held = np.square(UNIT / unexplained[kept])
+    together = 1.0 if model.light is None else max(1.0, np.square(side / step))
     # Unknowns: lambda, the coordinates of the light, and the landmarks' offsets, all x before all y.
     found, covariance = np.concatenate([start.lam, np.zeros(len(precision) - n)]), np.diag(1.0 / precision)
     log_rgb, brightness = start.log_rgb, None

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from liaam.photometry.encoding import SATURATED, refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.basis import light_on_frame, light_on_image, square_around
-from liaam.relighting.extrapolation import around
+from liaam.relighting.extrapolation import around, carried
 from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
 from liaam.relighting.painting import (
@@ -173,7 +174,7 @@ class Relighter:
         whole[self.box] = np.where(self.inside, np.exp(-self.deviation) * noisy, np.nan)
         return whole
 
-    @property
+    @cached_property
     def certain(self) -> float:
         """Mean certainty inside the mesh; 0 if the object is outside the image."""
         return float(np.nanmean(self.certainty())) if self.inside.any() else 0.0
@@ -238,7 +239,7 @@ class Relighter:
         if self.model.light is not None:
             rest = other.frame_shading.rest
         values, _ = _painted(self.picture, self.box, self.shape, self.model, rest)
-        nearby, _, _ = around(values, self.inside, self.log_flat, reach_of(self.shape))
+        nearby = carried(values, self.inside, self.log_flat, reach_of(self.shape))
         change = self.share * np.where(self.inside[..., None], values, nearby)
         change += self.belongs * light_on_image(self.model, light, self.shape, self.box, self.inside.shape)
         return self._with(self.log_flat + change)
@@ -246,17 +247,7 @@ class Relighter:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays of the picture."""
-        arrays = (
-            self.picture,
-            self.log_flat,
-            self.log_own,
-            self.grain,
-            self.deviation,
-            self.inside,
-            self.share,
-            self.belongs,
-        )
-        return sum(array.nbytes for array in (*arrays, self.normals))
+        return sum(each.nbytes for each in vars(self).values() if isinstance(each, np.ndarray))
 
     def _with(self, log_rgb: np.ndarray) -> np.ndarray:
         """Return the image with new logarithms of light, (bh, bw, 3), where they differ; noise stays low."""

@@ -20,6 +20,9 @@ MISPLACED = 0.4
 FINE = 0.03
 """Standard deviation of detail finer than the model's appearance, in logarithms."""
 
+NOISE_FACTOR = 3.0
+"""Factor on the noise's variance: rounding and JPEG compression add to the measured noise."""
+
 UNKNOWN = 0.05
 """Standard deviation of the model's errors if training has not measured it on left-out images."""
 

@@ -15,7 +15,7 @@ from liaam.evaluation import short_repr
 from liaam.model import AAM
 from liaam.photometry.invariant import invariant_row, temperature_direction
 from liaam.relighting.basis import UNEXPLAINED, light_on_frame
-from liaam.relighting.seen import Seen, angle_of, errors_of_the_model
+from liaam.relighting.seen import NOISE_FACTOR, Seen, angle_of, errors_of_the_model
 
 SMOOTHNESS, WINDOW = 0.012, 0.06
 """Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
@@ -35,9 +35,6 @@ OUTLYING = 30.0
 
 COLOURED = 0.3
 """Change of colour temperature that comes with a change of brightness, at most."""
-
-NOISE_FACTOR = 3.0
-"""Factor on the noise's variance: rounding and JPEG compression add to the measured noise."""
 
 
 @dataclass(frozen=True, eq=False)
