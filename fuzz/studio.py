@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tempfile
 from copy import deepcopy
 from functools import cache, partial
 from pathlib import Path
@@ -65,15 +66,16 @@ _LINES = {
 @cache
 def _database() -> bytes:
     """Return a database of the studio."""
-    root = Path("whole")
-    _fresh(root)
-    store = Store(Folder(root.resolve()))
-    for kind, values in _KEPT.items():
-        store.put(kind, values)
-    for kind, lines in _LINES.items():
-        store.append(kind, lines)
-    store.close()
-    return (root / STATE / DATABASE).read_bytes()
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder).resolve()
+        _fresh(root)
+        store = Store(Folder(root))
+        for kind, values in _KEPT.items():
+            store.put(kind, values)
+        for kind, lines in _LINES.items():
+            store.append(kind, lines)
+        store.close()
+        return (root / STATE / DATABASE).read_bytes()
 
 
 def make_state(rng: Random) -> bytes:
