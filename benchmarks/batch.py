@@ -68,7 +68,7 @@ class World:
     def start(self, n: int, output: str, *options: object) -> psutil.Popen:
         """Start a batch."""
         command: list[object] = [sys.executable, "-m", "liaam", "batch", self.folder / "model.liaam", self.pictures(n)]
-        command += ["-o", self.folder / output, "-m", "grey", "--init", self.init, "--iterations", 5, *options]
+        command += ["-o", self.folder / output, "-m", "grey", "--init", self.init, *options]
         return psutil.Popen([str(part) for part in command], stdout=subprocess.DEVNULL)
 
     def run(self, n: int, output: str, *options: object) -> "Cost":

@@ -623,7 +623,7 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
     names = [os.fsencode(row["path"]) for row in expected]
     (tmp_path / "list.txt").write_bytes(b"\n".join(names[:3]))
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(b"\n".join(names[3:]))))
-    options = ["-m", "grey", "--init", world.settings.init, "--iterations", 30, "--jobs", 1, "-o", tmp_path / "r.csv"]
+    options = ["-m", "grey", "--init", world.settings.init, "--jobs", 1, "-o", tmp_path / "r.csv"]
     code, out, err = run("batch", world.model, "-", "--list", tmp_path / "list.txt", *options)
     assert code == 0
     assert "13 images done" in out
@@ -637,6 +637,8 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
         assert (code, said in out, "1 row: 1 error" in out) == (1, True, True)
         assert "1 image could not be fitted" in err
     code, _, err = run("batch", world.model, *options)
+    assert (code, "give the images, too, as in 'liaam batch MODEL IMAGE...'" in err) == (1, True)
+    code, _, err = run("batch", *options)
     assert (code, "no images: give" in err) == (1, True)
     code, _, err = run("batch", world.model, "--list", tmp_path / "none.txt", *options)
     assert (code, "none.txt does not exist" in err) == (1, True)

@@ -292,7 +292,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "{empty}/no/m"), "does not exist"),
         (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a fraction such as 0.98"),
         (("train", "{portraits}", "-o", "m", "--prior", "rough"), "choose from sample, shrunk, smooth"),
-        (("train", "{portraits}", "-o", "m", "--response", "film"), "'srgb', 'linear' or a gamma"),
+        (("train", "{portraits}", "-o", "m", "--camera", "film"), "srgb, linear, or a gamma"),
         (("train", "{portraits}", "-o", "m", "--diagonal", "3"), "16 to 2000"),
         (("train", "{portraits}", "-o", "m", "--theta", "nan"), "in degrees"),
         (("train", "{portraits}", "-o", "m", "--theta", "2.13"), "in degrees"),
@@ -302,7 +302,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{portraits}", "-o", "m", "--training-lamp", "07"), "give that folder with --lamps, or leave"),
         (("show", "{missing}"), "does not exist; make one with 'liaam train"),
         (("show", "{image}"), "is a PNG image, not a model file; give a model file in its place"),
-        (("fit", "{image}", "{model}"), "a model comes before the images, as in 'liaam fit face.safetensors new.png'"),
+        (("fit", "{image}", "{model}"), "a model comes first, as in 'liaam fit face.safetensors new.png'"),
         (("train", "{portraits}", "-o", "m", "--lamps", "no"), "a lamp file, a folder, 'auto' or 'none'"),
         (("show", "{model}", "-o", "x.gif"), "ends in .png, .svg or .pdf"),
         (("fit", "{model}", "{missing}.png", "--init", "1,2,3,4"), "missing"),
@@ -513,7 +513,7 @@ def test_escape_sequences_of_a_models_name_do_not_reach_the_terminal(run, portra
 
 
 def test_what_is_said_has_no_escape_sequences(run):
-    for arguments in (["show", f"{EVIL}.liaam"], ["nonsense" + EVIL], ["fit", "x", "y", "--iterations", EVIL]):
+    for arguments in (["show", f"{EVIL}.liaam"], ["nonsense" + EVIL], ["fit", "x", "y", "--rotations", EVIL]):
         status, out, err = run(*arguments)
         assert status and not set("\x1b\x07\x9b\u202e") & set(out + err)
 

@@ -193,7 +193,7 @@ def test_register_writes_the_picture_the_homography_and_a_check(run, folder, tmp
         ("camera noise a.png b.png c.png", "--flat"),
         ("camera scene a.png b.png -o none/camera.json", "does not exist"),
         ("camera scene a.png b.png --camera a.png", "not a camera file"),
-        ("camera scene a.png b.png --response film", "film"),
+        ("camera scene a.png b.png --camera film", "film"),
         ("camera image grey.png", "grey"),
         ("camera invariant grey.png", "grey"),
         ("camera invariant a.png --theta 1000", "--theta"),

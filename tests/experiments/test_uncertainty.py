@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import uncertainty
+from experiments import cli, uncertainty
 from experiments.measures import roc_area
 from experiments.runner import run_experiment
 from liaam.evaluation import within_ellipses
@@ -91,9 +91,10 @@ def test_a_lost_start_is_far_from_the_object(rng):
         assert (start.max(axis=0) <= [299, 279]).all()
 
 
-def test_it_runs_from_the_command_line_without_data(tmp_path, monkeypatch, run_experiments):
-    monkeypatch.setattr(uncertainty, "PICTURES", 5)
+def test_it_runs_from_the_command_line_without_data(finished, tmp_path, monkeypatch, run_experiments):
+    asked = []
+    monkeypatch.setattr(cli, "execute", lambda experiment, *_: (asked.append(experiment), finished[0])[1])
     code, said, _ = run_experiments("uncertainty", "-o", tmp_path / "out", "--heads", 1, "--jobs", 1)
     assert code == 0
     assert "generated, noise 5" in said
-    assert (tmp_path / "out" / "figure.png").is_file()
+    assert {task.group for task in asked[0].tasks} == {"generated"}

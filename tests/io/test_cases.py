@@ -127,7 +127,7 @@ def test_categories_and_groups_are_chosen(cases: Path) -> None:
     assert {len(sample.landmarks) for sample in bars} == {2}
     pupils = load_folder(cases / "53-ljson-two-groups", reading=Reading(group="pupils"))
     assert {len(sample.landmarks) for sample in pupils} == {2}
-    with pytest.raises(LandmarkError, match=r"\(PTS, pupils\): choose one of them with --group"):
+    with pytest.raises(LandmarkError, match=r"\(PTS, pupils\): choose one of them with --category"):
         load_folder(cases / "53-ljson-two-groups")
 
 

@@ -2,13 +2,14 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import liaam
-from liaam.cli.inputs import model_and_images
+from liaam.cli.inputs import model_and_inputs
 from liaam.datasets import load_face
 from liaam.errors import LiaamError
 from liaam.io import read_landmarks
@@ -18,6 +19,7 @@ from liaam.morphometry.schemes import in_scheme
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE_BY = ROOT / "models/face"
+FACE_PICTURE = ROOT / "src/liaam/datasets/pictures/face/lisa.jpg"
 
 EIGHT = {
     "right_eye_outer": 35,
@@ -84,11 +86,21 @@ def test_fit_without_a_model_takes_it_and_writes_other_schemes(run, tmp_path):
 
 @pytest.mark.parametrize(
     ("files", "model"),
-    [("a.JPG", "face"), ("a.nef b.png", "face"), ("face a.jpg", "face"), ("m.liaam a.jpg b", "m.liaam"), ("m a", "m")],
+    [
+        ("a.JPG", "face"),
+        ("a.nef b.png", "face"),
+        ("face a.jpg", "face"),
+        ("m.liaam a.jpg b", "m.liaam"),
+        ("m a", "m"),
+        ("images/**", "face"),  # as of 'liaam batch'
+        ("-", "face"),
+        ("talk.mp4", "face"),  # as of 'liaam track'
+        ("0", "face"),
+    ],
 )
 def test_a_first_file_that_is_no_image_is_the_model(files, model):
     files = [Path(name) for name in files.split()]
-    found, images = model_and_images(files, "fit")
+    found, images = model_and_inputs(files, "fit")
     assert found == Path(model)
     assert images == files[len(files) - len(images) :] and images
 
@@ -97,6 +109,18 @@ def test_a_model_without_images_is_refused(run):
     for command in ("fit", "relight"):
         code, _, err = run(command, "face")
         assert code == 1 and f"give the images, too, as in 'liaam {command} MODEL IMAGE...'" in err
+
+
+def test_many_images_and_videos_need_no_model_either(run, tmp_path):
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    shutil.copy(FACE_PICTURE, folder / "1.jpg")
+    for command, table in (("batch", tmp_path / "r.csv"), ("track", tmp_path / "t.csv")):
+        code, _, err = run(command, folder, "-o", table)
+        assert (code, err) == (0, "")
+        assert len(table.read_text().splitlines()) == 2
+    code, _, err = run("track", "face", folder, folder)
+    assert code == 1 and "2 videos are given; give one" in err
 
 
 def test_show_tells_its_terms(run, face, tmp_path):

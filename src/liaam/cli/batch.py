@@ -9,24 +9,25 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import TURNED, CameraOption, ModelFile, ResponseOption, RotationsOption
+from liaam.cli.inputs import TURNED, CameraOption, RotationsOption, camera_in, model_and_inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.files import count_of, existing_file
 
 
 def batch(
-    model_file: ModelFile,
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MODEL] IMAGE...",
+            help="Model file of 'liaam train', or a name that 'liaam show' lists, by default 'face'; then folders, "
+            "quoted patterns such as 'images/**', files, or - to read paths from standard input.",
+        ),
+    ] = None,
+    *,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Table to write: .parquet, .csv or .jsonl. Only landmarks: .tps.")
     ],
-    pictures: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="IMAGE...",
-            help="Folders, quoted patterns such as 'images/**', files, or - to read paths from standard input.",
-        ),
-    ] = None,
     listed: Annotated[Path | None, typer.Option("--list", help="File with one image path per line.")] = None,
     init: Annotated[
         str | None,
@@ -41,9 +42,7 @@ def batch(
     ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
-    iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
-    camera_file: CameraOption = None,
-    response: ResponseOption = None,
+    given_camera: CameraOption = None,
     covariance: Annotated[bool, typer.Option(help="Write the covariance of each landmark.")] = True,
     jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
     scheduler: Annotated[
@@ -61,15 +60,17 @@ def batch(
     from liaam.batch.run import in_words
     from liaam.batch.work import ERROR
     from liaam.fitting import FitStatus
-    from liaam.photometry import load_camera
 
-    camera = None if camera_file is None else load_camera(camera_file)
-    settings = Settings(method, init, iterations, camera, response, covariance, rotations, every)
+    camera, response = camera_in(given_camera)
+    settings = Settings(
+        method, init, camera=camera, response=response, covariance=covariance, rotations=rotations, every=every
+    )
+    model_file, pictures = model_and_inputs(sources or [], "batch", some=listed is None)
     closed: list[str] = []
     with ExitStack() as files, progress_bar() as progress:
         summary = run_batch(
             model_file,
-            input_paths(pictures or [], listed, files, closed.append),
+            input_paths(pictures, listed, files, closed.append),
             output,
             settings,
             jobs=jobs,

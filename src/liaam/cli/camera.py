@@ -31,11 +31,12 @@ group = typer.Typer(
 Pictures = Annotated[list[Path], typer.Argument(metavar="IMAGE...", readable=False, help="Images of one camera.")]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Camera file to write.")]
 Start = Annotated[
-    Path | None, typer.Option("--camera", help="Camera file to start from. Values not estimated here are kept.")
-]
-ResponseOption = Annotated[
     str | None,
-    typer.Option("--response", help="Response: srgb, linear, or a gamma. By default that of --camera, or else srgb."),
+    typer.Option(
+        "--camera",
+        help="Camera file to start from, whose other values are kept; or the response alone: srgb (default), linear, "
+        "or a gamma.",
+    ),
 ]
 Align = Annotated[bool, typer.Option("--align/--no-align", help="Align the images with the first one.")]
 FreeBalance = Annotated[
@@ -73,7 +74,7 @@ def spectral(
         estimate, source = theta_from_sensitivities(*read_sensitivities(curves)), f"sensitivities of {curves.name}"
     else:
         raise CameraError("give one of --peaks 610,540,450 and --curves FILE.csv")
-    finish_angle(estimate, camera_for([], start, None), f"spectral, {source}", output)
+    finish_angle(estimate, camera_for([], start), f"spectral, {source}", output)
 
 
 @group.command()
@@ -81,7 +82,6 @@ def scene(
     images: Pictures,
     output: Output = CAMERA_FILE,
     start: Start = None,
-    response: ResponseOption = None,
     align: Align = True,
     free_balance: FreeBalance = False,
 ) -> None:
@@ -89,7 +89,7 @@ def scene(
     from liaam.calibration import STILL, align_pictures, theta_from_scene
 
     check_camera_output(output, start, images)
-    camera, pictures = read_pictures(images, start, response, at_least=2)
+    camera, pictures = read_pictures(images, start, at_least=2)
     masks = None
     if align:
         with progress_bar() as progress:
@@ -123,7 +123,6 @@ def chart(
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
-    response: ResponseOption = None,
     free_balance: FreeBalance = False,
 ) -> None:
     """Estimate the angle from images of a colour chart under lights of different colour, without alignment."""
@@ -138,7 +137,7 @@ def chart(
         quads = [chart_patches(numbers_in(text, 8, "--corners").reshape(4, 2)) for text in corners]
     else:
         quads = [read_patches(path) for path in patches or []]
-    camera, pictures = read_pictures(images, start, response, at_least=2)
+    camera, pictures = read_pictures(images, start, at_least=2)
     if len(quads) not in (1, len(images)):
         raise CameraError(f"{len(quads)} charts for {len(images)} images: give one for all, or one per image")
     quads = quads * len(images) if len(quads) == 1 else quads
@@ -152,13 +151,12 @@ def image(
     picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image with shadows.")],
     output: Output = CAMERA_FILE,
     start: Start = None,
-    response: ResponseOption = None,
 ) -> None:
     """Estimate the angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
     from liaam.calibration import theta_from_image
 
     check_camera_output(output, start, [picture])
-    camera, (pixels,) = read_pictures([picture], start, response)
+    camera, (pixels,) = read_pictures([picture], start)
     estimate = theta_from_image(pixels, camera.response)
     camera = finish_angle(estimate, camera, f"image, {picture.name}", output)
     write_check(output, [pixels], [picture], camera)
@@ -188,7 +186,7 @@ def faces(
         raise CameraError(f"--method {method} does not estimate the camera angle; use li-pcs or li-pc")
     model = load_model(model_file)
     # With li-pc, the vignetting and noise of the model's camera do not apply.
-    camera = camera_for(images, start, None, model.camera if method.startswith("li-pcs") else None)
+    camera = camera_for(images, start, model.camera if method.startswith("li-pcs") else None)
     fitter, results = Fitter(model, method, camera=camera), []
     with progress_bar() as progress:
         for i, path in enumerate(images):
@@ -215,7 +213,7 @@ def response_command(
     from liaam.plotting.photometry import figure_of_response, save_figure
 
     check_camera_output(output, start, images)
-    camera, pictures = read_pictures(images, start, None, at_least=2)
+    camera, pictures = read_pictures(images, start, at_least=2)
     ratios = None if exposures is None else numbers_in(exposures, len(images), "--exposures").tolist()
     homographies = None
     if align:
@@ -242,13 +240,12 @@ def vignetting_command(
     picture: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image of an evenly lit, plain surface.")],
     output: Output = CAMERA_FILE,
     start: Start = None,
-    response: ResponseOption = None,
 ) -> None:
     """Estimate vignetting from one image of an evenly lit white wall or paper."""
     from liaam.calibration import vignetting_from_flat_field
 
     check_camera_output(output, start, [picture])
-    camera, (pixels,) = read_pictures([picture], start, response)
+    camera, (pixels,) = read_pictures([picture], start)
     found = vignetting_from_flat_field(pixels, camera.response)
     say(corner_sentence(found))
     if not found.observable:
@@ -273,13 +270,12 @@ def noise_command(
     ] = None,
     output: Output = CAMERA_FILE,
     start: Start = None,
-    response: ResponseOption = None,
 ) -> None:
     """Estimate noise from plain surfaces (--flat), two images of one scene under one light, or one image."""
     from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair
 
     check_camera_output(output, start, images)
-    camera, pictures = read_pictures(images, start, response)
+    camera, pictures = read_pictures(images, start)
     if flat:
         boxes = np.rint([numbers_in(text, 4, "--flat") for text in flat]).astype(int)
         found = noise_from_flat(pictures, boxes, camera.response)
@@ -296,21 +292,21 @@ def noise_command(
 
 
 def read_pictures(
-    paths: Sequence[Path], start: Path | None, response: str | None, at_least: int = 1
+    paths: Sequence[Path], start: str | None, at_least: int = 1
 ) -> tuple["CameraModel", list[np.ndarray]]:
     """Read images and the camera to start from."""
     if len(paths) < at_least:
         raise CameraError(f"too few images ({len(paths)}): give {at_least} or more, under different lights")
-    camera = camera_for(paths, start, response)
+    camera = camera_for(paths, start)
     return camera, [read_image(path) for path in paths]
 
 
-def check_camera_output(output: Path, start: Path | None, inputs: Sequence[Path] = ()) -> None:
+def check_camera_output(output: Path, start: str | None, inputs: Sequence[Path] = ()) -> None:
     """Raise, before any work, if a camera file cannot be written or would replace an unrelated one."""
     check_output(output)
     if output.suffix.lower() != ".json":
         raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
-    if output.exists() and (start is None or real_path(start) != real_path(output)):
+    if output.exists() and (start is None or real_path(Path(start)) != real_path(output)):
         raise CameraError(f"{output} exists; add --camera {output} to update it, or give another name with -o")
     refuse_inputs([check_picture(output)], inputs)
 
@@ -383,8 +379,7 @@ def write_check(
 def invariant(
     images: Pictures,
     theta: Annotated[float | None, typer.Option(help="Camera angle in degrees; 122 for an unknown camera.")] = None,
-    camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of the other commands.")] = None,
-    response: ResponseOption = None,
+    start: Start = None,
     sweep: Annotated[
         bool, typer.Option("--sweep", help="Also draw invariant images over theta, and the entropy curve.")
     ] = False,
@@ -398,7 +393,7 @@ def invariant(
     from liaam.photometry import invariant_image
     from liaam.plotting.photometry import figure_of_sweep, invariant_picture, save_figure
 
-    camera, pictures = read_pictures(images, camera_file, response)
+    camera, pictures = read_pictures(images, start)
     if theta is not None:
         if not 0 <= theta <= 360:
             raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
@@ -455,8 +450,7 @@ def register(
         Path | None, typer.Option("--output", "-o", help="Image to write. By default B_registered.png.")
     ] = None,
     warp: Annotated[str, typer.Option(help="homography, affine, similarity or translation.")] = "homography",
-    camera_file: Annotated[Path | None, typer.Option("--camera", help="Camera file of the other commands.")] = None,
-    response: ResponseOption = None,
+    start: Start = None,
 ) -> None:
     """Align two images of a flat or distant scene, even under different lights."""
     from liaam.plotting.photometry import checkerboard
@@ -466,7 +460,7 @@ def register(
     check_output(output)
     board, facts_file = (output.with_name(f"{output.stem}_{name}") for name in ("check.png", "homography.json"))
     refuse_inputs([output, board], [first, second])
-    camera, (a, b) = read_pictures([first, second], camera_file, response)
+    camera, (a, b) = read_pictures([first, second], start)
     with progress_bar() as progress:
         progress(0, 2, f"registering {second.name}")
         found = align(a, b, group=warp, response=camera.response, theta=camera.theta)

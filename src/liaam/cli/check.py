@@ -10,7 +10,6 @@ import typer
 from liaam.cli.inputs import (
     AUTO,
     CategoryOption,
-    GroupOption,
     ImagesOption,
     LandmarkedFolder,
     RecursiveOption,
@@ -48,7 +47,6 @@ def check(
     shapes: ShapesOption = AUTO,
     strict: StrictOption = False,
     category: CategoryOption = None,
-    group: GroupOption = None,
     y_down: YDownOption = False,
     stored_orientation: StoredOption = False,
 ) -> None:
@@ -59,7 +57,7 @@ def check(
     """
     from liaam.datasets.point_outliers import LEAST_POINTS
 
-    data = read_folder(folder, images, recursive, Reading(strict, category, group, y_down, stored_orientation))
+    data = read_folder(folder, images, recursive, Reading(strict, category, category, y_down, stored_orientation))
     unusable = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):

@@ -8,10 +8,8 @@ import typer
 from liaam.cli.inputs import (
     CameraOption,
     CategoryOption,
-    GroupOption,
     ImagesOption,
     RecursiveOption,
-    ResponseOption,
     RotationsOption,
     StoredOption,
     StrictOption,
@@ -80,13 +78,11 @@ def evaluate(
     ] = None,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
-    camera_file: CameraOption = None,
-    response: ResponseOption = None,
+    given_camera: CameraOption = None,
     images: ImagesOption = None,
     recursive: RecursiveOption = False,
     strict: StrictOption = False,
     category: CategoryOption = None,
-    group: GroupOption = None,
     y_down: YDownOption = False,
     stored_orientation: StoredOption = False,
 ) -> None:
@@ -100,11 +96,11 @@ def evaluate(
 
     model_file, folder = model_and_folder(sources, folds, init)
     model = None if model_file is None else load_model(model_file)
-    reading = Reading(strict, category, group, y_down, stored_orientation)
+    reading = Reading(strict, category, category, y_down, stored_orientation)
     data = read_folder(folder, images, recursive, reading)
     check_outputs(output, folder)
     paths = [sample.image for sample in data if isinstance(sample.image, Path)]
-    camera = camera_for(paths, camera_file, response, None if model is None else model.camera)
+    camera = camera_for(paths, given_camera, None if model is None else model.camera)
     options: dict[str, Any] = {"method": method, "normalise": normalise, "rotations": rotations, "camera": camera}
     options["limit"] = None if limit is None else limit / 100
     if model is None:

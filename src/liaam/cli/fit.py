@@ -15,10 +15,9 @@ from liaam.cli.inputs import (
     CameraOption,
     EllipsesOption,
     ModelAndImages,
-    ResponseOption,
     RotationsOption,
     camera_for,
-    model_and_images,
+    model_and_inputs,
     read_with_start,
     say_advice,
     unique_stems,
@@ -85,26 +84,24 @@ def fit(
         typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
     ] = None,
     rotations: RotationsOption = "upright",
-    iterations: Annotated[int, typer.Option(help="Maximum number of iterations at each blur level.", min=0)] = 50,
     ellipses: EllipsesOption = False,
-    camera_file: CameraOption = None,
-    response: ResponseOption = None,
+    given_camera: CameraOption = None,
 ) -> None:
     """Fit a model to images. Writes landmarks (.pts, .csv, .tps, .json) and an overlay image for each."""
-    from liaam.fitting import Fitter, SolverOptions
+    from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
-    model_file, images = model_and_images(files, "fit")
+    model_file, images = model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
     if output.suffix.lower() in IMAGE_SUFFIXES and not output.exists():
         raise LiaamError(f"{output} is not a folder; several files are written, so give a folder with -o")
-    options, model = SolverOptions(max_iterations=iterations), load_model(model_file)
-    camera = camera_for(images, camera_file, response, model.camera)
-    fitter = Fitter(model, method, options, camera=camera, rotations=rotations)
+    model = load_model(model_file)
+    camera = camera_for(images, given_camera, model.camera)
+    fitter = Fitter(model, method, camera=camera, rotations=rotations)
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(output)

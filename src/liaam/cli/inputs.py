@@ -1,18 +1,19 @@
 """Options and checks that several commands share."""
 
 from collections.abc import Mapping, Sequence
+from glob import has_magic
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import numpy as np
 import typer
 
 from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
-from liaam.errors import CameraError, LiaamError
+from liaam.errors import CameraError, ImageError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
 from liaam.io.files import existing_file, real_path, some_names
-from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import USUAL, Reading
 from liaam.models import FACE, MODELS, model_file
@@ -70,9 +71,11 @@ StrictOption = Annotated[
 ]
 CategoryOption = Annotated[
     str | None,
-    typer.Option(help="Category of COCO, or label of CVAT's skeletons or dlib's boxes, that is the object."),
+    typer.Option(
+        help="Which landmarks are the object's: a category of COCO, a label of CVAT's skeletons or dlib's boxes, or a "
+        "group of a menpo .ljson."
+    ),
 ]
-GroupOption = Annotated[str | None, typer.Option(help="Group of landmarks of a menpo .ljson.")]
 YDownOption = Annotated[bool, typer.Option("--y-down", help="y of .tps and .nts counts from the top.")]
 StoredOption = Annotated[
     bool,
@@ -81,9 +84,13 @@ StoredOption = Annotated[
     ),
 ]
 CameraOption = Annotated[
-    Path | None, typer.Option("--camera", help="Camera file, if this is not the camera of the training images.")
+    str | None,
+    typer.Option(
+        "--camera",
+        help="If this is not the camera of the training images: a file of 'liaam camera', or the response alone: "
+        "srgb, linear, or a gamma such as 2.2.",
+    ),
 ]
-ResponseOption = Annotated[str | None, typer.Option(help="Camera response, if it differs from the training camera's.")]
 EllipsesOption = Annotated[bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")]
 RotationsOption = Annotated[
     str,
@@ -148,17 +155,35 @@ def unique_stems(images: list[Path]) -> list[str]:
     return names
 
 
-def camera_for(
-    paths: Sequence[Path], start: Path | None, response: str | None, otherwise: "CameraModel | None" = None
-) -> "CameraModel":
-    """Return the camera of a file, `otherwise` or the default one. The response of RAW images is linear by default."""
-    from liaam.photometry import CameraModel, load_camera
+def camera_for(paths: Sequence[Path], known: str | None, otherwise: "CameraModel | None" = None) -> "CameraModel":
+    """Return the camera of images: that of a file, or `otherwise` or the default one, if need be with a response.
+
+    The response of RAW images is linear by default.
+    """
+    from liaam.photometry import CameraModel
 
     raw = [is_raw(path) for path in paths]
     if any(raw) and not all(raw):
         raise CameraError("RAW files and other images have different responses; process them separately")
-    camera = load_camera(start) if start else otherwise or CameraModel()
-    return camera.suited_to(raw=any(raw), response=response)
+    given, response = camera_in(known)
+    return (given or otherwise or CameraModel()).suited_to(raw=any(raw), response=response)
+
+
+def camera_in(known: str | None) -> "tuple[CameraModel | None, str | None]":
+    """Return the camera or the response that the text of --camera stands for."""
+    from liaam.photometry import load_camera, parse_response
+
+    if known is None:
+        return None, None
+    if Path(known).suffix.lower() == ".json" or Path(known).exists():
+        return load_camera(known), None
+    try:
+        parse_response(known)
+    except ImageError:
+        raise CameraError(
+            f"--camera {known}: give a file of 'liaam camera', or a response: srgb, linear, or a gamma from 0.2 to 5"
+        ) from None
+    return None, known
 
 
 def numbers_in(text: str, count: int, option: str) -> np.ndarray:
@@ -190,13 +215,28 @@ def names_of(paths: Sequence[Path]) -> str:
     return some_names([path.name for path in paths])
 
 
-def model_and_images(files: list[Path], command: str) -> tuple[Path, list[Path]]:
-    """Split the files of a command: the first is the model, unless it is a folder, or its name ends as an image's."""
-    if files[0].is_dir() or files[0].suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES):
-        if late := next((file for file in files if file.suffix.lower() in MODEL_SUFFIXES or file.name in MODELS), None):
-            example = f"liaam {command} {late.name} {files[0].name}"
-            raise LiaamError(f"{late}: a model comes before the images, as in '{example}'")
-        return Path(FACE), files
-    if len(files) == 1:
-        raise LiaamError(f"{files[0]}: give the images, too, as in 'liaam {command} MODEL IMAGE...'")
-    return files[0], files[1:]
+Given = TypeVar("Given", str, Path)
+
+
+def model_and_inputs(
+    files: Sequence[Given], command: str, inputs: str = "IMAGE...", *, some: bool = True
+) -> tuple[Path, list[Given]]:
+    """Split the files of a command: the first is the model, unless its name is that of an input (:func:`is_input`).
+
+    There have to be inputs, unless not ``some``.
+    """
+    if not files or is_input(str(files[0])):
+        paths = [Path(file) for file in files]
+        if late := next((path for path in paths if path.suffix.lower() in MODEL_SUFFIXES or path.name in MODELS), None):
+            raise LiaamError(f"{late}: a model comes first, as in 'liaam {command} {late.name} {paths[0].name}'")
+        return Path(FACE), list(files)
+    if some and len(files) == 1:
+        what = "images" if inputs.endswith("...") else inputs.lower()
+        raise LiaamError(f"{files[0]}: give the {what}, too, as in 'liaam {command} MODEL {inputs}'")
+    return Path(files[0]), list(files[1:])
+
+
+def is_input(name: str) -> bool:
+    """Return whether a name is that of a folder, image, video or camera, or a pattern, or - for standard input."""
+    suffixes = (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES, *VIDEO_SUFFIXES)
+    return name == "-" or name.isdigit() or has_magic(name) or Path(name).is_dir() or name.lower().endswith(suffixes)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from liaam.cli.inputs import CategoryOption, GroupOption, StrictOption
+from liaam.cli.inputs import CategoryOption, StrictOption
 from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
@@ -60,7 +60,6 @@ def measure(
     ] = None,
     strict: StrictOption = False,
     category: CategoryOption = None,
-    group: GroupOption = None,
 ) -> None:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
@@ -68,7 +67,7 @@ def measure(
     check_output(output)
     if real_path(output).is_relative_to(real_path(results)):
         raise LiaamError(f"{output} is the input, or a file in it; give a name elsewhere with -o")
-    reading = Reading(strict, category, group)
+    reading = Reading(strict, category, category)
     specimens = morphometry.read_specimens(results, complain, reading, replicates is not None)
     specimens = specimens if resample is None else morphometry.with_even_curves(specimens, resample)
     specimens, left_out = morphometry.alike(specimens)

@@ -11,9 +11,8 @@ from liaam.cli.inputs import (
     LOW_SCORE,
     CameraOption,
     ModelAndImages,
-    ResponseOption,
     camera_for,
-    model_and_images,
+    model_and_inputs,
     names_of,
     numbers_in,
     read_with_start,
@@ -76,11 +75,10 @@ def relight(
     strict: Annotated[
         bool, typer.Option("--strict", help="Write nothing where the fit is doubtful or the light is uncertain.")
     ] = False,
-    camera_file: CameraOption = None,
-    response: ResponseOption = None,
+    given_camera: CameraOption = None,
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
-    model_file, images = model_and_images(files, "relight")
+    model_file, images = model_and_inputs(files, "relight")
     direction = check_lights(flat, light, like, ambient, like_init)
     outputs = output_paths(images, output, "relit" if light or like else "flat")
     maps = [map_of(path) for path in outputs] if certainty else []
@@ -98,7 +96,7 @@ def relight(
     check_ambient(ambient)
     model = load_model(model_file)
     check_colour(model, str(model_file))
-    fitter = Fitter(model, method, camera=camera_for(inputs, camera_file, response, model.camera))
+    fitter = Fitter(model, method, camera=camera_for(inputs, given_camera, model.camera))
     make_folder(outputs[0].parent)
     written, failed, other = [], False, None
     advice: defaultdict[str, list[str]] = defaultdict(list)

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -11,7 +11,6 @@ from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import (
     AUTO,
     CategoryOption,
-    GroupOption,
     ImagesOption,
     LandmarkedFolder,
     ModelFile,
@@ -65,9 +64,6 @@ def train(
             "likelihood of left-out images."
         ),
     ] = "0.98",
-    appearance_variance: Annotated[
-        str | None, typer.Option(help="The same for appearance. By default as --variance, but 0.85 for soft-li.")
-    ] = None,
     prior: Annotated[
         list[str] | None,
         typer.Option(
@@ -78,15 +74,16 @@ def train(
         ),
     ] = None,
     diagonal: Annotated[float, typer.Option(help="Diagonal of the object's box in the model, in pixels.")] = 150.0,
-    camera_file: Annotated[
-        Path | None,
-        typer.Option("--camera", help="Camera file of 'liaam camera' (angle, response, vignetting, noise)."),
+    given_camera: Annotated[
+        str | None,
+        typer.Option(
+            "--camera",
+            help="Camera of the images: a file of 'liaam camera' (angle, response, vignetting, noise), or the response "
+            "alone: srgb (default), linear, or a gamma such as 2.2.",
+        ),
     ] = None,
     theta: Annotated[
         float | None, typer.Option(help="Angle of the training camera in degrees; 122 for an unknown camera.")
-    ] = None,
-    response: Annotated[
-        str | None, typer.Option(help="Camera response: srgb (default without --camera), linear, or a gamma.")
     ] = None,
     lamps: Annotated[
         Path,
@@ -129,7 +126,6 @@ def train(
     name: Annotated[str | None, typer.Option(help="Name of the model, for 'liaam show'.")] = None,
     strict: StrictOption = False,
     category: CategoryOption = None,
-    group: GroupOption = None,
     y_down: YDownOption = False,
     stored_orientation: StoredOption = False,
 ) -> None:
@@ -139,19 +135,16 @@ def train(
 
     if theta is not None and not 60 <= theta <= 180:
         raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
-    options = {
-        "variance": parse_variance(variance),
-        "appearance_variance": None if appearance_variance is None else parse_variance(appearance_variance),
-    }
+    options: dict[str, Any] = {"variance": parse_variance(variance)}
     check_model_name(output, folder)
     if training_lamp is not None and not lamps.is_dir():
         raise LiaamError(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
             "folder with --lamps, or leave --training-lamp out"
         )
-    reading = Reading(strict, category, group, y_down, stored_orientation)
+    reading = Reading(strict, category, category, y_down, stored_orientation)
     data = read_folder(folder, images, recursive, reading)
-    camera = camera_for([s.image for s in data if isinstance(s.image, Path)], camera_file, response)
+    camera = camera_for([s.image for s in data if isinstance(s.image, Path)], given_camera)
     if theta is not None:
         camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     contours = [parse_contour(text) for text in contour or ()]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from liaam.cli.inputs import CameraOption, EllipsesOption, ModelFile, ResponseOption, camera_for
+from liaam.cli.inputs import CameraOption, EllipsesOption, camera_for, model_and_inputs
 from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.evaluation import ranges_of
@@ -32,10 +32,13 @@ if TYPE_CHECKING:
 
 
 def track(
-    model_file: ModelFile,
-    video: Annotated[
-        str,
-        typer.Argument(metavar="VIDEO", help="Video file, folder of frames as images, or a camera number such as 0."),
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[MODEL] VIDEO",
+            help="Model file of 'liaam train', or a name that 'liaam show' lists, by default 'face'; then a video "
+            "file, a folder of frames as images, or a camera number such as 0.",
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -68,8 +71,7 @@ def track(
         ),
     ] = None,
     ellipses: EllipsesOption = False,
-    camera_file: CameraOption = None,
-    response: ResponseOption = None,
+    given_camera: CameraOption = None,
 ) -> None:
     """Track an object through a video. Writes a table of landmarks, and on request videos with them or without shading.
 
@@ -79,11 +81,14 @@ def track(
     from liaam.tracking import Tracker, TrackingOptions
     from liaam.workers import one_thread
 
-    source, stop = source_of(video), stop_of(start, end, frames)
+    model_file, videos = model_and_inputs(sources, "track", "VIDEO")
+    if len(videos) != 1:
+        raise VideoError(f"{len(videos)} videos are given; give one, after the model, as in 'liaam track MODEL VIDEO'")
+    source, stop = source_of(videos[0]), stop_of(start, end, frames)
     output = output or default_output(source)
     check_outputs(output, annotated, shading_free, source)
     model = load_model(model_file)
-    camera = camera_for([], camera_file, response, model.camera)
+    camera = camera_for([], given_camera, model.camera)
     options = TrackingOptions(smooth=smooth) if review is None else TrackingOptions(smooth=smooth, review=review)
     tracker = Tracker(model, method, camera, options)
     counts, reader = Counts(), VideoReader(source, start, stop)

@@ -44,7 +44,7 @@ def _group(content: Any, wanted: str | None) -> Any:
         return _joined(groups)
     if (len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups):
         raise LandmarkError(
-            f"it holds {len(groups)} groups of landmarks ({', '.join(groups)}): choose one of them with --group."
+            f"it holds {len(groups)} groups of landmarks ({', '.join(groups)}): choose one of them with --category."
         )
     return groups[wanted or next(iter(groups), "")]
 
