@@ -26,8 +26,8 @@ def run(out, *options):
 def test_scenes_of_the_ideal_camera_lose_their_shadows(tmp_path, monkeypatch):
     monkeypatch.setattr(reconstruct, "CAMERAS", ("narrow",))
     monkeypatch.setattr(reconstruct, "SHOWN", 1)
-    summary, rows = run(tmp_path / "out", None, ("li", "li+noise"), 1, 0)
-    assert len(rows) == 2
+    summary, rows = run(tmp_path / "out", None, ("li", "li+noise"), 3, 0)
+    assert len(rows) == 2 * 3
     for method in ("li", "li+noise"):
         cell = summary["kinds"]["narrow"][method]
         assert cell["rebuilt_rms"]["median"] <= 0.05
