@@ -11,13 +11,12 @@ from hypothesis import given, strategies as st
 from finite_differences import assert_jacobian
 from liaam.calibration.radiometry import (
     RadiometricEstimate,
-    _Curve,
-    _increments,
-    _Measurements,
-    _Problem,
     calibrate_response,
     vignetting_from_flat_field,
 )
+from liaam.calibration.response_blocks import Blocks
+from liaam.calibration.response_curve import ResponseTable, increments
+from liaam.calibration.response_fit import ResponseProblem
 from liaam.errors import CameraError
 from liaam.photometry import CameraModel, ResponseCurve, log_slope, noise_deviation, to_linear
 from liaam.photometry.camera import falloff_at
@@ -394,17 +393,17 @@ def test_what_does_not_fit_together_is_refused(images, options, message):
 INCREMENTS = st.lists(st.floats(1e-3, 1.0), min_size=18, max_size=18).map(np.array)
 
 
-@given(increments=INCREMENTS)
-def test_positive_increments_are_a_rising_curve_that_inverts(increments):
-    curve = _Curve.of(increments)
+@given(steps=INCREMENTS)
+def test_positive_increments_are_a_rising_curve_that_inverts(steps):
+    curve = ResponseTable.of(steps)
     assert (np.diff(curve.light) > 0).all()
     np.testing.assert_allclose(curve.stored_of(curve.log_light(USABLE)), USABLE, atol=1e-6)
-    np.testing.assert_allclose(curve.log_light(USABLE), _increments(USABLE) @ increments, atol=1e-3)
+    np.testing.assert_allclose(curve.log_light(USABLE), increments(USABLE) @ steps, atol=1e-3)
 
 
-def few_blocks(rng) -> _Measurements:
+def few_blocks(rng) -> Blocks:
     shape, channel = (3, 24), np.arange(24) % 3
-    return _Measurements(
+    return Blocks(
         stored=rng.uniform(0.05, 0.95, shape),
         deviation=np.full(shape, 0.002),
         usable=np.ones(shape, bool),
@@ -416,7 +415,7 @@ def few_blocks(rng) -> _Measurements:
 
 
 def test_the_derivative_of_the_exposure(rng):
-    problem = _Problem(few_blocks(rng), None, None, 3)
+    problem = ResponseProblem(few_blocks(rng), None, None, 3)
     z = problem.start()
     z[-9:] = rng.normal(0, 0.05, 9)
     rest, free = np.split(z, [-9])  # the curve has no part in it
