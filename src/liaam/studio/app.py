@@ -23,11 +23,9 @@ from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
 from liaam.datasets.folder import PICTURE_SUFFIXES
-from liaam.datasets.heads import HARD_LIGHT
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
-from liaam.model import AAM
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
@@ -36,7 +34,6 @@ from liaam.studio.events import Events
 from liaam.studio.export import attachment, export_of
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
-from liaam.studio.generated import model_of_heads
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import (
     ModelStore,
@@ -131,7 +128,6 @@ def make_app(studio: Studio) -> Starlette:
             *fit_routes.routes(studio.fits),
             *live.routes(studio.live),
             Route("/api/{rest:path}", _nothing),
-            Mount("/heads", StaticFiles(directory=HARD_LIGHT)),
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],
         middleware=[Middleware(Guard, settings=studio.settings)],
@@ -178,8 +174,6 @@ class _Handlers:
             Route("/api/model/file", self.model_file, methods=get),
             Route(GUEST, self.receive_guest, methods=post),
             Route(GUEST, self.dismiss_guest, methods=delete),
-            Route("/api/heads", self.heads, methods=get),
-            Route("/api/heads/model", self.receive_heads, methods=post),
         ]
 
     async def _json(self, request: Request) -> Any:
@@ -316,13 +310,8 @@ class _Handlers:
     async def receive_guest(self, request: Request) -> Response:
         settings, name = self.studio.settings, plain_name(request.query_params.get("name", ""))
         data = await read_body(request, settings.upload_bytes)
-        return await self._receive(lambda: load_dropped_model(data, name, settings.points), name.removesuffix(".liaam"))
-
-    async def receive_heads(self, request: Request) -> Response:
-        return await self._receive(model_of_heads, "generated heads")
-
-    async def _receive(self, make: Callable[[], AAM], name: str) -> Response:
-        await run_sync(lambda: self.studio.models.receive(make(), name), limiter=self._model_threads)
+        model = await run_sync(load_dropped_model, data, name, settings.points, limiter=self._model_threads)
+        await run_sync(self.studio.models.receive, model, name.removesuffix(".liaam"))
         return self._changed()
 
     async def dismiss_guest(self, request: Request) -> Response:
@@ -332,10 +321,6 @@ class _Handlers:
     def _changed(self) -> Response:
         self.studio.events.publish("project", {})
         return Response(status_code=204)
-
-    async def heads(self, request: Request) -> Response:
-        self.studio.fits.prepare_soon(model_of_heads)
-        return JSONResponse({"pictures": [f"heads/{path.name}" for path in sorted(HARD_LIGHT.glob("*.jpg"))]})
 
     async def decline_face(self, request: Request) -> Response:
         await run_sync(self.studio.background.decline)

@@ -203,10 +203,6 @@ class Fits:
         """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`."""
         return _soon("warm-up", lambda: self.warm_up(current))
 
-    def prepare_soon(self, make: Callable[[], AAM]) -> threading.Thread:
-        """Make a model that may be used soon, and fit an example with it, in a thread."""
-        return _soon("prepare", lambda: self.warm_up(ModelInUse(make(), 0, {})))
-
     def search_soon(self, source: Source) -> threading.Thread | None:
         """Search a dropped picture while the upload is being answered, so that the fit has less to do."""
         current = self.models.current

@@ -50,13 +50,18 @@ class ModelInUse:
 
 
 class ModelStore:
-    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe."""
+    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe.
+
+    A model that comes with liaam is used while there is neither.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self.own: ModelInUse | None = None
         """The model of the folder, if there is one."""
         self._guest: ModelInUse | None = None
+        self.spare: ModelInUse | None = None
+        """The model that comes with liaam, if it may be used."""
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
         """Called in the publishing thread after the current model has changed."""
@@ -64,7 +69,7 @@ class ModelStore:
     @property
     def current(self) -> ModelInUse | None:
         """The model in use, if there is one."""
-        return self._guest or self.own
+        return self._guest or self.own or self.spare
 
     def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
         """Set the model of the folder."""
@@ -76,6 +81,12 @@ class ModelStore:
         """Remove the model of the folder."""
         self.own = None
         self._tell()
+
+    def lend(self, model: AAM | None, facts: Mapping[str, Any]) -> None:
+        """Set the model that comes with liaam; None removes it."""
+        if model is not (self.spare and self.spare.model):
+            self.spare = None if model is None else self._numbered(model, facts)
+            self._tell()
 
     def receive(self, model: AAM, name: str) -> ModelInUse:
         """Use a guest instead of the model of the folder. Nothing is trained or saved with it."""

@@ -3,7 +3,6 @@
 import pytest
 from people import NAMES, annotate, client, shoot, wait_for, wait_for_state
 from test_adding import READY
-from test_begin import fit_a_head
 
 from liaam.io import Landmarks, write_landmarks
 
@@ -127,15 +126,6 @@ def test_a_picture_that_is_deleted_says_so(small, marked):
     for file in marked.glob("portrait-01.*"):
         file.unlink()
     small.locator(".toast", has_text="portrait-01.png is no longer in the folder").wait_for()
-
-
-def test_a_reload_keeps_the_head(serve, page, tmp_path):
-    (tmp_path / "empty").mkdir()
-    page.goto(serve(tmp_path / "empty").address)
-    page.locator("[data-testid=head-2]:visible").wait_for()
-    fit_a_head(page, 2)
-    page.reload()
-    wait_for(page, "() => window.liaamStudio.fit?.fit?.ok && document.body.innerText.includes('head-2.jpg')")
 
 
 def test_after_the_last_picture_the_page_leads_on(small, artefacts):

@@ -7,10 +7,10 @@ export class Cover {
 
   get isShown() { return !this.element.hidden; }
 
-  /** more: an element below the text, or null. */
-  show({ icon: name, title, text, more = null, action = null }) {
+  /** instead: an element to show, if it is no message. */
+  show({ icon: name, title, text, instead = null }) {
     this.element.hidden = false;
-    this.element.replaceChildren(h("div.empty", icon(name, 40), h("h2", title), h("p", text), action, more));
+    this.element.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
   }
 
   hide() {

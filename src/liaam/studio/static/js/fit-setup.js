@@ -1,7 +1,6 @@
 // The Fit tab's panel for the picture, the start and the method.
 
 import { modelNeeded, offer } from "./fit-draw.js";
-import { invitation } from "./fit-only.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
 const STARTS = [
@@ -25,7 +24,6 @@ export class SetupPanel {
    *  start was clicked, not chosen by keys; onrun().
    *  @param {{app: App, [handler: string]: any}} options */
   constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
-    this._app = app;
     this._label = h("span.fit-source-name.grow");
     this._back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
     const open = button("Open…", {
@@ -77,7 +75,6 @@ export class SetupPanel {
     this._label.title = source?.name ?? "";
     this._back.hidden = !canGoBack;
     this._needsModel.hidden = Boolean(model);
-    if (!model && source && !this._invited) this._needsModel.append((this._invited = invitation(this._app)));
     this._withModel.hidden = !model;
     offer(this._method, model);
     this._mismatch.textContent = mismatch;

@@ -288,6 +288,6 @@ class FitTab {
     for (const panel of this._ofFits) panel.hidden = !model;
     this.view.container.classList.toggle("without", !source);
     this.view.bar.hidden = !source;
-    this._empty.show(!source, this.visible && !model);
+    this._empty.show(!source);
   }
 }

@@ -4,7 +4,7 @@ import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
 import { createAdding } from "./adding.js";
 import { acceptFiles } from "./drops.js";
-import { isGuest, reopenHead } from "./fit-only.js";
+import { isGuest } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
 import { Sources } from "./fit-source.js";
 import { unsavedWork } from "./handover.js";
@@ -77,7 +77,6 @@ async function start() {
   acceptFiles(app.adding.take);
   if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
   opened();
-  reopenHead(app);
   addEventListener("popstate", () => {
     const name = nameIn(location.hash);
     openTab(tabIn(location.search) ?? "annotate");

@@ -198,6 +198,7 @@ export function mountStrip(root, app) {
 
   function show() {
     const all = state.project.pictures;
+    document.documentElement.dataset.pictures = all.length ? "some" : "none";
     showFolders(all);
     pictures = inPlace(filters.matching(all, { ...wanted, folder: state.folder }, leftOut()));
     state.order = pictures.map(({ name }) => name);
