@@ -49,17 +49,7 @@ Picture = tuple[str, Path]
 
 
 class Background:
-    """Fits new pictures and checks landmarks in a thread.
-
-    Parameters
-    ----------
-    project : Project
-    models : ModelStore
-    trainer : Trainer
-        Nothing is fitted while it trains, since it then fits pictures itself.
-    publish : callable
-        Called with (kind, data) of every event.
-    """
+    """Fits new pictures and checks landmarks in a thread; a training fits pictures itself."""
 
     def __init__(
         self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]

@@ -146,17 +146,7 @@ def numbers(values: np.ndarray, digits: int) -> list:
 
 
 class Fits:
-    """Fits pictures with the current model; thread-safe.
-
-    Parameters
-    ----------
-    project : Project
-    models : ModelStore
-        A new model is warmed up when it is published.
-    uploads : Uploads
-    pictures : Pictures
-        Cache of decoded pictures.
-    """
+    """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
     def __init__(self, project: Project, models: ModelStore, uploads: Uploads, pictures: Pictures) -> None:
         self.settings = settings = project.settings
@@ -223,25 +213,10 @@ class Fits:
         start: Any = None,
         truth: np.ndarray | None = None,
     ) -> Fit:
-        """Fit a picture and cache the result.
+        """Fit a picture (``of``: ``picture`` or ``upload``, and its name or id) and cache the result.
 
-        Parameters
-        ----------
-        source : Source
-        of : (str, str)
-            ``picture`` or ``upload``, and its name or id.
-        method : str
-        start : optional
-            As for :meth:`Fitter.fit`. By default the object is searched for.
-        truth : (n, 2) float, optional
-            The picture's landmarks, NaN where they are to be ignored.
-
-        Raises
-        ------
-        Refusal
-            409 if there is no model.
-        ImageError, StartError, MethodError
-            For invalid input. A failed fit does not raise: its result has the status.
+        ``start`` is as for :meth:`Fitter.fit`; by default the object is searched for. ``truth`` are the
+        picture's landmarks (n, 2), NaN where they are to be ignored.
         """
         current = self.models.current
         if current is None:
@@ -272,28 +247,14 @@ class Fits:
         return fit
 
     def get(self, number: str) -> Fit:
-        """Return the fit with an id.
-
-        Raises
-        ------
-        Refusal
-            404 if it is no longer in the cache.
-        """
+        """Return the fit with an id."""
         fit = self._fits.peek(number)
         if fit is None:
             raise Refusal(404, "this fit is no longer kept: fit again")
         return fit
 
     def layer(self, fit: Fit, what: str, size: int) -> bytes:
-        """Return a layer of the whole picture as PNG, its longest side at most ``size``.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such layer.
-        MethodError
-            If the layer cannot be computed for this fit.
-        """
+        """Return a layer of the whole picture as PNG, its longest side at most ``size``."""
         if what not in layers.LAYERS:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
         return self._layers.get((fit.id, what, size), lambda: png_bytes(self.draw(fit, what, size)))
@@ -322,13 +283,7 @@ class Fits:
         return light, fitted_size(*fit.source.size, size)
 
     def whole_light(self, fit: Fit) -> Relighter:
-        """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel.
-
-        Raises
-        ------
-        Refusal
-            422 if it would take too much memory.
-        """
+        """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
         layers.need_flat(fit.no_flat)
         whole = fit.source.size
         if prod(whole) > self.settings.whole_pixels:

@@ -52,19 +52,9 @@ _NO_MARKS = Marks()
 
 
 class LandmarkFiles:
-    """Landmark files of the listed pictures, cached until they change.
+    """Landmark files of the listed pictures, of at most so many bytes, cached until they change.
 
-    Parameters
-    ----------
-    listing : Listing
-    store : Store
-    most_bytes : int
-        Maximum size of a landmark file.
-
-    Attributes
-    ----------
-    problems : list of str
-        Errors of files that cannot be read and belong to no picture.
+    ``problems`` are errors of files that cannot be read and belong to no picture.
     """
 
     def __init__(self, listing: Listing, store: Store, most_bytes: int) -> None:

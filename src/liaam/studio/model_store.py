@@ -195,24 +195,12 @@ def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> N
 
 
 def load_given_model(path: Path, models: ModelStore) -> None:
-    """Publish a model from a file given by the user.
-
-    Raises
-    ------
-    ModelFileError
-        If it cannot be read.
-    """
+    """Publish a model from a file given by the user."""
     models.publish(load_model(path), {"source": "file", "trained": None, "pictures": {}})
 
 
 def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
-    """Read a model that was dropped on the page, with at most so many points.
-
-    Raises
-    ------
-    Refusal
-        422 if it is not a valid model, or has more points.
-    """
+    """Read a model that was dropped on the page, with at most so many points."""
     with tempfile.TemporaryDirectory() as folder:  # safetensors reads the metadata of files only
         path = Path(folder) / "dropped.liaam"
         path.write_bytes(data)

@@ -36,6 +36,7 @@ export class AnnotateTab {
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
+    app.selection = () => [...this.marking.selection];
     this.makePage();
     this.makeParts();
     root.classList.add("annotate");

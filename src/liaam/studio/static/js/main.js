@@ -30,6 +30,7 @@ const COMMON_KEYS = [
   { keys: "Wheel", what: "Zoom at the pointer" },
   { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
+  { keys: "G W", what: "Wall of all pictures; open the worst of them" },
   { keys: "?", what: "Show these keys" },
 ];
 
@@ -45,7 +46,7 @@ const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
   /** Whether the open tab shows a picture that is not in the folder. */
   showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
-  fits: new FitStore(state), adding: null,
+  fits: new FitStore(state), adding: null, selection: () => [],
 };
 app.adding = createAdding(app);
 
@@ -126,6 +127,7 @@ async function load(name, root) {
 }
 
 function openTab(name, options = {}) {
+  state.wall?.open(false);
   if (!tabs.size) {
     wanted = name;
     return;
@@ -162,6 +164,8 @@ function commonKey(key) {
   if (key === "?") showKeys();
   else if (tab) openTab(tab.name);
   else if (panels) window.liaamPanels(panels);
+  else if (key === "g") state.wall.open(!state.wall.on);
+  else if (key === "w") state.wall.openWorst();
   else if (key === "[" || key === "PageUp") state.step(-1);
   else if (key === "]" || key === "PageDown") state.step(1);
   else return false;
