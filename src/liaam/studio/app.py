@@ -194,8 +194,6 @@ class _Handlers:
     def _changed(self) -> None:
         self.studio.events.publish("project", {})
 
-    # The project ----------------------------------------------------------------------------------
-
     def overview(self, request: Request) -> dict[str, Any]:
         from liaam.fitting import METHODS
         from liaam.fitting.methods import DEFAULT_METHOD
@@ -293,8 +291,6 @@ class _Handlers:
         self.studio.models.dismiss()
         self._changed()
 
-    # Pictures -------------------------------------------------------------------------------------
-
     def take_in(self, request: Request, data: bytes) -> dict[str, Any]:
         answer = self.project.take_in(request.query_params.get("name", ""), data)
         self.studio.background.wake()
@@ -342,8 +338,6 @@ class _Handlers:
         if "id" in request.path_params:
             return self.studio.uploads.source(request.path_params["id"])
         return self.project.source(request.path_params["name"])
-
-    # Errors ---------------------------------------------------------------------------------------
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""

@@ -119,8 +119,6 @@ class Background:
             self._woken.clear()
         self._woken.clear()
 
-    # Proposals ------------------------------------------------------------------------------------
-
     def fit_new(self) -> None:
         """Propose landmarks for all pictures that have neither landmarks nor a proposal."""
         if self._is_paused():
@@ -216,8 +214,6 @@ class Background:
         self.progress = {"done": done, "total": total} if total else None
         self._publish("fitting", self.progress)
         self._publish("project", {})
-
-    # Slips ----------------------------------------------------------------------------------------
 
     def check_landmarks(self) -> bool:
         """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most.

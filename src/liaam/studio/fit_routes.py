@@ -103,9 +103,6 @@ class _Handlers:
         return project.source(name), (kind, name), truth_of(project.landmarks(name))
 
 
-# Parsing ------------------------------------------------------------------------------------------
-
-
 def parse_start(data: Any) -> Any:
     """Parse the start of a fit: null, a box, or a shape whose points may be null."""
     if data is None:

@@ -70,8 +70,6 @@ class LandmarkFiles:
         self._paired_version = -1
         self._invisible: dict[str, Any] = store.all("invisible")
 
-    # Reading --------------------------------------------------------------------------------------
-
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
         if self._listing.winners[picture.stem] != picture.name:
@@ -168,8 +166,6 @@ class LandmarkFiles:
             elif picture not in marks:
                 faults[picture] = reason
         return marks, faults, problems
-
-    # Writing --------------------------------------------------------------------------------------
 
     def target(self, picture: File) -> Path:
         """Return the file to which a picture's landmarks are written."""

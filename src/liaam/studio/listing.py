@@ -74,8 +74,6 @@ class Listing:
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
         self._arrange()
 
-    # Files ----------------------------------------------------------------------------------------
-
     def scan(self) -> None:
         """List the folder."""
         self.stranded, self.unlisted, self._times = [], [], {}
@@ -168,8 +166,6 @@ class Listing:
         except OSError:
             return False
 
-    # Usable pictures ------------------------------------------------------------------------------
-
     def fault_of(self, picture: File) -> str | None:
         """Return why a picture cannot be used, or None if it can."""
         winner = self.winners[picture.stem]
@@ -221,8 +217,6 @@ class Listing:
         except ImageError as fault:
             return str(fault)
         return width, height
-
-    # Notices --------------------------------------------------------------------------------------
 
     def notices(self) -> list[str]:
         """Return messages about files that look like pictures but are skipped, and landmark files without a picture."""

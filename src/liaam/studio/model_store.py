@@ -152,9 +152,6 @@ class Versions:
         ]
 
 
-# Loading -------------------------------------------------------------------------------------------
-
-
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     for file, careful in ((MODEL_FILE, True), (QUICK_FILE, False)):

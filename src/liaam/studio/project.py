@@ -164,8 +164,6 @@ class Project:
         )
         return revision_of(repr((known, listing.version)).encode())
 
-    # Pictures -------------------------------------------------------------------------------------
-
     def overview(self) -> Overview:
         """Return all pictures."""
         with self._lock:
@@ -332,8 +330,6 @@ class Project:
             raise Refusal(404, f"the folder has no picture '{name[:200]}': reload the page")
         return file
 
-    # Landmarks ------------------------------------------------------------------------------------
-
     def landmarks(self, name: str) -> Landmarks | None:
         """Return the landmarks in a picture's file, complete or not, or None if no file can be read."""
         with self._lock:
@@ -400,8 +396,6 @@ class Project:
         """Return the newest entries of a picture in the log."""
         with self._lock:
             return self._log.history(self._find(name).name)
-
-    # Template -------------------------------------------------------------------------------------
 
     @property
     def template(self) -> Template | None:
@@ -474,8 +468,6 @@ class Project:
         if len(landmarks) > self.settings.points:
             raise Refusal(422, f"{name} has {len(landmarks)} points, more than the {self.settings.points} allowed")
         return template_of(landmarks)
-
-    # Proposals ------------------------------------------------------------------------------------
 
     def add_proposals(self, proposals: Mapping[str, dict[str, Any]], order: str | None = None) -> None:
         """Save landmarks proposed by a model, by picture, unless they are for another :attr:`order` of points.

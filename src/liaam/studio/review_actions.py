@@ -72,8 +72,6 @@ class ReviewActions:
         now = {file.name: self.landmarks.of(file).revision for file in written}
         return {"changed": list(revisions), "refused": refused, "revisions": now}
 
-    # Checks: each returns the revision of what is acted on, or raises a Refusal ----------------------------
-
     def _checked(self, file: File) -> str | None:
         if not self.states.is_done(file):
             raise Refusal(409, "not all points are placed: place them first")
@@ -123,8 +121,6 @@ class ReviewActions:
         if len(self._copy_of(revision)) != len(self.templates.needed):
             raise Refusal(409, "the deleted landmarks belong to an earlier template")
         return revision
-
-    # Files ------------------------------------------------------------------------------------------------
 
     def _write(self, file: File, did: str, revision: str | None) -> None:
         """Write landmarks from the proposal or from a copy, or remove them."""

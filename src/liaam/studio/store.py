@@ -66,8 +66,6 @@ class Store:
                 self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
             return self._id
 
-    # Values ---------------------------------------------------------------------------------------
-
     def get(self, kind: str, name: str = "") -> Any:
         """Return a value, or None."""
         return self.all(kind, name).get(name)
@@ -182,8 +180,6 @@ class Store:
             if self._connection is not None:
                 self._connection.close()
             self._connection = None
-
-    # Files ----------------------------------------------------------------------------------------
 
     def path(self, name: str) -> Path:
         """Return the path of a file and create its folder."""

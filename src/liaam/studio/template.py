@@ -128,9 +128,6 @@ def _mirror(data: Any, n: int) -> tuple[int, ...] | None:
     return tuple(twins)
 
 
-# From landmarks -----------------------------------------------------------------------------------
-
-
 def template_of(landmarks: Landmarks) -> Template:
     """Create the template of the landmarks of one picture."""
     n = len(landmarks)

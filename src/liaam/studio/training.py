@@ -123,8 +123,6 @@ class Trainer:
             choose_held_out([item.name for item in done], self.versions.held_out(order)),
         )
 
-    # Messages of the process ------------------------------------------------------------------
-
     def _listen(self, run: int, job: Job, pipe: Any, process: Any) -> None:
         """Handle the messages of a process until it ends."""
         end: Training | None = None

@@ -4,6 +4,7 @@ import { FirstMarks } from "./first-marks.js";
 import { createFirstScreen } from "./first-screen.js";
 import { History } from "./history.js";
 import { nextMissing, sameMarks } from "./points.js";
+import { h, icon } from "./ui.js";
 
 /** begins() -> the start of pictures without points, "layout" or "click".
  *  @param {import("./annotate.js").AnnotateTab} tab */
@@ -163,4 +164,21 @@ export function createOpening(tab, begins) {
   }
 
   return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
+}
+
+/** A message in place of a picture that cannot be shown: an icon, a title and a remedy. */
+export class Cover {
+  element = h("div.annotate-cover", { hidden: true });
+
+  get isShown() { return !this.element.hidden; }
+
+  /** instead: an element to show, if it is no message. */
+  show({ icon: name, title, text, instead = null }) {
+    this.element.hidden = false;
+    this.element.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
+  }
+
+  hide() {
+    this.element.hidden = true;
+  }
 }

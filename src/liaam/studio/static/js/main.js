@@ -2,12 +2,11 @@
 
 import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
-import { createAdding } from "./adding.js";
-import { acceptFiles } from "./drops.js";
+import { acceptFiles, createAdding } from "./adding.js";
 import { isGuest } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
 import { Sources } from "./fit-source.js";
-import { unsavedWork } from "./handover.js";
+import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
 import { PictureStore } from "./picture-store.js";
 import { State } from "./state.js";
