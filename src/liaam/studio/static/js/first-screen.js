@@ -48,17 +48,6 @@ export class Layers {
 
 const load = async (name) => createImageBitmap(await (await fetch(`first/${name}`)).blob());
 
-/** A picture multiplied by a factor from 1 to 2. */
-function brightened(picture, factor) {
-  const canvas = new OffscreenCanvas(picture.width, picture.height);
-  const ctx = canvas.getContext("2d");
-  ctx.drawImage(picture, 0, 0);
-  ctx.globalCompositeOperation = "lighter";
-  ctx.globalAlpha = factor - 1;
-  ctx.drawImage(picture, 0, 0);
-  return canvas;
-}
-
 /** The picture with its lamp. Resolves once it is painted for the first time. */
 class RelitFace {
   at = FIRST;
@@ -86,8 +75,11 @@ class RelitFace {
     const ctx = new OffscreenCanvas(width, height).getContext("2d");
     ctx.drawImage(light, 0, 0);
     this._layers = new Layers(ctx.getImageData(0, 0, width, height).data, facts);
+    this._bright = new OffscreenCanvas(face.width, face.height);
+    const bright = this._bright.getContext("2d");
+    bright.filter = `brightness(${MOST ** (1 / 2.2)})`;
+    bright.drawImage(face, 0, 0);
     this._small = new OffscreenCanvas(width, width);
-    this._bright = brightened(face, MOST ** (1 / 2.2));
     this._image = new ImageData(width, width);
     this._image.data.fill(255);
     this.moved = matchMedia("(prefers-reduced-motion: reduce)").matches;

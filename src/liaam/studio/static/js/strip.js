@@ -251,7 +251,11 @@ export function mountStrip(root, app) {
     render();
   }
 
-  document.addEventListener("keydown", (event) => event.key === "Escape" && selecting && select(false));
+  document.addEventListener("keydown", ({ key: pressed }) => {
+    if (pressed !== "Escape") return;
+    if (selecting) select(false);
+    else wall.open(false);
+  });
   state.addEventListener("to-review", () => {
     wanted.filter = filter.value = "review";
     show();

@@ -37,7 +37,7 @@ export function createWall({ app, shown, accept, onchange }) {
   }
 
   function open(on) {
-    if (wall.on === on) return;
+    if (wall.on === on || !state.project.pictures.length) return;
     wall.on = on;
     document.documentElement.dataset.wall = on ? "on" : "off";
     press(toggler, on);
