@@ -102,6 +102,7 @@ class TestFit:
         assert len(seen["iterations"]) == len(expected.history)
         assert np.allclose(seen["iterations"][-1]["shape"], expected.landmarks, atol=6e-3)
         assert seen["found"]["score"] == round(expected.found.score, 4)
+        assert seen["n_found"] == expected.n_found == 1
         assert (seen["width"], seen["height"]) == (120, 160)
 
     def test_is_json_whatever_happens(self, fits, fitted):

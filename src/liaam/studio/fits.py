@@ -112,6 +112,7 @@ class Fit:
             "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
             "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},
+            "n_found": result.n_found,
             "iterations": [
                 {
                     "shape": numbers(step.landmarks, 2),
