@@ -150,9 +150,9 @@ class Background:
         return project.settings.face and not project.has_own_points and not project.declined
 
     def _lend(self) -> None:
-        """Let pictures and videos be fitted with the face model while the folder has no points of its own."""
+        """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
         before, models = self.models.spare, self.models
-        models.lend(self._face if self._may_use_face() else None, FACE_FACTS)
+        models.lend(self._face if self._may_use_face() and not self._without_faces else None, FACE_FACTS)
         if models.spare is not before:
             self._publish("project", {})
 
@@ -167,6 +167,7 @@ class Background:
                 project.offer(template_of_model(own.model))
             return own.model
         if not self._may_use_face() or (project.template is None and not self._has_faces(self._face, waiting)):
+            self._lend()
             return None
         project.offer(template_of_model(self._face), FACE)
         return self.models.publish(self._face, FACE_FACTS).model
