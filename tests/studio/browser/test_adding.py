@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import annotate, shoot, wait_for, wait_for_state
+from people import annotate, shoot, violations, wait_for, wait_for_state
 from test_layout import CLIPPED
 
 from liaam import datasets
@@ -157,14 +157,16 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_mod
     wait_for(page, "() => document.querySelectorAll('.wall-points').length === 13")
     assert page.locator(".stage:visible").count() == 0
     shoot(page, artefacts, "43-wall")
-    assert page.evaluate(CLIPPED) == []
+    assert page.evaluate(CLIPPED) == [] and violations(page) == {}
     qualities = sorted((picture["quality"], picture["name"]) for picture in pictures_of(page))
     level = page.locator("[data-testid=wall-level]")
     level.fill(str(int(100 * qualities[6][0])))
     sure = [name for quality, name in qualities if quality >= float(level.input_value()) / 100]
     page.locator("[data-testid=wall-accept]").click()
     page.locator(".toast", has_text=f"Points of {len(sure)} pictures accepted").wait_for()
-    assert {picture["name"] for picture in pictures_of(page) if picture["state"] == "done"} == set(sure)
+    for name in sure:
+        wait_for_state(page, name, "done")
+    assert sum(picture["state"] == "done" for picture in pictures_of(page)) == len(sure)
     page.locator("[data-testid=bulk-undo]").click()
     wait_for_state(page, sure[0], "proposed")
     page.keyboard.press("ArrowDown")  # a row further

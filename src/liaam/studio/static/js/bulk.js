@@ -37,8 +37,9 @@ export async function act({ state, api, toast }, did, names) {
   return answer.changed;
 }
 
-/** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection. */
-export function createBulk({ app, chosen, onall, onend }) {
+/** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection; ondone(): an action
+ *  was applied. */
+export function createBulk({ app, chosen, onall, onend, ondone }) {
   let last = null; // {did, names} to undo
   const count = h("span.small.grow", { "aria-live": "polite" });
   const choice = menu("Action…", labelsOf(ACTIONS), async (did) => {
@@ -63,6 +64,7 @@ export function createBulk({ app, chosen, onall, onend }) {
 
   async function run(did, names) {
     const changed = await act(app, did, names);
+    ondone();
     if (!changed.length) return;
     last = { did, names: changed };
     undo.disabled = false;

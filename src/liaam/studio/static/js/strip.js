@@ -43,7 +43,7 @@ export function mountStrip(root, app) {
   const wall = createWall({ app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild });
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
-    onall: () => mark(state.order) });
+    onall: () => mark(state.order), ondone: () => wall.on && list.focus({ preventScroll: true }) });
   const space = h("div.strip-space", { role: "presentation" });
   const list = h("div.strip-list", {
     role: "listbox", tabindex: "0", "aria-label": "Pictures", testid: "strip", onclick: click, onkeydown: key,
