@@ -157,6 +157,9 @@ export function createFirstScreen(app) {
     icon("upload", 22), h("span", "Drop pictures or landmark files here"));
   const camera = button("Camera", { icon: "eye", testid: "first-camera", onclick: () => app.openTab("live", { camera: true }) });
   const fitting = button("Fit this face", { icon: "target", testid: "first-fit", onclick: fit });
+  const show = () => { camera.disabled = fitting.disabled = !app.state.project.model; };
+  app.state.addEventListener("project", show);
+  show();
   window.liaamStudio.first = face;
   return h("div.first", { testid: "first" }, face.element, h("div.first-words",
     h("h2.grow", "One photograph. Move its light."), h("div.row.first-ways", drop, camera, fitting),
