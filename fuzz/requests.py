@@ -27,7 +27,7 @@ _TARGETS = (
     *(b"/api/pictures/p1.png/landmarks", b"/api/pictures/p1.png/history", b"/api/template", b"/api/training"),
     *(b"/api/template/file?name=x.pts", b"/api/review", b"/api/export/pts", b"/api/export/coco", b"/api/export/tps"),
     *(b"/api/uploads?name=x.png", b"/api/uploads/abc/image", b"/api/model/file", b"/api/model/guest?name=x.liaam"),
-    *(b"/api/heads", b"/api/heads/model", b"/api/fits", b"/api/fits/abc/layers/flat", b"/api/live", b"/api/live/abc"),
+    *(b"/api/fits", b"/api/fits/abc/layers/flat", b"/api/live", b"/api/live/abc"),
     _FRAMES,
     *(b'/api/fits/abc/relit?light={"lamps":[],"ambient":0.5}', b"/api/fits/abc/export?what=pts", b"/api/nothing"),
 )

@@ -2,22 +2,19 @@
 
 Heads under soft light, with landmarks, train the model. The same heads under hard light, with other poses and
 expressions, are shown. Their pose and light were chosen among eight per head: with a model of 18 pictures, the search
-misses about one face in four under hard light. The calibration of the model is stored too, because measuring it on
-left-out pictures takes longer than a beginner should wait.
+misses about one face in four under hard light.
 """
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
+from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT, load_heads
 from liaam.fitting import Fitter
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.io import Contour, Landmarks, write_bytes_atomically, write_landmarks
-from liaam.studio.generated import CALIBRATION, trained
+from liaam.io import Contour, Landmarks, write_landmarks
+from liaam.training import train
 from scenes import (
     DIFFUSE,
     Ambient,
@@ -85,11 +82,7 @@ def main() -> None:
     ]
     for i, scene in enumerate(tests):
         write(scene, HARD_LIGHT / f"head-{i + 1}")
-    calibration = trained(calibrate=True).views[METHODS[DEFAULT_METHOD].view].reliability
-    assert calibration is not None
-    fields = {name: np.round(value, 6).tolist() for name, value in asdict(calibration).items()}
-    write_bytes_atomically(CALIBRATION, json.dumps(fields, separators=(",", ":")).encode() + b"\n")
-    fitter = Fitter(trained())
+    fitter = Fitter(train(load_heads()[0], lamps=None, methods="all", name="generated heads"))
     for i, scene in enumerate(tests):
         result = fitter.fit(scene.image)
         error = np.linalg.norm(result.landmarks - scene.landmarks, axis=1).mean()

@@ -52,6 +52,16 @@ def test_new_pictures_are_fitted_with_the_model_of_the_folder(folder, head_model
     assert told == []
 
 
+def test_in_an_empty_folder_the_face_model_is_lent_until_it_is_declined(tmp_path, begin):
+    background, told = begin(tmp_path)
+    background.fit_new()
+    models, project = background.models, background.project
+    assert (models.own, models.current.facts["source"]) == (None, "face")
+    assert told == [("project", {})] and project.template is None
+    background.decline()
+    assert models.current is None
+
+
 def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
     background, _ = begin(faces)
     background.fit_new()
@@ -92,7 +102,9 @@ def test_without_faces_nothing_is_proposed(small, begin):
     (small.root / ".liaam-studio" / "studio.db").unlink()
     background, told = begin(small.root)
     background.fit_new()
-    assert background.project.template is None and told == []
+    assert background.project.template is None
+    assert background.models.current is None  # the face model, which was lent before, would fit nothing here
+    assert told == 2 * [("project", {})]
 
 
 def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):

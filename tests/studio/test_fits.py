@@ -24,12 +24,13 @@ from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
 from liaam.studio.app import make_app, make_studio
-from liaam.studio.export import FILES, attachment, file_of
+from liaam.studio.export import FILES, file_of
 from liaam.studio.fit_routes import light_of, parse_start, truth_of
 from liaam.studio.fits import Fits, error_of, example, numbers
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
+from liaam.studio.routes import attachment
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
@@ -101,6 +102,7 @@ class TestFit:
         assert len(seen["iterations"]) == len(expected.history)
         assert np.allclose(seen["iterations"][-1]["shape"], expected.landmarks, atol=6e-3)
         assert seen["found"]["score"] == round(expected.found.score, 4)
+        assert seen["n_found"] == expected.n_found == 1
         assert (seen["width"], seen["height"]) == (120, 160)
 
     def test_is_json_whatever_happens(self, fits, fitted):
@@ -475,7 +477,7 @@ class TestValues:
         assert refused.value.status == 422
 
     def test_names_of_attachments(self):
-        header = attachment('Bild ä "1"\r\n.png')
+        header = attachment('Bild ä "1"\r\n.png', b"").headers["content-disposition"]
         assert header.isascii()
         assert "\n" not in header
         assert header.startswith('attachment; filename="Bild _ _1___.png"; ')

@@ -1,16 +1,10 @@
-"""Models of others: dropped on the page, or of the generated heads; and the generated heads themselves."""
+"""Models of others, dropped on the page, and the one that comes with liaam."""
 
-import json
-from dataclasses import asdict
-
-import numpy as np
 import pytest
 
-from liaam.datasets.heads import HARD_LIGHT, SOFT_LIGHT
 from liaam.fitting.held import methods_of
-from liaam.studio.generated import CALIBRATION, trained
 from liaam.studio.model_store import ModelStore, model_json
-from liaam.studio.safety import GUEST, UPLOADS
+from liaam.studio.safety import GUEST
 
 
 @pytest.fixture
@@ -82,35 +76,15 @@ def test_a_training_that_ends_does_not_replace_a_guest(head_model):
     assert model_json(guest, {"p1.png": "1"})["source"] == "guest"
 
 
-# The generated heads
-
-
-def test_the_heads_are_offered_and_their_model_is_made(page):
-    answer = page.client.get("/api/heads").json()
-    assert [page.client.get(f"/{path}").headers["content-type"] for path in answer["pictures"]] == 6 * ["image/jpeg"]
-    assert page.client.post("/api/heads/model", json={}).status_code == 204
-    assert model_of(page)["name"] == "generated heads"
-
-
-def test_all_heads_are_fitted_well(page):
-    page.client.post("/api/heads/model", json={})
-    fits = []
-    for path in sorted(HARD_LIGHT.glob("*.jpg")):
-        upload = page.client.post(UPLOADS, params={"name": path.name}, content=path.read_bytes()).json()["id"]
-        fits.append(page.client.post("/api/fits", json={"upload": upload}).json())
-    assert len(fits) == 6
-    assert all(fit["ok"] and fit["quality"] > 0.8 and "flat" in fit["layers"] for fit in fits)
-
-
-@pytest.mark.slow
-def test_the_calibration_is_that_of_the_pictures():
-    """It is stored, because measuring it takes long. If this fails: python -m docs.figures.make_generated_heads."""
-    known, made = json.loads(CALIBRATION.read_bytes()), trained(calibrate=True).views["surroundings"].reliability
-    assert known.keys() == asdict(made).keys()
-    for name, value in asdict(made).items():
-        np.testing.assert_allclose(value, known[name], rtol=0.05, atol=0.05, err_msg=name)
-
-
-def test_the_files_are_small():
-    files = [*SOFT_LIGHT.iterdir(), *HARD_LIGHT.iterdir(), CALIBRATION]
-    assert sum(file.stat().st_size for file in files) < 700_000
+def test_a_spare_model_is_used_while_there_is_no_other(head_model):
+    models = ModelStore()
+    models.lend(head_model, {"source": "face", "trained": None, "pictures": {}})
+    spare = models.current
+    assert (spare.facts["source"], models.own) == ("face", None)
+    models.lend(head_model, {"source": "face"})  # again: pages need not fit anew
+    assert models.current is spare
+    assert models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}}) is models.current
+    models.withdraw()
+    assert models.current is spare
+    models.lend(None, {})
+    assert models.current is None

@@ -110,6 +110,19 @@ def test_a_discarded_proposal_comes_back_by_undo_or_as_another_one(placed):
     assert act(again, "discarded", "p1.png")["refused"]
 
 
+def test_accepted_proposals_are_landmarks_and_undo_makes_them_proposals_again(placed):
+    placed.add_proposals({"p10.png": proposal()})
+    answer = act(placed, "accepted", "p10.png", "p1.png", "q.jpg")
+    assert answer["changed"] == ["p10.png"]
+    assert set(answer["refused"].values()) == {"no proposed points"}
+    assert answer["revisions"] == {"p10.png": placed.marks("p10.png")["revision"]}
+    marks = placed.marks("p10.png")
+    assert (states(placed)["p10.png"], marks["points"]) == ("done", proposal()["points"])
+    assert entries(placed)[-1] == ("p10.png", "accepted", "Ann")
+    act(placed, "deleted", "p10.png")
+    assert states(placed)["p10.png"] == "proposed"
+
+
 @pytest.mark.parametrize("suffix", [".ljson", ".pts"])
 def test_deleted_landmarks_are_restored_even_by_another_studio(small, suffix):
     write_landmarks(small.root / f"p1{suffix}", Landmarks(np.array(POINTS)))

@@ -13,9 +13,10 @@ import pytest
 from PIL import Image
 
 from liaam.studio.pictures import Pictures
+from liaam.studio.routes import read_body, read_json
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
+from liaam.studio.uploads import Uploads, plain_name
 
 
 def colours(height: int = 24, width: int = 32) -> np.ndarray:

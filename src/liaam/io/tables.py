@@ -140,9 +140,14 @@ def write_columns(path: str | os.PathLike[str], columns: Columns) -> None:
     """
     if Path(path).suffix.lower() != ".csv":
         raise LiaamError(f"{path}: the table is written as CSV; give a name that ends in .csv")
+    write_text_atomically(path, columns_text(columns))
+
+
+def columns_text(columns: Columns) -> str:
+    """Return columns as text in CSV; NaN becomes an empty cell."""
     buffer = io.StringIO(newline="")
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)
     for row in zip(*columns.values(), strict=True):
         writer.writerow(cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:.9g}" for cell in row)
-    write_text_atomically(path, buffer.getvalue())
+    return buffer.getvalue()

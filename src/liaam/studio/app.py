@@ -1,7 +1,6 @@
 """The studio's web application: it wires the parts together, defines the routes, and returns errors as JSON.
 
-A handler reads a request, calls one part in a thread to keep the event loop free, and answers. Errors for the user have
-the form ``{"error": sentence}``.
+Errors for the user have the form ``{"error": sentence}``.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from anyio import CapacityLimiter
-from anyio.to_thread import run_sync
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -23,20 +21,17 @@ from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
 from liaam.datasets.folder import PICTURE_SUFFIXES
-from liaam.datasets.heads import HARD_LIGHT
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
-from liaam.model import AAM
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
 from liaam.studio.background import Background
 from liaam.studio.events import Events
-from liaam.studio.export import attachment, export_of
+from liaam.studio.export import export_of, measurements_of
 from liaam.studio.fits import Fits
 from liaam.studio.folder import checked_folder, status_of
-from liaam.studio.generated import model_of_heads
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import (
     ModelStore,
@@ -48,14 +43,18 @@ from liaam.studio.model_store import (
 )
 from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
+from liaam.studio.routes import attachment, bytes_up_to, json_up_to, route
 from liaam.studio.safety import FILES, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import FolderLock
 from liaam.studio.training import Trainer
-from liaam.studio.uploads import Uploads, plain_name, read_body, read_json
+from liaam.studio.uploads import Uploads, plain_name
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
 """Default longest sides in pixels."""
+
+FORMATS = {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES}
+"""Suffixes of the files that can be added."""
 
 OVERVIEW_SECONDS = 0.2
 """How long a request for the project may read files; the rest is read in the background."""
@@ -131,7 +130,6 @@ def make_app(studio: Studio) -> Starlette:
             *fit_routes.routes(studio.fits),
             *live.routes(studio.live),
             Route("/api/{rest:path}", _nothing),
-            Mount("/heads", StaticFiles(directory=HARD_LIGHT)),
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],
         middleware=[Middleware(Guard, settings=studio.settings)],
@@ -145,65 +143,62 @@ def make_app(studio: Studio) -> Starlette:
 
 
 class _Handlers:
-    """Handlers of requests about the project, its training and its pictures."""
+    """Handlers of requests about the project, its training and its pictures; each runs in a thread."""
 
     def __init__(self, studio: Studio) -> None:
         self.studio = studio
-        # A separate limit, so that the thumbnails of a large folder do not delay fits or landmarks.
-        self._picture_threads = CapacityLimiter(2)
-        self._model_threads = CapacityLimiter(1)
+        self.project = studio.project
 
     def routes(self) -> list[Route]:
-        get, put, post, delete = (["GET"], ["PUT"], ["POST"], ["DELETE"])
+        limits, act, project, training = self.studio.settings, self._in_folder, self.project, self.studio.training
+        json, upload = json_up_to(limits.json_bytes), bytes_up_to(limits.upload_bytes)
+        maybe_json = json_up_to(limits.json_bytes, may_lack=True)
+        # Separate limits, so that the thumbnails of a large folder do not delay fits or landmarks.
+        shown, models = CapacityLimiter(2), CapacityLimiter(1)
+        of_picture = "/api/pictures/{name:path}/"
         return [
-            Route("/api/project", self.project, methods=get),
-            Route("/api/pictures/{name:path}/image", self.image, methods=get),
-            Route("/api/pictures/{name:path}/thumbnail", self.thumbnail, methods=get),
-            Route("/api/pictures/{name:path}/chroma", self.chroma, methods=get),
-            Route("/api/pictures/{name:path}/landmarks", self.landmarks, methods=get),
-            Route("/api/pictures/{name:path}/landmarks", self.save_landmarks, methods=put),
-            Route("/api/pictures/{name:path}/history", self.history, methods=get),
-            Route("/api/review", self.review, methods=post),
-            Route("/api/export/{kind}", self.export, methods=get),
-            Route("/api/template", self.save_template, methods=put),
-            Route("/api/template/file", self.read_template, methods=post),
-            Route("/api/training", self.train, methods=post),
-            Route("/api/training", self.stop_training, methods=delete),
-            Route("/api/events", self.events, methods=get),
-            Route(FILES, self.take_in, methods=post),
-            Route("/api/model/face", self.decline_face, methods=delete),
-            Route(UPLOADS, self.upload, methods=post),
-            Route(UPLOADS + "/{id}/image", self.image, methods=get),
-            Route(UPLOADS + "/{id}/chroma", self.chroma, methods=get),
-            Route("/api/model/file", self.model_file, methods=get),
-            Route(GUEST, self.receive_guest, methods=post),
-            Route(GUEST, self.dismiss_guest, methods=delete),
-            Route("/api/heads", self.heads, methods=get),
-            Route("/api/heads/model", self.receive_heads, methods=post),
+            route("GET", "/api/project", self.overview),
+            route("GET", of_picture + "image", self.image, limiter=shown),
+            route("GET", of_picture + "thumbnail", self.thumbnail, limiter=shown),
+            route("GET", of_picture + "chroma", self.chroma, limiter=shown),
+            route("GET", of_picture + "landmarks", lambda request: project.marks(request.path_params["name"])),
+            route("PUT", of_picture + "landmarks", act(self.save_landmarks), json),
+            route("GET", of_picture + "history", lambda request: project.history(request.path_params["name"])),
+            route("POST", "/api/review", act(self.review), json),
+            route("GET", "/api/export/{kind}", self.export),
+            route("GET", "/api/measurements", self.measurements),
+            route("PUT", "/api/template", act(self.save_template), json),
+            route("POST", "/api/template/file", self.read_template, bytes_up_to(limits.json_bytes)),
+            route("POST", "/api/training", act(lambda *_: asdict(training.start())), maybe_json, status=202),
+            route("DELETE", "/api/training", act(lambda *_: asdict(training.stop())), maybe_json),
+            Route("/api/events", self.events, methods=["GET"]),
+            route("POST", FILES, self.take_in, upload, status=201),
+            route("DELETE", "/api/model/face", lambda _: self.studio.background.decline()),
+            route("POST", UPLOADS, self.upload, upload, status=201),
+            route("GET", UPLOADS + "/{id}/image", self.image, limiter=shown),
+            route("GET", UPLOADS + "/{id}/chroma", self.chroma, limiter=shown),
+            route("GET", "/api/model/file", self.model_file),
+            route("POST", GUEST, self.receive_guest, upload, models),
+            route("DELETE", GUEST, self.dismiss_guest),
         ]
 
-    async def _json(self, request: Request) -> Any:
-        return await read_json(request, self.studio.settings.json_bytes)
+    def _in_folder(self, act: Callable[[Request, Any], Any]) -> Callable[[Request, Any], Any]:
+        """Refuse a request with data that names another folder."""
 
-    async def _in_folder(self, data: Any, act: Callable[..., Any], *arguments: Any) -> Any:
-        """Act in a thread; refuse a request with data that names another folder."""
+        def checked(request: Request, data: Any) -> Any:
+            self.project.check_id(data)
+            return act(request, data)
 
-        def checked() -> Any:
-            self.studio.project.check_id(data)
-            return act(*arguments)
+        return checked
 
-        return await run_sync(checked)
+    def _changed(self) -> None:
+        self.studio.events.publish("project", {})
 
-    # The project ----------------------------------------------------------------------------------
-
-    async def project(self, request: Request) -> Response:
-        return JSONResponse(await run_sync(self._project_json, request.query_params.get("stamp")))
-
-    def _project_json(self, known: str | None) -> dict[str, Any]:
+    def overview(self, request: Request) -> dict[str, Any]:
         from liaam.fitting import METHODS
         from liaam.fitting.methods import DEFAULT_METHOD
 
-        studio, project = self.studio, self.studio.project
+        studio, project, known = self.studio, self.project, request.query_params.get("stamp")
         suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
         of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
         overview = project.overview_since(of_folder, OVERVIEW_SECONDS)
@@ -229,7 +224,7 @@ class _Handlers:
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": studio.background.progress,
-            "formats": _formats(),
+            "formats": FORMATS,
             "limits": {"upload_bytes": studio.settings.upload_bytes, "pixels": studio.settings.pixels},
             "problems": project.problems,
         }
@@ -240,129 +235,79 @@ class _Handlers:
         checks = self.studio.background.checks
         return f"-{0 if model is None else model.number}-{self.studio.training.state.state}-{checks}"
 
-    async def landmarks(self, request: Request) -> Response:
-        return JSONResponse(await run_sync(self.studio.project.marks, request.path_params["name"]))
-
-    async def save_landmarks(self, request: Request) -> Response:
-        name, data = request.path_params["name"], await self._json(request)
-        answer = await self._in_folder(data, self.studio.project.save_marks, name, data)
+    def save_landmarks(self, request: Request, data: Any) -> dict[str, Any]:
+        name = request.path_params["name"]
+        answer = self.project.save_marks(name, data)
         self.studio.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
         self.studio.background.wake()
-        return JSONResponse(answer)
+        return answer
 
-    async def history(self, request: Request) -> Response:
-        return JSONResponse(await run_sync(self.studio.project.history, request.path_params["name"]))
-
-    async def review(self, request: Request) -> Response:
-        data = await self._json(request)
-        answer = await self._in_folder(data, self.studio.project.review, data)
+    def review(self, request: Request, data: Any) -> dict[str, Any]:
+        answer = self.project.review(data)
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.studio.events.publish("landmarks", written)
         self.studio.background.wake()
-        self.studio.events.publish("project", {})
-        return JSONResponse(answer)
+        self._changed()
+        return answer
 
-    async def export(self, request: Request) -> Response:
-        name, data = await run_sync(export_of, self.studio.project, request.path_params["kind"])
-        headers = {"content-disposition": attachment(name)}
-        return Response(data, media_type="application/octet-stream", headers=headers)
+    def export(self, request: Request) -> Response:
+        return attachment(*export_of(self.project, request.path_params["kind"]))
 
-    async def save_template(self, request: Request) -> Response:
-        data = await self._json(request)
-        template = await self._in_folder(data, self._save_template, data)
-        self.studio.events.publish("project", {})
-        return JSONResponse(template)
+    def measurements(self, request: Request) -> Response:
+        asked = request.query_params
+        return attachment(*measurements_of(self.project, asked.get("measures", ""), asked.get("scale", "")))
 
-    def _save_template(self, data: Any) -> dict[str, Any]:
+    def save_template(self, request: Request, data: Any) -> dict[str, Any]:
         studio = self.studio
         try:
-            studio.project.save_template(data)
-            return studio.project.template_json() or {}
+            self.project.save_template(data)
+            template = self.project.template_json() or {}
         finally:  # even if this change is refused, since an earlier one may have been finished
-            follow_template(studio.project, studio.models, studio.training)
+            follow_template(self.project, studio.models, studio.training)
+        self._changed()
+        return template
 
-    async def read_template(self, request: Request) -> Response:
-        data = await read_body(request, self.studio.settings.json_bytes)
-        name = request.query_params.get("name", "")
-        template = await run_sync(self.studio.project.read_template, name, data)
-        return JSONResponse(template.as_json())
-
-    async def train(self, request: Request) -> Response:
-        return JSONResponse(await self._control_training(request, self.studio.training.start), 202)
-
-    async def stop_training(self, request: Request) -> Response:
-        return JSONResponse(await self._control_training(request, self.studio.training.stop))
-
-    async def _control_training(self, request: Request, action: Callable[[], Any]) -> dict[str, Any]:
-        """Start or stop the training. The request may have a body."""
-        body = await self._json(request) if request.headers.get("content-type") else None
-        return asdict(await self._in_folder(body, action))
+    def read_template(self, request: Request, data: bytes) -> dict[str, Any]:
+        return self.project.read_template(request.query_params.get("name", ""), data).as_json()
 
     async def events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
         return StreamingResponse(self.studio.events.stream(), media_type="text/event-stream", headers=headers)
 
-    async def model_file(self, request: Request) -> Response:
+    def model_file(self, request: Request) -> Response:
         current = self.studio.models.current
         if current is None:
             raise Refusal(404, "there is no model yet: train one")
-        data = await run_sync(current.model.to_bytes)
-        headers = {"content-disposition": attachment(f"{plain_name(current.model.name or 'model')}.liaam")}
-        return Response(data, media_type="application/octet-stream", headers=headers)
+        return attachment(f"{plain_name(current.model.name or 'model')}.liaam", current.model.to_bytes())
 
-    # A model of someone else ----------------------------------------------------------------------
+    def receive_guest(self, request: Request, data: bytes) -> None:
+        name = plain_name(request.query_params.get("name", ""))
+        model = load_dropped_model(data, name, self.studio.settings.points)
+        self.studio.models.receive(model, name.removesuffix(".liaam"))
+        self._changed()
 
-    async def receive_guest(self, request: Request) -> Response:
-        settings, name = self.studio.settings, plain_name(request.query_params.get("name", ""))
-        data = await read_body(request, settings.upload_bytes)
-        return await self._receive(lambda: load_dropped_model(data, name, settings.points), name.removesuffix(".liaam"))
+    def dismiss_guest(self, request: Request) -> None:
+        self.studio.models.dismiss()
+        self._changed()
 
-    async def receive_heads(self, request: Request) -> Response:
-        return await self._receive(model_of_heads, "generated heads")
-
-    async def _receive(self, make: Callable[[], AAM], name: str) -> Response:
-        await run_sync(lambda: self.studio.models.receive(make(), name), limiter=self._model_threads)
-        return self._changed()
-
-    async def dismiss_guest(self, request: Request) -> Response:
-        await run_sync(self.studio.models.dismiss)
-        return self._changed()
-
-    def _changed(self) -> Response:
-        self.studio.events.publish("project", {})
-        return Response(status_code=204)
-
-    async def heads(self, request: Request) -> Response:
-        self.studio.fits.prepare_soon(model_of_heads)
-        return JSONResponse({"pictures": [f"heads/{path.name}" for path in sorted(HARD_LIGHT.glob("*.jpg"))]})
-
-    async def decline_face(self, request: Request) -> Response:
-        await run_sync(self.studio.background.decline)
-        return Response(status_code=204)
-
-    # Pictures -------------------------------------------------------------------------------------
-
-    async def take_in(self, request: Request) -> Response:
-        data = await read_body(request, self.studio.settings.upload_bytes)
-        answer = await run_sync(self.studio.project.take_in, request.query_params.get("name", ""), data)
+    def take_in(self, request: Request, data: bytes) -> dict[str, Any]:
+        answer = self.project.take_in(request.query_params.get("name", ""), data)
         self.studio.background.wake()
-        return JSONResponse(answer, 201)
+        return answer
 
-    async def upload(self, request: Request) -> Response:
-        data = await read_body(request, self.studio.settings.upload_bytes)
-        upload = await run_sync(self.studio.uploads.add, data, request.query_params.get("name", ""))
-        return JSONResponse({"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height}, 201)
+    def upload(self, request: Request, data: bytes) -> dict[str, Any]:
+        upload = self.studio.uploads.add(data, request.query_params.get("name", ""))
+        return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height}
 
-    async def image(self, request: Request) -> Response:
+    def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
-        pictures = self.studio.pictures
-        return await self._shown(request, f"{size}", lambda picture: pictures.image(picture, size))
+        return self._cached(request, f"{size}", lambda picture: self.studio.pictures.image(picture, size))
 
-    async def thumbnail(self, request: Request) -> Response:
-        return await self._shown(request, "thumbnail", self.studio.pictures.thumbnail)
+    def thumbnail(self, request: Request) -> Response:
+        return self._cached(request, "thumbnail", self.studio.pictures.thumbnail)
 
-    async def chroma(self, request: Request) -> Response:
+    def chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
         camera = CameraModel() if current is None else current.model.camera
 
@@ -370,50 +315,37 @@ class _Handlers:
             return self.studio.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
         kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
-        return await self._cached(request, kind, "application/octet-stream", chroma)
+        return self._cached(request, kind, chroma, "application/octet-stream")
 
-    async def _shown(self, request: Request, kind: str, make: Callable[[Source], bytes]) -> Response:
-        """Return a JPEG of a picture; remember if it cannot be decoded."""
-
-        def show(picture: Source) -> bytes:
-            try:
-                return make(picture)
-            except ImageError as fault:
-                self.studio.project.mark_unreadable(picture, fault)
-                raise
-
-        return await self._cached(request, kind, "image/jpeg", show)
-
-    async def _cached(self, request: Request, kind: str, media: str, make: Callable[[Source], bytes]) -> Response:
-        """Return bytes computed from a picture, or 304 if the browser has them already."""
-        picture = await run_sync(self._source, request)
+    def _cached(
+        self, request: Request, kind: str, make: Callable[[Source], bytes], media: str = "image/jpeg"
+    ) -> Response:
+        """Return bytes computed from a picture, or 304 if the browser has them; remember JPEGs that cannot be made."""
+        picture = self._source(request)
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
         known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in known:
             return Response(status_code=304, headers=headers)
-        content = await run_sync(make, picture, limiter=self._picture_threads)
-        return Response(content, media_type=media, headers=headers)
+        try:
+            return Response(make(picture), media_type=media, headers=headers)
+        except ImageError as fault:
+            if media == "image/jpeg":
+                self.project.mark_unreadable(picture, fault)
+            raise
 
     def _source(self, request: Request) -> Source:
         """Return the picture of the folder, or the dropped one, that a request names."""
         if "id" in request.path_params:
             return self.studio.uploads.source(request.path_params["id"])
-        return self.studio.project.source(request.path_params["name"])
-
-    # Errors ---------------------------------------------------------------------------------------
+        return self.project.source(request.path_params["name"])
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""
-        text = self.studio.project.plain(fault)
+        text = self.project.plain(fault)
         if isinstance(fault, Refusal):
             return JSONResponse({"error": text, **fault.details}, fault.status)
         refused_write = isinstance(fault.__cause__, OSError) and request.method not in ("GET", "HEAD")
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
-
-
-def _formats() -> dict[str, list[str]]:
-    """Return the suffixes of the files that can be added."""
-    return {"pictures": list(PICTURE_SUFFIXES), "landmarks": list(LANDMARK_SUFFIXES), "videos": list(VIDEO_SUFFIXES)}
 
 
 async def _nothing(request: Request) -> Response:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -42,21 +43,13 @@ THREADS = min(4, os.cpu_count() or 1)
 BATCH_SECONDS = 0.5
 """Proposals are shown after so long, and after as long again for each thousand pictures, which the page fetches."""
 
+FACE_FACTS = {"source": FACE, "trained": None, "pictures": {}, "careful": False}
+
 Picture = tuple[str, Path]
 
 
 class Background:
-    """Fits new pictures and checks landmarks in a thread.
-
-    Parameters
-    ----------
-    project : Project
-    models : ModelStore
-    trainer : Trainer
-        Nothing is fitted while it trains, since it then fits pictures itself.
-    publish : callable
-        Called with (kind, data) of every event.
-    """
+    """Fits new pictures and checks landmarks in a thread; a training fits pictures itself."""
 
     def __init__(
         self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]
@@ -114,9 +107,9 @@ class Background:
 
     def _prepare(self) -> None:
         """Fit an example with the face model if it may be needed, so that the first photographs do not wait for it."""
-        if self.models.own is None and self.project.settings.face and not self.project.has_own_points:
-            face = load_model(FACE)
-            self._fitter_of(face).fit(example(face, WARM_UP))
+        if self.models.own is None and self._may_use_face():
+            self._lend()
+            self._fitter_of(self._face).fit(example(self._face, WARM_UP))
 
     def _rest(self) -> None:
         """Wait until no more files arrive, but not for ever."""
@@ -126,13 +119,12 @@ class Background:
             self._woken.clear()
         self._woken.clear()
 
-    # Proposals ------------------------------------------------------------------------------------
-
     def fit_new(self) -> None:
         """Propose landmarks for all pictures that have neither landmarks nor a proposal."""
         if self._is_paused():
             return
         waiting = self.project.unfitted()
+        self._lend()
         if _is_face(self.models.own) and self.project.has_own_points:
             self.project.offer(None)
             self.models.withdraw()
@@ -144,9 +136,25 @@ class Background:
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
         self.project.decline_offer()
+        self._lend()
         if _is_face(self.models.own):
             self.models.withdraw()
         self._publish("project", {})
+
+    @cached_property
+    def _face(self) -> AAM:
+        return load_model(FACE)
+
+    def _may_use_face(self) -> bool:
+        project = self.project
+        return project.settings.face and not project.has_own_points and not project.declined
+
+    def _lend(self) -> None:
+        """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
+        before, models = self.models.spare, self.models
+        models.lend(self._face if self._may_use_face() and not self._without_faces else None, FACE_FACTS)
+        if models.spare is not before:
+            self._publish("project", {})
 
     def _is_paused(self) -> bool:
         return self._stopped or self.trainer.state.state == "running"
@@ -158,14 +166,11 @@ class Background:
             if project.template is None:
                 project.offer(template_of_model(own.model))
             return own.model
-        if project.has_own_points or project.declined or not project.settings.face:
+        if not self._may_use_face() or (project.template is None and not self._has_faces(self._face, waiting)):
+            self._lend()
             return None
-        face = load_model(FACE)
-        if project.template is None and not self._has_faces(face, waiting):
-            return None
-        project.offer(template_of_model(face), FACE)
-        facts = {"source": FACE, "trained": None, "pictures": {}, "careful": False}
-        return self.models.publish(face, facts).model
+        project.offer(template_of_model(self._face), FACE)
+        return self.models.publish(self._face, FACE_FACTS).model
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
@@ -210,8 +215,6 @@ class Background:
         self.progress = {"done": done, "total": total} if total else None
         self._publish("fitting", self.progress)
         self._publish("project", {})
-
-    # Slips ----------------------------------------------------------------------------------------
 
     def check_landmarks(self) -> bool:
         """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most.

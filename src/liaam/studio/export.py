@@ -6,12 +6,13 @@ import io
 import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
-from urllib.parse import quote
 
 import numpy as np
 
 from liaam.io import Contour, Landmarks, fit_text
 from liaam.io.landmarks import collection_text
+from liaam.io.tables import columns_text
+from liaam.morphometry import Specimen, measure
 from liaam.relighting import Lamp
 from liaam.studio import layers
 from liaam.studio.fits import Fit, Fits
@@ -38,13 +39,7 @@ FILES = {
 
 
 def export_of(project: Project, kind: str) -> tuple[str, bytes]:
-    """Return the name and the content of a file with the landmarks of all pictures that have any.
-
-    Raises
-    ------
-    Refusal
-        422 if the kind is not known, or no picture has landmarks.
-    """
+    """Return the name and the content of a file with the landmarks of all pictures that have any."""
     if kind not in KINDS:
         raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(KINDS)}")
     found = project.placed()
@@ -62,18 +57,18 @@ def export_of(project: Project, kind: str) -> tuple[str, bytes]:
     return name, collection_text(name, collection, {file.name: size for file, _, size in found}).encode()
 
 
-def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
-    """Return the name, media type and content of an exported file.
+def measurements_of(project: Project, measures: str, scale: str) -> tuple[str, bytes]:
+    """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
+    names = project.template.names if project.template is not None else ()
+    specimens = [Specimen(file.stem, landmarks.points, names=names) for file, landmarks, _ in project.placed()]
+    if not specimens:
+        raise Refusal(422, "no picture has landmarks yet: place the points of one, then measure")
+    columns = measure(specimens, measures.split(), scale or None)
+    return f"{plain_name(project.root.name)}-measurements.csv", columns_text(columns).encode()
 
-    Parameters
-    ----------
-    fits : Fits
-    fit : Fit
-    what : str
-        One of :data:`FILES`.
-    light : (lamps, ambient)
-        For ``relit``.
-    """
+
+def file_of(fits: Fits, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
+    """Return the name, media type and content of an exported file, one of :data:`FILES`; the light is for ``relit``."""
     if what not in FILES:
         raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
     stem, kind = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name), FILES[what]
@@ -102,9 +97,3 @@ def _picture(fits: Fits, fit: Fit, what: str, light: Light) -> np.ndarray:
     with fits.pictures.at_work(fit.source) as pixels:
         image = shown(pixels, size, fit.source.raw)
     return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances)
-
-
-def attachment(name: str) -> str:
-    """Return the Content-Disposition header for a file name with any characters (RFC 6266)."""
-    plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
-    return f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"

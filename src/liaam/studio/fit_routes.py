@@ -1,14 +1,14 @@
-"""Endpoints of fits: they check requests and answer them. Slow work runs in threads."""
+"""Endpoints of fits: they check requests and answer them."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from anyio import CapacityLimiter
-from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -18,60 +18,68 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.io import Landmarks
 from liaam.photometry import srgb_to_linear
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
-from liaam.studio.export import attachment, file_of
+from liaam.studio.export import file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
 from liaam.studio.pictures import Source, checked_size, jpeg_bytes
+from liaam.studio.routes import attachment, json_up_to, route
 from liaam.studio.safety import Refusal
-from liaam.studio.uploads import read_json
 
 MOST_LAMPS = 8
 """Maximum number of lamps of a relit picture."""
 
 
 def routes(fits: Fits) -> list[Route]:
-    """Return the endpoints of fits. Failures are raised as :class:`Refusal` with the status to answer."""
-    endpoints = _Endpoints(fits)
+    """Return the endpoints of fits."""
+    handlers, limiter = _Handlers(fits), CapacityLimiter(4)
     return [
-        Route("/api/fits", endpoints.fit, methods=["POST"]),
-        Route("/api/fits/{id}/layers/{layer}", endpoints.layer, methods=["GET"]),
-        Route("/api/fits/{id}/relit", endpoints.relit, methods=["GET"]),
-        Route("/api/fits/{id}/export", endpoints.export, methods=["GET"]),
+        route("POST", "/api/fits", _refusing(handlers.fit), json_up_to(fits.settings.json_bytes), limiter),
+        route("GET", "/api/fits/{id}/layers/{layer}", _refusing(handlers.layer), limiter=limiter),
+        route("GET", "/api/fits/{id}/relit", _refusing(handlers.relit), limiter=limiter),
+        route("GET", "/api/fits/{id}/export", _refusing(handlers.export), limiter=limiter),
     ]
 
 
-class _Endpoints:
-    """Handlers of requests about fits."""
+def _refusing(act: Callable[..., Response]) -> Callable[..., Response]:
+    """Make any error a refusal, since the page would retry after a failed write."""
 
-    def __init__(self, fits: Fits) -> None:
-        self.fits = fits
-        # A separate limit, so that the thumbnails of a large folder do not delay a fit.
-        self._threads = CapacityLimiter(4)
+    def acted(*arguments: Any) -> Response:
+        try:
+            return act(*arguments)
+        except Refusal:
+            raise
+        except LiaamError as fault:
+            raise Refusal(422, str(fault)) from fault
 
-    async def fit(self, request: Request) -> Response:
-        text = await self._work(self._fitted, await read_json(request, self.fits.settings.json_bytes))
-        return Response(text, media_type="application/json", headers={"cache-control": "no-store"})
+    return acted
 
-    async def layer(self, request: Request) -> Response:
+
+KEPT = {"cache-control": "private, max-age=86400, immutable"}
+"""Headers of answers that never change."""
+
+
+@dataclass(frozen=True)
+class _Handlers:
+    """Handlers of requests about fits; each runs in a thread."""
+
+    fits: Fits
+
+    def layer(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data = await self._work(self.fits.layer, fit, what, size)
-        return Response(data, media_type="image/png", headers={"cache-control": "private, max-age=86400, immutable"})
+        return Response(self.fits.layer(fit, what, size), media_type="image/png", headers=KEPT)
 
-    async def relit(self, request: Request) -> Response:
+    def relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data = await self._work(lambda: jpeg_bytes(self.fits.relit(fit, *light, size)))
-        return Response(data, media_type="image/jpeg", headers={"cache-control": "private, max-age=86400, immutable"})
+        return Response(jpeg_bytes(self.fits.relit(fit, *light, size)), media_type="image/jpeg", headers=KEPT)
 
-    async def export(self, request: Request) -> Response:
+    def export(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
-        light = light_of(request.query_params)
-        name, kind, data = await self._work(file_of, self.fits, fit, what, light)
-        headers = {"content-disposition": attachment(name), "cache-control": "no-store"}
-        return Response(data, media_type=kind, headers=headers)
+        name, kind, data = file_of(self.fits, fit, what, light_of(request.query_params))
+        return attachment(name, data, kind)
 
-    def _fitted(self, body: Any) -> bytes:
-        """Fit the requested picture and return JSON."""
+    def fit(self, request: Request, body: Any) -> Response:
+        """Fit the requested picture."""
         if not isinstance(body, dict):
             raise Refusal(422, "send an object with picture or upload, method and start")
         self.fits.project.check_id(body)
@@ -80,7 +88,8 @@ class _Endpoints:
         if not isinstance(method, str):
             raise Refusal(422, "the method is not a string: send its name, such as 'soft-li'")
         fit = self.fits.fit(source, of, method, parse_start(body.get("start")), truth)
-        return json.dumps(fit.as_json(), allow_nan=False, separators=(",", ":")).encode()
+        text = json.dumps(fit.as_json(), allow_nan=False, separators=(",", ":"))
+        return Response(text, media_type="application/json")
 
     def _asked_for(self, body: Mapping[str, Any]) -> tuple[Source, tuple[str, str], np.ndarray | None]:
         """Return the picture to fit, its reference, and its landmarks if it has any."""
@@ -93,27 +102,9 @@ class _Endpoints:
         project = self.fits.project
         return project.source(name), (kind, name), truth_of(project.landmarks(name))
 
-    async def _work(self, call: Callable, *arguments: Any) -> Any:
-        """Work in a thread. Any error is a refusal, since the page would retry after a failed write."""
-        try:
-            return await run_sync(call, *arguments, limiter=self._threads)
-        except Refusal:
-            raise
-        except LiaamError as fault:
-            raise Refusal(422, str(fault)) from fault
-
-
-# Parsing ------------------------------------------------------------------------------------------
-
 
 def parse_start(data: Any) -> Any:
-    """Parse the start of a fit: null, a box, or a shape whose points may be null.
-
-    Raises
-    ------
-    Refusal
-        422 if it is none of these.
-    """
+    """Parse the start of a fit: null, a box, or a shape whose points may be null."""
     if data is None:
         return None
     if isinstance(data, dict) and len(data) == 1:
@@ -138,11 +129,6 @@ def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
     """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp`, and ``ambient``; by default from the front.
 
     Colours are sRGB values.
-
-    Raises
-    ------
-    Refusal
-        422 if it is something else, or there are more than :data:`MOST_LAMPS`.
     """
     try:
         light = json.loads(query.get("light", '{"lamps": [{"direction": [0, 0, 1]}]}'))

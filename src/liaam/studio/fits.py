@@ -112,6 +112,7 @@ class Fit:
             "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
             "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},
+            "n_found": result.n_found,
             "iterations": [
                 {
                     "shape": numbers(step.landmarks, 2),
@@ -146,17 +147,7 @@ def numbers(values: np.ndarray, digits: int) -> list:
 
 
 class Fits:
-    """Fits pictures with the current model; thread-safe.
-
-    Parameters
-    ----------
-    project : Project
-    models : ModelStore
-        A new model is warmed up when it is published.
-    uploads : Uploads
-    pictures : Pictures
-        Cache of decoded pictures.
-    """
+    """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
     def __init__(self, project: Project, models: ModelStore, uploads: Uploads, pictures: Pictures) -> None:
         self.settings = settings = project.settings
@@ -203,10 +194,6 @@ class Fits:
         """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`."""
         return _soon("warm-up", lambda: self.warm_up(current))
 
-    def prepare_soon(self, make: Callable[[], AAM]) -> threading.Thread:
-        """Make a model that may be used soon, and fit an example with it, in a thread."""
-        return _soon("prepare", lambda: self.warm_up(ModelInUse(make(), 0, {})))
-
     def search_soon(self, source: Source) -> threading.Thread | None:
         """Search a dropped picture while the upload is being answered, so that the fit has less to do."""
         current = self.models.current
@@ -227,25 +214,10 @@ class Fits:
         start: Any = None,
         truth: np.ndarray | None = None,
     ) -> Fit:
-        """Fit a picture and cache the result.
+        """Fit a picture (``of``: ``picture`` or ``upload``, and its name or id) and cache the result.
 
-        Parameters
-        ----------
-        source : Source
-        of : (str, str)
-            ``picture`` or ``upload``, and its name or id.
-        method : str
-        start : optional
-            As for :meth:`Fitter.fit`. By default the object is searched for.
-        truth : (n, 2) float, optional
-            The picture's landmarks, NaN where they are to be ignored.
-
-        Raises
-        ------
-        Refusal
-            409 if there is no model.
-        ImageError, StartError, MethodError
-            For invalid input. A failed fit does not raise: its result has the status.
+        ``start`` is as for :meth:`Fitter.fit`; by default the object is searched for. ``truth`` are the
+        picture's landmarks (n, 2), NaN where they are to be ignored.
         """
         current = self.models.current
         if current is None:
@@ -276,28 +248,14 @@ class Fits:
         return fit
 
     def get(self, number: str) -> Fit:
-        """Return the fit with an id.
-
-        Raises
-        ------
-        Refusal
-            404 if it is no longer in the cache.
-        """
+        """Return the fit with an id."""
         fit = self._fits.peek(number)
         if fit is None:
             raise Refusal(404, "this fit is no longer kept: fit again")
         return fit
 
     def layer(self, fit: Fit, what: str, size: int) -> bytes:
-        """Return a layer of the whole picture as PNG, its longest side at most ``size``.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such layer.
-        MethodError
-            If the layer cannot be computed for this fit.
-        """
+        """Return a layer of the whole picture as PNG, its longest side at most ``size``."""
         if what not in layers.LAYERS:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
         return self._layers.get((fit.id, what, size), lambda: png_bytes(self.draw(fit, what, size)))
@@ -326,13 +284,7 @@ class Fits:
         return light, fitted_size(*fit.source.size, size)
 
     def whole_light(self, fit: Fit) -> Relighter:
-        """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel.
-
-        Raises
-        ------
-        Refusal
-            422 if it would take too much memory.
-        """
+        """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
         layers.need_flat(fit.no_flat)
         whole = fit.source.size
         if prod(whole) > self.settings.whole_pixels:

@@ -33,13 +33,7 @@ class Folder:
         return real.is_relative_to(self.root) and STATE not in real.relative_to(self.root).parts
 
     def inside(self, name: str) -> Path:
-        """Return the path of a file in the folder or its subfolders.
-
-        Raises
-        ------
-        Refusal
-            409 if it is a link that leads out of the folder.
-        """
+        """Return the path of a file in the folder or its subfolders."""
         path = self.root / name
         if not is_relative(name) or not self.leads_inside(path):
             raise Refusal(409, f"{name} is a link that leads out of the folder, so it is not used: remove the link")
@@ -68,13 +62,7 @@ def is_relative(name: str) -> bool:
 
 
 def checked_folder(folder: str | os.PathLike[str]) -> Path:
-    """Check a folder and return it with links resolved.
-
-    Raises
-    ------
-    ImageError
-        If it is not a folder, or cannot be read or written.
-    """
+    """Check a folder and return it with links resolved."""
     folder = Path(folder)
     try:
         if not folder.is_dir():

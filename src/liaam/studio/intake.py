@@ -34,13 +34,7 @@ class Intake:
     """Name of each added picture by its stem, until the folder is listed again."""
 
     def add(self, name: str, data: bytes) -> dict[str, Any]:
-        """Write a file; return its ``name`` in the folder, its ``kind``, and whether it was ``known``, there already.
-
-        Raises
-        ------
-        Refusal, LiaamError
-            If it is neither a picture nor a landmark file, cannot be read, or would replace another file.
-        """
+        """Write a file; return its ``name`` in the folder, its ``kind``, and whether it was ``known`` before."""
         name = plain_name(name)
         suffix = Path(name).suffix.lower()
         if suffix in PICTURE_SUFFIXES:

@@ -52,19 +52,9 @@ _NO_MARKS = Marks()
 
 
 class LandmarkFiles:
-    """Landmark files of the listed pictures, cached until they change.
+    """Landmark files of the listed pictures, of at most so many bytes, cached until they change.
 
-    Parameters
-    ----------
-    listing : Listing
-    store : Store
-    most_bytes : int
-        Maximum size of a landmark file.
-
-    Attributes
-    ----------
-    problems : list of str
-        Errors of files that cannot be read and belong to no picture.
+    ``problems`` are errors of files that cannot be read and belong to no picture.
     """
 
     def __init__(self, listing: Listing, store: Store, most_bytes: int) -> None:
@@ -79,8 +69,6 @@ class LandmarkFiles:
         self._paired_files: object = None
         self._paired_version = -1
         self._invisible: dict[str, Any] = store.all("invisible")
-
-    # Reading --------------------------------------------------------------------------------------
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
@@ -178,8 +166,6 @@ class LandmarkFiles:
             elif picture not in marks:
                 faults[picture] = reason
         return marks, faults, problems
-
-    # Writing --------------------------------------------------------------------------------------
 
     def target(self, picture: File) -> Path:
         """Return the file to which a picture's landmarks are written."""

@@ -85,16 +85,9 @@ def scaled_points(points: np.ndarray, size: tuple[int, int], to: tuple[int, int]
 
 
 def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tuple[int, int]) -> np.ndarray:
-    """Draw the residual as (height, width, 4) uint8, transparent outside the mesh and where the image is unusable.
+    """Draw the residual of a shape (n, 2) on a layer of a size (width, height), as (height, width, 4) uint8.
 
-    Parameters
-    ----------
-    model : AAM
-    shape : (n, 2) float
-        Landmarks in pixels of the layer.
-    residual : Residual
-    size : (int, int)
-        Width and height of the layer.
+    It is transparent outside the mesh and where the image is unusable.
     """
     canvas = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))  # takes no memory
     painted, inside = paint(canvas, shape, model, residual.values)
@@ -105,19 +98,9 @@ def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tupl
 def taken_apart(
     fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False
 ) -> Relighter:
-    """Create the relighter of a fit at another picture size.
+    """Create the relighter of a fit at another picture size (width, height), at most that of the picture.
 
-    Parameters
-    ----------
-    fitter : Fitter
-        The one that made the fit.
-    image : (h, w, 3) uint8, uint16 or float32
-        The fitted picture.
-    result : FitResult
-    to : (int, int)
-        Width and height, at most those of the picture.
-    raw : bool
-        Whether the values of the picture are linear. The output is always sRGB.
+    The values of a ``raw`` picture are linear. The output is always sRGB.
     """
     size = (image.shape[1], image.shape[0])
     small = averaged(image, to)
@@ -131,15 +114,9 @@ def taken_apart(
 
 
 def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
-    """Draw the shading as (height, width, 4) uint8, transparent outside the mesh.
+    """Draw the shading as (height, width, 4) uint8 at a size (width, height), transparent outside the mesh.
 
     The shading is the logarithm of the ratio of the picture to its flat appearance.
-
-    Parameters
-    ----------
-    light : Relighter
-    to : (int, int)
-        Width and height of the layer.
     """
     shading = light.shading()
     inside = np.any(shading != 0, axis=2).astype(np.float32)

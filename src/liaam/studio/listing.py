@@ -54,31 +54,12 @@ class File:
 
 
 class Listing:
-    """The folder's files at the time of the last scan.
+    """The folder's files at the time of the last scan; ``version`` is incremented with every change.
 
-    If there is no picture in the folder itself, the files of its subfolders are listed as well.
-
-    Parameters
-    ----------
-    folder : Folder
-    most_pixels : int
-        Maximum width times height of a picture.
-
-    Attributes
-    ----------
-    version : int
-        Incremented with every change of the listing.
-    files : dict of str to File
-        By name, in natural order.
-    pictures : list of File
-    other_files : list of File
-        Landmark files in other formats.
-    winners : dict of str to str
-        The picture to which landmark files of a stem belong, by stem.
-    stranded : list of str
-        Links that lead out of the folder.
-    unlisted : list of str
-        Subfolders that are not listed.
+    If there is no picture in the folder itself, the files of its subfolders are listed as well. ``files`` are by
+    name, in natural order, ``other_files`` landmark files in other formats. ``winners`` are the pictures to which
+    landmark files belong, by stem. ``stranded`` are links that lead out of the folder, and ``unlisted`` subfolders
+    that are not listed.
     """
 
     def __init__(self, folder: Folder, most_pixels: int) -> None:
@@ -93,16 +74,8 @@ class Listing:
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
         self._arrange()
 
-    # Files ----------------------------------------------------------------------------------------
-
     def scan(self) -> None:
-        """List the folder.
-
-        Raises
-        ------
-        Refusal
-            503 if it can no longer be read.
-        """
+        """List the folder."""
         self.stranded, self.unlisted, self._times = [], [], {}
         try:
             found, below = self._listed("")
@@ -193,8 +166,6 @@ class Listing:
         except OSError:
             return False
 
-    # Usable pictures ------------------------------------------------------------------------------
-
     def fault_of(self, picture: File) -> str | None:
         """Return why a picture cannot be used, or None if it can."""
         winner = self.winners[picture.stem]
@@ -208,13 +179,7 @@ class Listing:
         return [file for file in self.pictures if self.fault_of(file) is None]
 
     def usable_size(self, picture: File) -> tuple[int, int]:
-        """Return the width and height of a picture.
-
-        Raises
-        ------
-        Refusal
-            409 if it cannot be used.
-        """
+        """Return the width and height of a picture."""
         fault, size = self.fault_of(picture), self.size_of(picture)
         if fault is not None or isinstance(size, str):
             raise Refusal(409, f"{picture.name} cannot be used: {fault or size}")
@@ -252,8 +217,6 @@ class Listing:
         except ImageError as fault:
             return str(fault)
         return width, height
-
-    # Notices --------------------------------------------------------------------------------------
 
     def notices(self) -> list[str]:
         """Return messages about files that look like pictures but are skipped, and landmark files without a picture."""

@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -26,9 +25,9 @@ from liaam.fitting import FitResult
 from liaam.model import AAM
 from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
+from liaam.studio.routes import bytes_up_to, read_body, route
 from liaam.studio.safety import RECORDINGS, Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import read_body
 from liaam.tracking import TrackedFrame, Tracker, TrackStatus
 from liaam.tracking.files import TrackRows
 from liaam.tracking.motion import rescaled
@@ -45,12 +44,7 @@ SIDE, WHOLE_SIDE = 16, 20_000
 
 
 class LiveVideo:
-    """A video and its tracker. Each of its methods is called by one thread at a time.
-
-    Parameters
-    ----------
-    model : AAM
-    """
+    """A video and its tracker. Each of its methods is called by one thread at a time."""
 
     def __init__(self, model: AAM) -> None:
         self.id = secrets.token_urlsafe(9)
@@ -92,13 +86,7 @@ class LiveVideo:
 
 
 class Frame:
-    """What a request says about a frame: its size, its place in the video, and what is wanted.
-
-    Raises
-    ------
-    Refusal
-        422 if a value is missing or out of range.
-    """
+    """What a request says about a frame: its size, its place in the video, and what is wanted."""
 
     def __init__(self, query: Mapping[str, str]) -> None:
         try:
@@ -144,7 +132,6 @@ class LiveVideos:
     ----------
     models : ModelStore
         A new model ends all videos. Their pages start them again.
-    settings : Settings, optional
     """
 
     def __init__(self, models: ModelStore, settings: Settings | None = None) -> None:
@@ -157,13 +144,7 @@ class LiveVideos:
         return len(self._videos)
 
     def open(self) -> LiveVideo:
-        """Begin a video.
-
-        Raises
-        ------
-        Refusal
-            409 if there is no model.
-        """
+        """Begin a video."""
         current = self.models.current
         if current is None:
             raise Refusal(409, "there is no model yet: train one first, or start with --model FILE")
@@ -174,13 +155,7 @@ class LiveVideos:
         return video
 
     def get(self, number: str) -> LiveVideo:
-        """Return the video with an id.
-
-        Raises
-        ------
-        Refusal
-            404 if it has ended.
-        """
+        """Return the video with an id."""
         video = self._videos.peek(number)
         if video is None:
             raise Refusal(404, "this video is no longer tracked: start it again")
@@ -196,11 +171,6 @@ def seekable(recording: bytes) -> bytes:
     """Return a WebM recording of a browser with its duration and an index, which browsers leave out.
 
     Without PyAV it is returned as it is.
-
-    Raises
-    ------
-    Refusal
-        422 if it is not a video.
     """
     try:
         import av
@@ -246,17 +216,12 @@ def routes(videos: LiveVideos) -> list[Route]:
         finally:
             video.in_progress -= 1
 
-    async def end(request: Request) -> Response:
-        videos.close(request.path_params["id"])
-        return Response(status_code=204)
-
-    async def recording(request: Request) -> Response:
-        data = await read_body(request, videos.settings.upload_bytes)
-        return Response(await run_sync(seekable, data), media_type="video/webm")
+    def recording(request: Request, data: bytes) -> Response:
+        return Response(seekable(data), media_type="video/webm")
 
     return [
-        Route(RECORDINGS, recording, methods=["POST"]),
+        route("POST", RECORDINGS, recording, bytes_up_to(videos.settings.upload_bytes)),
         Route("/api/live", begin, methods=["POST"]),
         Route("/api/live/{id}/frames", update, methods=["POST"]),
-        Route("/api/live/{id}", end, methods=["DELETE"]),
+        route("DELETE", "/api/live/{id}", lambda request: videos.close(request.path_params["id"])),
     ]

@@ -50,13 +50,18 @@ class ModelInUse:
 
 
 class ModelStore:
-    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe."""
+    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe.
+
+    A model that comes with liaam is used while there is neither.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self.own: ModelInUse | None = None
         """The model of the folder, if there is one."""
         self._guest: ModelInUse | None = None
+        self.spare: ModelInUse | None = None
+        """The model that comes with liaam, if it may be used."""
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
         """Called in the publishing thread after the current model has changed."""
@@ -64,7 +69,7 @@ class ModelStore:
     @property
     def current(self) -> ModelInUse | None:
         """The model in use, if there is one."""
-        return self._guest or self.own
+        return self._guest or self.own or self.spare
 
     def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
         """Set the model of the folder."""
@@ -76,6 +81,12 @@ class ModelStore:
         """Remove the model of the folder."""
         self.own = None
         self._tell()
+
+    def lend(self, model: AAM | None, facts: Mapping[str, Any]) -> None:
+        """Set the model that comes with liaam; None removes it."""
+        if model is not (self.spare and self.spare.model):
+            self.spare = None if model is None else self._numbered(model, facts)
+            self._tell()
 
     def receive(self, model: AAM, name: str) -> ModelInUse:
         """Use a guest instead of the model of the folder. Nothing is trained or saved with it."""
@@ -141,9 +152,6 @@ class Versions:
         ]
 
 
-# Loading -------------------------------------------------------------------------------------------
-
-
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     for file, careful in ((MODEL_FILE, True), (QUICK_FILE, False)):
@@ -184,24 +192,12 @@ def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> N
 
 
 def load_given_model(path: Path, models: ModelStore) -> None:
-    """Publish a model from a file given by the user.
-
-    Raises
-    ------
-    ModelFileError
-        If it cannot be read.
-    """
+    """Publish a model from a file given by the user."""
     models.publish(load_model(path), {"source": "file", "trained": None, "pictures": {}})
 
 
 def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
-    """Read a model that was dropped on the page, with at most so many points.
-
-    Raises
-    ------
-    Refusal
-        422 if it is not a valid model, or has more points.
-    """
+    """Read a model that was dropped on the page, with at most so many points."""
     with tempfile.TemporaryDirectory() as folder:  # safetensors reads the metadata of files only
         path = Path(folder) / "dropped.liaam"
         path.write_bytes(data)

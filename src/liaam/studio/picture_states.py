@@ -83,13 +83,7 @@ class PictureStates:
         }
 
     def marks_json(self, file: File) -> dict[str, Any]:
-        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none.
-
-        Raises
-        ------
-        Refusal
-            409 if the picture cannot be used.
-        """
+        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         width, height = self.listing.usable_size(file)
         template, marks = self.templates.current, self.landmarks.of(file)
         answer: dict[str, Any] = {

@@ -56,14 +56,9 @@ V = TypeVar("V")
 
 
 class Kept(Generic[K, V]):
-    """A thread-safe least-recently-used cache. Concurrent requests for a missing key share one computation.
+    """A thread-safe least-recently-used cache of at most a total weight. A value above it is not cached.
 
-    Parameters
-    ----------
-    limit : int
-        Maximum total weight. A single value above it is returned but not cached.
-    weigh : callable
-        Weight of a value; 1 by default.
+    Concurrent requests for a missing key share one computation.
     """
 
     def __init__(self, limit: int, weigh: Callable[[V], int] = lambda _: 1) -> None:
@@ -178,13 +173,7 @@ class Source:
 
 
 def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
-    """Return the picture of a file; its name is by default that of the file.
-
-    Raises
-    ------
-    ImageError
-        If it is not an image, or too large.
-    """
+    """Return the picture of a file; its name is by default that of the file."""
     tag = file_tag(path)
     size = _of_file(path, image_size)
 
@@ -349,31 +338,12 @@ def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
 
 
 def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str = "image") -> np.ndarray:
-    """Compute the log-chromaticities of an image, averaged in linear light.
+    """Compute the log-chromaticities of an image, averaged in linear light: log R/B and log G/B, (h', w', 2) int16.
 
-    The invariant image of an angle is ``cos(theta) * chroma[..., 0] + sin(theta) * chroma[..., 1]``, since the rows of
-    L(theta) sum to zero.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8, uint16 or float array
-    size : int
-        Maximum length of the longest side in pixels. It is reduced slightly if blocks then cover the image better.
-    response : Response
-        Response of the camera.
-    name : str
-        Name of the image for error messages.
-
-    Returns
-    -------
-    (h', w', 2) int16
-        log R/B and log G/B in steps of :data:`CHROMA_STEP`; :data:`CHROMA_MASKED` where any pixel of a block is dark or
-        saturated.
-
-    Raises
-    ------
-    ImageError
-        If the image is grey.
+    The invariant image of an angle is ``cos(theta) * chroma[..., 0] + sin(theta) * chroma[..., 1]``, since the rows
+    of L(theta) sum to zero. Values are in steps of :data:`CHROMA_STEP`, and :data:`CHROMA_MASKED` where any pixel
+    of a block is dark or saturated. The longest side is at most ``size``, or slightly less if blocks then cover the
+    image better.
     """
     image = as_colour(image, name)
     refuse_grey(image, name, "an invariant image needs colour")

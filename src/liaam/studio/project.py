@@ -86,16 +86,7 @@ class Overview:
 
 
 class Project:
-    """A project's folder; thread-safe.
-
-    Attributes
-    ----------
-    root : Path
-        The folder with links resolved.
-    settings : Settings
-    store : Store
-        What the studio keeps for the folder.
-    """
+    """A project's folder; thread-safe. ``root`` is the folder with links resolved."""
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
@@ -133,13 +124,7 @@ class Project:
             return self._stamp()
 
     def check_id(self, data: Any) -> None:
-        """Refuse a request whose ``folder`` is the id of another folder.
-
-        Raises
-        ------
-        Refusal
-            409, with this folder's id in ``folder``.
-        """
+        """Refuse a request whose ``folder`` is the id of another folder."""
         if isinstance(data, dict) and data.get("folder", self.id) != self.id:
             raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=self.id)
 
@@ -178,8 +163,6 @@ class Project:
             listing.unlisted,
         )
         return revision_of(repr((known, listing.version)).encode())
-
-    # Pictures -------------------------------------------------------------------------------------
 
     def overview(self) -> Overview:
         """Return all pictures."""
@@ -230,35 +213,17 @@ class Project:
         return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def path_of(self, name: str) -> Path:
-        """Return the path of a picture.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such picture, or if it is a link that leads out of the folder.
-        """
+        """Return the path of a picture."""
         with self._lock:
             return self._folder.inside(self._find(name).name)
 
     def size_of(self, name: str) -> tuple[int, int]:
-        """Return the width and height of the upright picture, from its header.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such picture, 409 if it cannot be used.
-        """
+        """Return the width and height of the upright picture, from its header."""
         with self._lock:
             return self._listing.usable_size(self._find(name))
 
     def source(self, name: str) -> Source:
-        """Return a picture that can be decoded.
-
-        Raises
-        ------
-        Refusal
-            As :meth:`size_of`.
-        """
+        """Return a picture that can be decoded."""
         self.size_of(name)
         return source_of(self.path_of(name), self.settings.pixels, name)
 
@@ -280,13 +245,7 @@ class Project:
                 self._listing.mark_unreadable(file, str(fault))
 
     def annotated(self) -> list[Annotated]:
-        """Return the done pictures, which have all their points, except those left out of training.
-
-        Raises
-        ------
-        Refusal
-            503 or 507 while a change of the template cannot be finished.
-        """
+        """Return the done pictures, which have all their points, except those left out of training."""
         with self._lock:
             self._changes.finish()
             self._listing.scan()
@@ -371,21 +330,13 @@ class Project:
             raise Refusal(404, f"the folder has no picture '{name[:200]}': reload the page")
         return file
 
-    # Landmarks ------------------------------------------------------------------------------------
-
     def landmarks(self, name: str) -> Landmarks | None:
         """Return the landmarks in a picture's file, complete or not, or None if no file can be read."""
         with self._lock:
             return self._landmarks.of(self._find(name)).landmarks
 
     def marks(self, name: str) -> dict[str, Any]:
-        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such picture, 409 if it cannot be used.
-        """
+        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
             self._changes.finish()
             return self._states.marks_json(self._find(name))
@@ -393,26 +344,10 @@ class Project:
     def save_marks(self, name: str, data: Any) -> dict[str, Any]:
         """Save the landmarks of a picture if its file has not changed since the page read it.
 
-        Parameters
-        ----------
-        name : str
-        data : dict
-            JSON with ``points``, ``invisible`` and the ``revision`` of the file. Optionally ``template``, the revision
-            of the template of the points, which is then checked. Optionally ``unchecked``, whether a picture without
-            points was left at the mean shape; it is then marked as not checked. Optionally ``who``, the name of the
-            person, for the log.
-
-        Returns
-        -------
-        dict
-            ``revision`` and ``picture``. Landmarks equal to those in the file are accepted with any revision, since an
-            earlier answer may have been lost.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such picture; 409 if the file or the template has changed, with ``current`` or
-            ``template``; 422 for invalid data; 503 or 507 if the disk refuses to write.
+        The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
+        ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
+        without points was left at the mean shape; and ``who``, the name of the person, for the log. Landmarks
+        equal to those in the file are accepted with any revision, since an earlier answer may have been lost.
         """
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
@@ -442,23 +377,10 @@ class Project:
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
     def review(self, data: Any) -> dict[str, Any]:
-        """Apply an action to several pictures.
+        """Apply an action to several pictures (:meth:`liaam.studio.review_actions.ReviewActions.apply`).
 
-        Parameters
-        ----------
-        data : dict
-            JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`, and optionally
-            ``who``.
-
-        Returns
-        -------
-        dict
-            See :meth:`liaam.studio.review_actions.ReviewActions.apply`.
-
-        Raises
-        ------
-        Refusal
-            404 if there is no such picture; 422 for invalid data; 503 or 507 if the disk refuses to write.
+        The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
+        and perhaps ``who``.
         """
         names = data.get("pictures") if isinstance(data, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -474,8 +396,6 @@ class Project:
         """Return the newest entries of a picture in the log."""
         with self._lock:
             return self._log.history(self._find(name).name)
-
-    # Template -------------------------------------------------------------------------------------
 
     @property
     def template(self) -> Template | None:
@@ -529,39 +449,17 @@ class Project:
             return self._templates.as_json()
 
     def save_template(self, data: Any) -> tuple[Template, bool]:
-        """Save a template and update the landmark files according to its ``mapping``.
+        """Save a template; return it, and whether points were added, removed or reordered, so that models are invalid.
 
-        Parameters
-        ----------
-        data : dict
-            JSON of the template. Optionally ``mapping``, the old index of each point or null for a new one, and
-            ``revision``, the revision of the template that is being changed.
-
-        Returns
-        -------
-        Template
-        bool
-            Whether points were added, removed or reordered. Earlier models are then invalid.
-
-        Raises
-        ------
-        Refusal
-            422 for an invalid template, or if the number of points changes without a mapping while pictures have
-            landmarks; 409 with ``template`` if ``revision`` is not the current one; 503 or 507 if the disk refuses to
-            write, in which case the change is finished later.
+        The data are JSON of the template; optionally ``mapping``, the old index of each point or null for a new
+        one, by which landmark files are updated, and ``revision``, that of the template that is being changed.
         """
         template = parse_template(data, self.settings.points)
         with self._lock:
             return template, self._changes.save(template, data)
 
     def read_template(self, name: str, data: bytes) -> Template:
-        """Create a template from the contents of a landmark file, without saving it.
-
-        Raises
-        ------
-        LandmarkError
-            If it cannot be read.
-        """
+        """Create a template from the contents of a landmark file, without saving it."""
         with self._lock:
             sizes = (self._listing.size_of(file) for file in self._listing.pictures)
             size = next((size for size in sizes if not isinstance(size, str)), (640, 480))
@@ -571,18 +469,10 @@ class Project:
             raise Refusal(422, f"{name} has {len(landmarks)} points, more than the {self.settings.points} allowed")
         return template_of(landmarks)
 
-    # Proposals ------------------------------------------------------------------------------------
-
     def add_proposals(self, proposals: Mapping[str, dict[str, Any]], order: str | None = None) -> None:
-        """Save landmarks proposed by a model.
+        """Save landmarks proposed by a model, by picture, unless they are for another :attr:`order` of points.
 
-        Parameters
-        ----------
-        proposals : dict of str to dict
-            Proposals by name of the picture, each with the ``tag`` of the picture that was fitted. The default is the
-            current tag.
-        order : str, optional
-            :attr:`order` of the model's points. Proposals for another order are dropped.
+        Each has the ``tag`` of the picture that was fitted; the default is the current tag.
         """
         with self._lock:
             if order in (None, self._templates.order):

@@ -65,15 +65,10 @@ class Unchecked:
 def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Order pictures by how useful their annotation is for training (active learning).
 
-    First come pictures in which the search is confident but the fit failed or has low confidence: the object looks
-    unlike those in the training pictures. Then pictures by decreasing uncertainty, the mean standard deviation of the
-    landmarks relative to the object's size. Last come pictures in which the search itself has low confidence: often the
-    object is occluded, cut off or missing, so that annotation takes long and helps little.
-
-    Parameters
-    ----------
-    proposals : dict of str to dict
-        Proposals by name of the picture, with ``found`` (whether the search is confident), ``ok`` and ``uncertainty``.
+    First come pictures in which the search is confident (``found``) but the fit failed (not ``ok``): the object
+    looks unlike those in the training pictures. Then pictures by decreasing ``uncertainty``. Last come pictures in
+    which the search itself has low confidence: often the object is occluded, cut off or missing, so that annotation
+    takes long and helps little.
     """
 
     def key(name: str) -> tuple[int, float]:

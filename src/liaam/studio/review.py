@@ -22,7 +22,7 @@ OPPOSITE = {
 }
 """Actions on pictures, and the actions that undo them."""
 
-ACTIONS = (*OPPOSITE, *OPPOSITE.values())
+ACTIONS = (*OPPOSITE, *OPPOSITE.values(), "accepted")
 
 LONGEST_NAME = 60
 SHOWN = 20
@@ -92,13 +92,7 @@ class ReviewLog:
 
 
 def parse_who(name: Any) -> str:
-    """Check the name of the person who works in the page; "" if it is not known.
-
-    Raises
-    ------
-    Refusal
-        422 if it is not valid.
-    """
+    """Check the name of the person who works in the page; "" if it is not known."""
     if name is None:
         return ""
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not name.isprintable():

@@ -1,4 +1,4 @@
-"""Actions on several pictures at once: mark as checked, discard proposals, leave out of training, delete landmarks.
+"""Actions on several pictures at once: accept or discard proposals, mark as checked, leave out of training, delete.
 
 Each action is written to the log before anything else changes, and has an opposite that undoes it. Deleted landmarks
 are kept in the store.
@@ -6,7 +6,7 @@ are kept in the store.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,9 @@ from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
 from liaam.studio.template_store import TemplateStore
 
+WRITING = ("accepted", "deleted", "undeleted")
+"""Actions that write landmark files."""
+
 
 @dataclass(frozen=True, eq=False)
 class ReviewActions:
@@ -36,18 +39,16 @@ class ReviewActions:
     def apply(self, files: list[File], did: str, who: str) -> dict[str, Any]:
         """Apply an action.
 
-        Returns
-        -------
-        dict
-            ``changed``, the names of the pictures that changed; ``refused``, reasons by name of the others; and
-            ``revisions`` of landmarks that were written, by name.
+        Return ``changed``, the names of the pictures that changed; ``refused``, reasons by name of the others;
+        and ``revisions`` of landmarks that were written, by name.
         """
         checks: dict[str, Callable[[File], str | None]] = {
+            "accepted": self._proposed,
             "checked": self._checked,
             "unchecked": self._unchecked,
             "left out": lambda file: self._flag(file, True),
             "taken in": lambda file: self._flag(file, False),
-            "discarded": self._discarded,
+            "discarded": self._proposed,
             "restored": self._restored,
             "deleted": self._deleted,
             "undeleted": self._undeleted,
@@ -63,13 +64,13 @@ class ReviewActions:
                 refused[file.name] = self.store.folder.plain(fault)
         if revisions:
             self.log.add(did, who, revisions)
-        written = [file for file in files if file.name in revisions] if did in ("deleted", "undeleted") else []
+        if did == "accepted" and revisions:
+            self.templates.keep()  # the first save fixes a template that was taken from a file or offered
+        written = [file for file in files if file.name in revisions] if did in WRITING else []
         for file in written:
-            self._write(file, revisions[file.name] if did == "undeleted" else None)
+            self._write(file, did, revisions[file.name])
         now = {file.name: self.landmarks.of(file).revision for file in written}
         return {"changed": list(revisions), "refused": refused, "revisions": now}
-
-    # Checks: each returns the revision of what is acted on, or raises a Refusal ----------------------------
 
     def _checked(self, file: File) -> str | None:
         if not self.states.is_done(file):
@@ -89,7 +90,7 @@ class ReviewActions:
         if (self.log.left_out_by(file.name) is not None) == on:
             raise Refusal(409, "left out of training already" if on else "not left out of training")
 
-    def _discarded(self, file: File) -> str | None:
+    def _proposed(self, file: File) -> str | None:
         proposal = self.states.proposal_of(file)
         if proposal is None or self.landmarks.of(file).n_placed:
             raise Refusal(409, "no proposed points")
@@ -121,17 +122,18 @@ class ReviewActions:
             raise Refusal(409, "the deleted landmarks belong to an earlier template")
         return revision
 
-    # Files ------------------------------------------------------------------------------------------------
-
-    def _write(self, file: File, revision: str | None) -> None:
-        """Write landmarks from a copy; remove them without one."""
+    def _write(self, file: File, did: str, revision: str | None) -> None:
+        """Write landmarks from the proposal or from a copy, or remove them."""
         template = self.templates.needed
-        if revision is None:
-            self.landmarks.save(file, template, [None] * len(template), ())
-            return
-        landmarks = self._copy_of(revision)
-        points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
-        self.landmarks.save(file, template, points, landmarks.invisible)
+        points: Sequence[Any] = [None] * len(template)
+        invisible: Sequence[int] = ()
+        if did == "accepted":
+            points = (self.states.proposal_of(file) or {})["points"]
+        elif did == "undeleted":
+            landmarks = self._copy_of(revision or "")
+            points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
+            invisible = landmarks.invisible
+        self.landmarks.save(file, template, points, invisible)
 
     def _copy_of(self, revision: str) -> Landmarks:
         """Return deleted landmarks; raise LandmarkError if they are gone."""

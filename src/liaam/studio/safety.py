@@ -47,7 +47,6 @@ class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
 
     Attributes
     ----------
-    status : int
     details : dict
         Further fields of the answer besides ``error``.
     """
@@ -191,13 +190,7 @@ class Crowd:
 
     @contextmanager
     def one(self, is_upload: bool) -> Iterator[Callable[[int], None]]:
-        """Admit a request until it is answered; yield a function to call with the size of each received part.
-
-        Raises
-        ------
-        Stopped
-            503 if there are too many concurrent uploads, or from the function if all requests hold too many bytes.
-        """
+        """Admit a request until it is answered; yield a function to call with the size of each received part."""
         if is_upload and self.uploads >= self.settings.uploads_at_once:
             raise Stopped(_busy())
         held = 0

@@ -165,13 +165,7 @@ def _protocol(header_seconds: float) -> Any:
 
 
 def open_port(host: str, port: int | None) -> socket.socket:
-    """Listen on a given port, or on the first free one.
-
-    Raises
-    ------
-    LiaamError
-        If the port is taken, or the address does not exist.
-    """
+    """Listen on a given port, or on the first free one."""
     if port is not None and not 0 <= port <= 65535:
         raise LiaamError(f"--port {port}: ports are 1 to 65535")
     tries = range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED) if port is None else (port,)

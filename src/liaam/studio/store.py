@@ -36,13 +36,7 @@ CREATE TABLE IF NOT EXISTS line (number INTEGER PRIMARY KEY, kind TEXT, json TEX
 class Store:
     """The studio's own files of a folder; thread-safe.
 
-    Attributes
-    ----------
-    folder : Folder
-    faults : dict of str to str
-        Messages about files of the studio that cannot be used, by file.
-    writes : int
-        Incremented with every write.
+    ``faults`` are messages about files that cannot be used; ``writes`` counts the writes.
     """
 
     def __init__(self, folder: Folder) -> None:
@@ -72,8 +66,6 @@ class Store:
                 self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
             return self._id
 
-    # Values ---------------------------------------------------------------------------------------
-
     def get(self, kind: str, name: str = "") -> Any:
         """Return a value, or None."""
         return self.all(kind, name).get(name)
@@ -86,13 +78,7 @@ class Store:
         return dict(self._read(query, arguments))
 
     def put(self, kind: str, values: Mapping[str, Any]) -> None:
-        """Set values by name; None removes one.
-
-        Raises
-        ------
-        Refusal
-            507 if the disk is full, 503 or 409 if the file cannot be written otherwise.
-        """
+        """Set values by name; None removes one."""
         with self.transaction() as connection:
             gone = [(kind, name) for name, value in values.items() if value is None]
             connection.executemany("DELETE FROM item WHERE kind = ? AND name = ?", gone)
@@ -195,16 +181,8 @@ class Store:
                 self._connection.close()
             self._connection = None
 
-    # Files ----------------------------------------------------------------------------------------
-
     def path(self, name: str) -> Path:
-        """Return the path of a file and create its folder.
-
-        Raises
-        ------
-        Refusal
-            409 if it is a link that leads out of the studio's subfolder.
-        """
+        """Return the path of a file and create its folder."""
         path = self._folder() / name
         if not real_path(path).is_relative_to(self.folder.root / STATE):
             raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
@@ -284,19 +262,8 @@ def _refused(fault: sqlite3.Error) -> Refusal:
 class FolderLock:
     """A lock on a folder: two studios would overwrite each other's landmark files.
 
-    The system releases it when this process ends for any reason.
-
-    Parameters
-    ----------
-    folder : Path
-        Path with links resolved.
-    address : str
-        Address of this studio, for the error message of a second one.
-
-    Raises
-    ------
-    LiaamError
-        If another studio holds the lock.
+    The system releases it when this process ends for any reason. The address is for the error message of a second
+    studio.
     """
 
     def __init__(self, folder: Path, address: str) -> None:

@@ -55,13 +55,7 @@ class Template:
 
 
 def parse_template(data: Any, most: int) -> Template:
-    """Parse and check a template from JSON.
-
-    Raises
-    ------
-    Refusal
-        422 if it is invalid.
-    """
+    """Parse and check a template from JSON."""
     if not isinstance(data, dict):
         raise Refusal(422, "the template is not an object: send names, contours, mirror and points")
     names = data.get("names")
@@ -86,13 +80,7 @@ def parse_template(data: Any, most: int) -> Template:
 
 
 def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
-    """Parse and check ``n`` points from JSON, [x, y] or null each.
-
-    Raises
-    ------
-    Refusal
-        422 if they are invalid.
-    """
+    """Parse and check ``n`` points from JSON, [x, y] or null each."""
     if not isinstance(data, list) or len(data) != n:
         count = len(data) if isinstance(data, list) else "no"
         raise Refusal(422, f"there are {count} points where the template has {n}: send one [x, y] or null for each")
@@ -100,13 +88,7 @@ def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
 
 
 def parse_indices(data: Any, n: int, what: str) -> list[int]:
-    """Check a list of unique point indices from 0 to ``n - 1``.
-
-    Raises
-    ------
-    Refusal
-        422 if it is invalid.
-    """
+    """Check a list of unique point indices from 0 to ``n - 1``."""
     valid = isinstance(data, list) and all(type(index) is int and 0 <= index < n for index in data)
     if not valid or len(set(data)) != len(data):
         raise Refusal(422, f"{what} is not valid: send a list of different whole numbers from 0 to {n - 1}")
@@ -144,9 +126,6 @@ def _mirror(data: Any, n: int) -> tuple[int, ...] | None:
     if len(twins) != n or any(twins[twins[i]] != i for i in range(n)):
         raise Refusal(422, "mirror does not pair the points: if b is the twin of a, a must be the twin of b")
     return tuple(twins)
-
-
-# From landmarks -----------------------------------------------------------------------------------
 
 
 def template_of(landmarks: Landmarks) -> Template:

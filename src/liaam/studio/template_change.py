@@ -40,14 +40,8 @@ class TemplateChanges:
 
         Parameters
         ----------
-        template : Template
         data : dict
             The request, with ``mapping`` and ``revision`` if known.
-
-        Raises
-        ------
-        Refusal
-            See :meth:`liaam.studio.project.Project.save_template`.
         """
         self.finish()
         self.listing.scan()
@@ -74,13 +68,7 @@ class TemplateChanges:
         return moved
 
     def finish(self) -> None:
-        """Finish a pending change.
-
-        Raises
-        ------
-        Refusal
-            503, or 507 if the disk is full: the change cannot be finished yet.
-        """
+        """Finish a pending change."""
         if not self.is_pending:
             return
         try:

@@ -19,17 +19,10 @@ _MOST = 10**6
 
 
 class TemplateStore:
-    """The current template and its revision.
+    """The current template, its revision, and its ``order``, which changes when points are added, removed or reordered.
 
-    Attributes
-    ----------
-    saved : Template or None
-    order : str
-        Value that changes when points are added, removed or reordered.
-    offered : Template or None
-        Template of a model, for a folder without any.
-    offered_by : str
-        Name of the model that comes with liaam, if that is it.
+    ``offered`` is the template of a model, for a folder without any, and ``offered_by`` its name if it comes with
+    liaam.
     """
 
     def __init__(self, listing: Listing, store: Store, landmarks: LandmarkFiles) -> None:
@@ -68,13 +61,7 @@ class TemplateStore:
 
     @property
     def needed(self) -> Template:
-        """The current template.
-
-        Raises
-        ------
-        Refusal
-            422 if there is no template.
-        """
+        """The current template."""
         template = self.current
         if template is None:
             raise Refusal(422, "there is no template yet: define which points to place, or load a landmark file")

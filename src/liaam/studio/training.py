@@ -40,16 +40,7 @@ class Training:
 
 
 class Trainer:
-    """Trains in a separate process, one training at a time.
-
-    Parameters
-    ----------
-    project : Project
-    models : ModelStore
-        Publishes each model as soon as it is trained.
-    publish : callable
-        Called with (kind, data) of every event, such as :meth:`liaam.studio.events.Events.publish`.
-    """
+    """Trains in a separate process, one training at a time, and publishes each model as soon as it is trained."""
 
     def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
         self.project = project
@@ -67,13 +58,7 @@ class Trainer:
         self._order = ""
 
     def start(self) -> Training:
-        """Train on the done pictures.
-
-        Raises
-        ------
-        Refusal
-            409 if a training is running, 422 if there are too few pictures.
-        """
+        """Train on the done pictures."""
         with self._lock:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
@@ -137,8 +122,6 @@ class Trainer:
             self.project.settings.proposals_at_once,
             choose_held_out([item.name for item in done], self.versions.held_out(order)),
         )
-
-    # Messages of the process ------------------------------------------------------------------
 
     def _listen(self, run: int, job: Job, pipe: Any, process: Any) -> None:
         """Handle the messages of a process until it ends."""

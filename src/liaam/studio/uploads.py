@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import secrets
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
-
-from starlette.requests import Request
 
 from liaam.errors import ImageError
 from liaam.io import decode_image, encoded_size, is_image, is_raw
@@ -38,15 +34,7 @@ class Upload:
 
 
 class Uploads:
-    """The newest dropped pictures; thread-safe.
-
-    Parameters
-    ----------
-    pictures : Pictures
-        Cache of decoded pictures.
-    settings : Settings, optional
-        Limits of number, bytes and pixels.
-    """
+    """The newest dropped pictures, up to limits of number, bytes and pixels; thread-safe."""
 
     def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
         self._pictures = pictures
@@ -60,14 +48,7 @@ class Uploads:
         return len(self._uploads)
 
     def add(self, data: bytes, name: str) -> Upload:
-        """Check, decode and keep a picture.
-
-        Raises
-        ------
-        Refusal
-            413 for too many bytes or pixels, 415 for an unsupported format, 422 for an empty, damaged or too small
-            picture.
-        """
+        """Check, decode and keep a picture."""
         name = plain_name(name)
         width, height = self._checked(data, name)
         try:
@@ -92,13 +73,7 @@ class Uploads:
         return len(self._uploads) > limits.uploads_kept or (len(self._uploads) > 1 and n_bytes > limits.uploads_bytes)
 
     def get(self, number: str) -> Upload:
-        """Return the upload with an id.
-
-        Raises
-        ------
-        Refusal
-            404 if it is no longer in memory.
-        """
+        """Return the upload with an id."""
         with self._lock:
             upload = self._uploads.get(number)
         if upload is None:
@@ -151,45 +126,3 @@ def plain_name(name: str) -> str:
     last = name.replace("\\", "/").rpartition("/")[2]
     shown = "".join(letter if letter.isprintable() else " " for letter in last).strip()
     return shown[-LONGEST_NAME:] or "picture"
-
-
-async def read_body(request: Request, limit: int) -> bytes:
-    """Read the body of a request.
-
-    Raises
-    ------
-    Refusal
-        413 if it has more than ``limit`` bytes.
-    """
-    parts, size = [], 0
-    async for part in request.stream():
-        size += len(part)
-        if size > limit:
-            raise Refusal(413, f"the file is larger than {limit:,} bytes: make it smaller")
-        parts.append(part)
-    return b"".join(parts)
-
-
-async def read_json(request: Request, limit: int) -> Any:
-    """Read the body of a request as JSON.
-
-    Raises
-    ------
-    Refusal
-        415 for another media type, 413 if it has more than ``limit`` bytes, 400 if it is not JSON.
-    """
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind != "application/json":
-        raise Refusal(415, f"the request is of type '{kind[:50]}': send application/json")
-    body = await read_body(request, limit)
-    try:
-        content = json.loads(body, parse_constant=_no_number)
-        if b"\\u" in body:  # raises for half of a surrogate pair, which cannot be encoded
-            json.dumps(content, ensure_ascii=False).encode()
-        return content
-    except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
-        raise Refusal(400, f"the request is not JSON ({str(fault)[:100]})") from fault
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is not a JSON number")

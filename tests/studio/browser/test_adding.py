@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from people import annotate, shoot, wait_for, wait_for_state
+from people import annotate, shoot, violations, wait_for, wait_for_state
+from test_layout import CLIPPED
 
 from liaam import datasets
 from liaam.io import Landmarks, read_image, write_image, write_landmarks
@@ -145,11 +146,37 @@ def test_faces_are_fitted_as_they_arrive_worst_first(serve, page, empty, faces, 
     assert page.evaluate("() => window.liaamStudio.state.project.template") is None
 
 
-def test_a_new_picture_is_fitted_as_soon_as_it_lies_in_the_folder(serve, page, folder, portrait_model, portraits):
+def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_model, portraits, artefacts):
+    page.add_init_script("localStorage.setItem('liaam-studio:auto-train', 'off')")
     page.goto(serve(folder, "--model", str(portrait_model)).address)
     wait_for_state(page, "portrait-12.png", "proposed")
-    write_image(folder / "new.png", portraits[0].image)
+    write_image(folder / "new.png", portraits[0].image)  # fitted as soon as it lies in the folder
     wait_for_state(page, "new.png", "proposed")
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    page.keyboard.press("g")
+    wait_for(page, "() => document.querySelectorAll('.wall-points').length === 13")
+    assert page.locator(".stage:visible").count() == 0
+    shoot(page, artefacts, "43-wall")
+    assert page.evaluate(CLIPPED) == [] and violations(page) == {}
+    qualities = sorted((picture["quality"], picture["name"]) for picture in pictures_of(page))
+    level = page.locator("[data-testid=wall-level]")
+    level.fill(str(int(100 * qualities[6][0])))
+    sure = [name for quality, name in qualities if quality >= float(level.input_value()) / 100]
+    page.locator("[data-testid=wall-accept]").click()
+    page.locator(".toast", has_text=f"Points of {len(sure)} pictures accepted").wait_for()
+    for name in sure:
+        wait_for_state(page, name, "done")
+    assert sum(picture["state"] == "done" for picture in pictures_of(page)) == len(sure)
+    page.locator("[data-testid=bulk-undo]").click()
+    wait_for_state(page, sure[0], "proposed")
+    page.keyboard.press("ArrowDown")  # a row further
+    page.keyboard.press("Enter")
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    page.keyboard.press("w")
+    wait_for(page, "name => window.liaamStudio.annotate.name() === name", qualities[0][1])
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    page.keyboard.press("Enter")  # then the next worst
+    wait_for(page, "name => window.liaamStudio.annotate.name() === name", qualities[1][1])
 
 
 def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, folder, portraits, artefacts):

@@ -1,4 +1,4 @@
-"""Begin without annotating: generated heads, a dropped model, and lamps, in a real browser."""
+"""Begin without annotating: the first screen, a dropped model, and lamps, in a real browser."""
 
 import base64
 import json
@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 from people import shoot, wait_for
-from test_fit_tab import PIXEL, dropped, hook, wait_for_layer
+from test_fit_tab import PIXEL, dropped, hook
 from test_layout import CLIPPED, SIZES
 
 from liaam.io import write_image
@@ -24,10 +24,6 @@ DROP_ANYWHERE = """([data, name]) => {
 RELIT = """() => window.liaamStudio.fit.view === "relit" && window.liaamStudio.fit.hasLayer
   && !window.liaamStudio.fit.relightBusy"""
 
-
-MIDDLES = """() => [...document.querySelectorAll("#tab-fit .fit-empty > *, #tab-fit .invitation > *")]
-  .filter((each) => each.checkVisibility())
-  .map((each) => each.getBoundingClientRect()).map(({ left, right }) => (left + right) / 2)"""
 
 BLANK = """() => [...document.querySelectorAll("#tab-fit .panel, #tab-fit .fit-bar")]
   .filter((each) => each.checkVisibility() && !each.innerText.trim()).map((each) => each.outerHTML)"""
@@ -55,38 +51,39 @@ def model_of(page) -> dict | None:
     return page.evaluate("() => window.liaamStudio.state.project.model")
 
 
-def fit_a_head(page, number: int) -> None:
-    """Click a generated head, and wait until it is shown without its shading."""
-    page.locator(f"[data-testid=head-{number}]:visible").click()
-    wait_for(page, "name => window.liaamStudio.fit.fit && document.body.innerText.includes(name)", f"head-{number}.jpg")
-    wait_for_layer(page, "flat")
+SIDES = """() => {
+  const { canvas } = window.liaamStudio.first;
+  const ctx = canvas.getContext("2d");
+  const brightness = (x) => ctx.getImageData(x, 280, 40, 60).data.reduce((sum, value) => sum + value);
+  return [brightness(230), brightness(370)];
+}"""
+"""Brightness of either cheek."""
 
 
-def test_a_newcomer_sees_the_light_come_off_with_one_click(serve, page, empty, artefacts):
-    page.goto(serve(empty).address)
-    page.locator("[data-testid=tab-fit]").click()
-    page.locator("[data-testid=head-6]:visible").wait_for()
-    shoot(page, artefacts, "29-nothing-to-fit")
-    middles = page.evaluate(MIDDLES)
-    assert np.ptp(middles) < 1, middles
-    assert page.evaluate(BLANK) == []
-    fit_a_head(page, 2)
-    fit = hook(page, "fit")
-    assert fit["ok"]
-    assert fit["quality"] > 0.8
-    assert hook(page, "view") == "flat"
-    # The picture is on the left of the divider, and its flat appearance on the right.
-    assert page.locator("[data-testid=divider]").is_visible()
-    assert page.locator("[data-testid=fit-split]").get_attribute("aria-pressed") == "true"
-    page.locator("[data-testid=tab-annotate]").wait_for(state="hidden")
-    assert "Nothing is trained" in page.locator("[data-testid=guest]").inner_text()
-    fit_a_head(page, 6)  # another, in the panel
+def test_the_first_screen_is_a_face_whose_light_follows_the_pointer(serve, page, empty, artefacts):
+    page.goto(serve(empty, face=True).address)
+    wait_for(page, "() => window.liaamStudio.first?.frames > 0")
+    shoot(page, artefacts, "29-first")
+    assert page.locator(".side:visible, .toolbar:visible, .strip:visible").count() == 0
+    box = page.locator("[data-testid=first-picture]").bounding_box()
+    ratios = []
+    for x in (0.1, 0.9):
+        frames = page.evaluate("() => window.liaamStudio.first.frames")
+        page.mouse.move(box["x"] + x * box["width"], box["y"] + 0.4 * box["height"])
+        wait_for(page, "frames => window.liaamStudio.first.moved && window.liaamStudio.first.frames > frames", frames)
+        left, right = page.evaluate(SIDES)
+        ratios.append(left / right)
+    assert ratios[0] > 1.3 > 1 / 1.3 > ratios[1]
+    page.locator("[data-testid=first-lamp]").press("Home")
+    assert "from the front" in page.locator("[data-testid=first-lamp]").get_attribute("aria-valuetext")
+    wait_for(page, "() => window.liaamStudio.state.project.model?.source === 'face'")  # fits at once
+    page.locator("[data-testid=first-fit]").click()
+    wait_for(page, RELIT)
+    assert hook(page, "fit.quality") > 0.9
     assert list(empty.glob("[!.]*")) == []
-    page.locator("[data-testid=leave-guest]").click()
-    page.locator("[data-testid=tab-annotate][aria-selected=true]").wait_for()
-    assert model_of(page) is None
-    assert page.locator("[data-testid=head-1]:visible").count() == 1
-    assert page.locator(".viewer-zoom:visible").count() == 0  # it would cover the heads on a phone
+    page.locator("[data-testid=tab-annotate]").click()
+    page.locator("[data-testid=first-camera]").click()
+    page.locator("[data-testid=tab-live][aria-selected=true]").wait_for()
 
 
 def test_a_dropped_model_fits_pictures_without_a_template(serve, page, folder, model_bytes, artefacts):
@@ -209,8 +206,8 @@ def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, 
     )
     page = context.new_page()
     page.set_default_timeout(20_000)
-    page.goto(serve(empty).address)
-    page.locator("[data-testid=head-6]:visible").wait_for()
+    page.goto(serve(empty, face=True).address)
+    page.locator("[data-testid=first-fit]:visible").wait_for()
 
     def check(name: str) -> None:
         shoot(page, artefacts, f"{size[0]}-{theme}-{name}")
@@ -219,9 +216,10 @@ def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, 
         assert not found, json.dumps({each["id"]: [node["html"] for node in each["nodes"]] for each in found})
 
     check("first")
-    fit_a_head(page, 4)
-    check("head")
-    page.locator("[data-testid=layer-relit]").click()
+    wait_for(page, "() => window.liaamStudio.state.project.model")
+    page.locator("[data-testid=first-fit]").click()
+    wait_for(page, RELIT)
+    check("face")
     page.locator("[data-testid=light-presets]").select_option("Two colours")
     wait_for(page, RELIT)
     check("lamps")

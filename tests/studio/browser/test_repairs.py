@@ -1,9 +1,10 @@
 """What must stay right: labels, messages, fixed targets, undo, Escape, Back, reloads, and small screens."""
 
+from pathlib import Path
+
 import pytest
 from people import NAMES, annotate, client, shoot, wait_for, wait_for_state
 from test_adding import READY
-from test_begin import fit_a_head
 
 from liaam.io import Landmarks, write_landmarks
 
@@ -129,19 +130,18 @@ def test_a_picture_that_is_deleted_says_so(small, marked):
     small.locator(".toast", has_text="portrait-01.png is no longer in the folder").wait_for()
 
 
-def test_a_reload_keeps_the_head(serve, page, tmp_path):
-    (tmp_path / "empty").mkdir()
-    page.goto(serve(tmp_path / "empty").address)
-    page.locator("[data-testid=head-2]:visible").wait_for()
-    fit_a_head(page, 2)
-    page.reload()
-    wait_for(page, "() => window.liaamStudio.fit?.fit?.ok && document.body.innerText.includes('head-2.jpg')")
-
-
 def test_after_the_last_picture_the_page_leads_on(small, artefacts):
-    for name in ("review", "export", "fit", "live"):
+    for name in ("review", "measure", "export", "fit", "live"):
         assert small.locator(f"[data-testid=then-{name}]").is_visible()
     shoot(small, artefacts, "51-all-done")
+    small.locator("[data-testid=then-measure]").click()
+    small.locator("[data-testid=measures]").fill("distance:1-2 angle:1-2-3")
+    small.locator("[data-testid=measure-scale]").fill("1-3=5")
+    with small.expect_download() as download:
+        small.locator("[data-testid=measure-save]").click()
+    table = Path(download.value.path()).read_text().splitlines()
+    assert table[0].startswith("specimen,") and "angle_1_2_3" in table[0]
+    assert len(table) == 4
     small.locator("[data-testid=then-review]").click()
     assert small.locator("[data-testid=strip-filter]").input_value() == "review"
     small.locator("[data-testid=then-live]").click()

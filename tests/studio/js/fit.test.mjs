@@ -429,6 +429,8 @@ test("a fit that failed or is doubtful says what to do", () => {
   const failed = verdictOf(fit({ ok: false, status: "diverged" }));
   assert.equal(failed.kind, "bad");
   assert.match(failed.advice, /mean shape/);
+  assert.match(verdictOf(fit({ n_found: 3 })).advice, /^2 more objects in the picture/);
+  assert.equal(verdictOf(fit({ n_found: 1 })).advice, "");
   assert.equal(verdictOf(fit({ found: null })).kind, "good");
   assert.equal(verdictOf(fit()).title, "converged, quality 93 %");
   assert.equal(verdictOf(fit({ quality: 0.6 })).kind, "warn");

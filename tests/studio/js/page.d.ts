@@ -123,6 +123,8 @@ interface App {
   /** Bringing files in. */
   adding: any;
   guest(): boolean;
+  /** Indices of the selected points of the open picture. */
+  selection(): number[];
   showsPictures(): boolean;
   pictures: import("../../../src/liaam/studio/static/js/picture-store.js").PictureStore;
   /** The picture to fit and the fits, shared by the tabs Fit and Compare. */

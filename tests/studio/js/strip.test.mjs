@@ -7,7 +7,8 @@ import { namesFor, summary } from "./modules/adding.js";
 import { outcome } from "./modules/bulk.js";
 import { percent } from "./modules/annotate-words.js";
 import { accuracyText, sentence } from "./modules/review.js";
-import { between, describe, FILTERS, foldersOf, matching } from "./modules/strip-filters.js";
+import { between, describe, FILTERS, foldersOf, matching, openIn } from "./modules/strip-filters.js";
+import { acceptable } from "./modules/wall.js";
 
 const PICTURES = [
   { name: "a/1.png", state: "done", checked: "Ann" },
@@ -84,4 +85,15 @@ test("history and accuracy are said", () => {
   const versions = [{ error: 0.04, held_out: 1, same: false }, { error: 0.02, held_out: 2, same: true }];
   assert.match(accuracyText(versions), /median of 2 pictures held out.*Pale/);
   assert.doesNotMatch(accuracyText(versions.slice(1)), /Pale/);
+});
+
+test("the wall accepts sure proposals, and opens slips and what is not done", () => {
+  const made = (name, state, more = {}) => ({ name, state, doubtful: false, quality: null, slip: null, ...more });
+  const all = [
+    made("slip", "done", { slip: "?" }), made("doubtful", "proposed", { quality: 0.95, doubtful: true }),
+    made("low", "proposed", { quality: 0.8 }), made("sure", "proposed", { quality: 0.9 }), made("done", "done"),
+    made("broken", "broken"), made("reading", "reading"),
+  ];
+  assert.deepEqual(acceptable(all, 0.9), ["sure"]);
+  assert.deepEqual(openIn(all).map(({ name }) => name), ["slip", "doubtful", "low", "sure"]);
 });

@@ -3,9 +3,9 @@
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { openModel } from "./fit-only.js";
-import { takeWork } from "./handover.js";
+import { takeWork } from "./unsaved.js";
 import { baseOf } from "./strip-filters.js";
-import { toast } from "./ui.js";
+import { h, icon, isTyping, toast } from "./ui.js";
 
 const AT_ONCE = 4; // files sent at a time
 const SHOWN = 3; // reasons in the summary
@@ -17,7 +17,7 @@ const stemOf = (path) => path.slice(0, path.length - suffixOf(path).length);
 const isVideo = ({ file, path }, { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
 
 /** All files of a drop with their paths: [{file, path}]; folders are opened. */
-export async function filesIn(transfer) {
+async function filesIn(transfer) {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
   if (!entries.some(({ isDirectory }) => isDirectory)) return [...transfer.files].map((file) => ({ file, path: file.name }));
   const found = [];
@@ -136,4 +136,38 @@ export function createAdding(app) {
   }
 
   return { take, choose };
+}
+
+const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+
+/** take([{file, path}]): files were dropped or pasted. */
+export function acceptFiles(take) {
+  const takeAll = (transfer) => filesIn(transfer).then(take).catch((error) => toast(error, "bad"));
+  let depth = 0; // number of nested elements under a drag
+  const words = h("p", icon("upload", 28), "Drop pictures, folders, landmark files, a model or a video");
+  const overlay = h("div.dropping", { hidden: true, "aria-hidden": "true" }, words);
+  document.body.append(overlay);
+  const enter = (now) => {
+    depth = Math.max(0, now);
+    overlay.hidden = depth === 0;
+  };
+  addEventListener("dragenter", (event) => carriesFiles(event) && enter(depth + 1));
+  addEventListener("dragleave", (event) => carriesFiles(event) && enter(depth - 1));
+  addEventListener("dragover", (event) => {
+    if (!carriesFiles(event)) return;
+    event.preventDefault();
+    event.dataTransfer.dropEffect = "copy";
+  });
+  addEventListener("drop", (event) => {
+    if (!carriesFiles(event)) return;
+    event.preventDefault();
+    enter(0);
+    takeAll(event.dataTransfer);
+  });
+  addEventListener("paste", (event) => {
+    const files = event.clipboardData?.files;
+    if (!files?.length || isTyping(event)) return;
+    event.preventDefault();
+    takeAll(event.clipboardData);
+  });
 }

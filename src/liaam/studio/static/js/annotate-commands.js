@@ -1,7 +1,7 @@
 // Commands of the Annotate tab's buttons and keys.
 
 import { called, missingText, several, UNTOUCHED } from "./annotate-words.js";
-import { allDone, nextToTeach, unfinished } from "./assist.js";
+import { allDone, nextOf, unfinished } from "./assist.js";
 import { placed } from "./points.js";
 
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
@@ -45,7 +45,7 @@ export function createCommands(tab) {
     closeWarning();
     // The states of the pictures that are being saved are out of date.
     const known = state.pictures.filter((picture) => picture.name === name || !saver.isDirty(picture.name));
-    const next = nextToTeach(known, name);
+    const next = nextOf(state, known);
     if (next) {
       state.select(next.name);
       tab.focus();

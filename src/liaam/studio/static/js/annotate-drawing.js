@@ -5,21 +5,27 @@ import {
   COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText,
 } from "./drawing.js";
 import { drawEllipses } from "./overlays.js";
-import { indicesOf } from "./points.js";
+import { bounds, indicesOf } from "./points.js";
 
-const MANY = 150; // more points than these are drawn smaller
+const CLOSE = 24; // css pixels between points from which on there is room for ellipses and for points of full size
 const NAMED = 6; // the names of up to so many selected points are shown
+
+/** How far points lie apart on the screen, were they spread evenly. */
+function spacing(viewer, points) {
+  const [x0, y0, x1, y1] = bounds(points) ?? [0, 0, 0, 0];
+  return viewer.scale * Math.sqrt(((x1 - x0) * (y1 - y0)) / Math.max(points.length, 1)) || CLOSE;
+}
 
 /** Draw the marks of a picture; show: {names, contours, ellipses}. */
 export function drawMarking(ctx, viewer, tool, marking, show) {
   const { points, suggested, selection, active, invisible, names } = marking;
-  if (marking.state.source === "proposal" && show.ellipses) {
+  const room = spacing(viewer, points) / CLOSE;
+  if (marking.state.source === "proposal" && show.ellipses && room > 1) {
     drawEllipses(ctx, viewer, points, marking.book.covariances, { colour: COLOURS.proposed, width: 1.1 });
   }
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
-  drawMarks(ctx, viewer, {
-    points, invisible, selection, active, hovered: tool.hovered, suggested, radius: points.length > MANY ? 3 : 4,
-  });
+  const radius = Math.min(4, Math.max(1.8, 4 * room));
+  drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested, radius });
   if (!tool.gesture) drawFrame(ctx, viewer, points, marking.framed());
   const few = selection.size <= NAMED ? [...selection] : [];
   const named = show.names ? indicesOf(points) : [...new Set([...few, tool.hovered].filter((i) => i >= 0))];

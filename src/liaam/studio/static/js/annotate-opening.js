@@ -1,10 +1,10 @@
 // Opening pictures in the Annotate tab: fetches them with their marks from the server or from an earlier page.
 
 import { FirstMarks } from "./first-marks.js";
-import { invitation } from "./fit-only.js";
+import { createFirstScreen } from "./first-screen.js";
 import { History } from "./history.js";
 import { nextMissing, sameMarks } from "./points.js";
-import { button } from "./ui.js";
+import { h, icon } from "./ui.js";
 
 /** begins() -> the start of pictures without points, "layout" or "click".
  *  @param {import("./annotate.js").AnnotateTab} tab */
@@ -13,7 +13,7 @@ export function createOpening(tab, begins) {
   const fetchMarks = (name) => tab.saving.fetchMarks(name);
   const first = new FirstMarks({ state, fetchMarks, begins });
   const books = new Map(); // name -> book of a picture that was opened on this page
-  let heads = null; // the invitation to try the studio
+  let begin = null; // the first screen
   let turn = 0; // incremented with each picture, to drop late answers
 
   async function open(name) {
@@ -56,18 +56,13 @@ export function createOpening(tab, begins) {
   function whyNot(name) {
     const picture = state.picture(name);
     if (!name || !picture) {
-      const add = button("Add pictures…", { icon: "plus", kind: "primary", testid: "add-first", onclick: tab.app.adding.choose });
-      const text = "Drop pictures, folders and landmark files here. They are copied into "
-        + `${state.project.folder} and stay on this machine.`;
-      return { icon: "folder", title: "No pictures yet", text, action: add, more: invited() };
+      if (!state.project.pictures.length) return { instead: (begin ??= createFirstScreen(tab.app)) };
+      return { icon: "folder", title: "No picture is open", text: "Select one in the list." };
     }
     if (picture.state !== "broken") return null;
     const text = picture.error ?? "It cannot be read: replace the file.";
     return { icon: "warning", title: `${name} cannot be used`, text };
   }
-
-  /** Generated heads to try the studio on, in a folder without pictures. */
-  const invited = () => (state.project.pictures.length ? null : (heads ??= invitation(tab.app)));
 
   function showInstead(message) {
     cover.show(message);
@@ -169,4 +164,21 @@ export function createOpening(tab, begins) {
   }
 
   return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
+}
+
+/** A message in place of a picture that cannot be shown: an icon, a title and a remedy. */
+export class Cover {
+  element = h("div.annotate-cover", { hidden: true });
+
+  get isShown() { return !this.element.hidden; }
+
+  /** instead: an element to show, if it is no message. */
+  show({ icon: name, title, text, instead = null }) {
+    this.element.hidden = false;
+    this.element.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
+  }
+
+  hide() {
+    this.element.hidden = true;
+  }
 }

@@ -4,13 +4,12 @@
 import { createCommands } from "./annotate-commands.js";
 import { drawGesture, drawMarking } from "./annotate-drawing.js";
 import { createKeys, SHORTCUTS } from "./annotate-keys.js";
-import { createOpening } from "./annotate-opening.js";
+import { Cover, createOpening } from "./annotate-opening.js";
 import { createSaving } from "./annotate-saving.js";
 import { createTemplates } from "./annotate-template.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
 import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
 import { createAssist } from "./assist.js";
-import { Cover } from "./cover.js";
 import { drawHint, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
@@ -36,6 +35,7 @@ export class AnnotateTab {
   constructor(root, app) {
     this.app = app;
     this.state = app.state;
+    app.selection = () => [...this.marking.selection];
     this.makePage();
     this.makeParts();
     root.classList.add("annotate");

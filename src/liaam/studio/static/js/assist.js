@@ -1,6 +1,8 @@
 // The model's help: training in the background, and the choice of the next picture.
 
 import { percent, several } from "./annotate-words.js";
+import { measureAll } from "./measure.js";
+import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon } from "./ui.js";
 
 const LEAST = 3; // pictures needed for training
@@ -47,6 +49,14 @@ export function unfinished({ pictures, model }) {
 
 /** That all pictures of a subfolder, or all of them, are done. */
 export const allDone = (folder) => (folder ? `All pictures of ${folder} are done.` : "All pictures are done.");
+
+/** The next picture to open: the worst other one if the list is sorted by quality, or else nextToTeach. */
+export function nextOf(state, pictures) {
+  if (!state.worstFirst) return nextToTeach(pictures, state.current);
+  const known = new Set(pictures.map(({ name }) => name));
+  const listed = state.order.filter((name) => known.has(name) && name !== state.current);
+  return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
+}
 
 /** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are
  *  done. */
@@ -152,7 +162,7 @@ export function createAssist({ app, accept, skip, confirm }) {
   const end = h("div.column.assist-end", { hidden: true },
     h("p", icon("check"), " All pictures are done. What next?"),
     h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
-      go("Export", "export", () => openList("[data-testid=export-all]")),
+      go("Measure", "measure", () => measureAll(app)), go("Export", "export", () => openList("[data-testid=export-all]")),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
   const offered = h("p.small.muted", { hidden: true },
@@ -265,7 +275,7 @@ export function createAssist({ app, accept, skip, confirm }) {
 
   function explain({ pictures, model, training }, done) {
     const here = state.picture();
-    const then = nextToTeach(state.pictures, state.current);
+    const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
     const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? (here?.slip ? `Possible slip: ${here.slip}.` : ""));

@@ -7,6 +7,7 @@ import { myName } from "./who.js";
 /** By name in the server's log: the label, what was done to so many pictures, and the action that undoes it. */
 const ACTIONS = {
   checked: { label: "Mark as checked", done: (of) => `${of} marked as checked`, undo: "unchecked" },
+  accepted: { label: "Accept proposed points", done: (of) => `Points of ${of} accepted`, undo: "deleted" },
   unchecked: { label: "Mark as not checked", done: (of) => `${of} marked as not checked`, undo: "checked" },
   discarded: { label: "Discard proposed points", done: (of) => `Proposed points of ${of} discarded`, undo: "restored" },
   "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
@@ -36,11 +37,14 @@ export async function act({ state, api, toast }, did, names) {
   return answer.changed;
 }
 
-/** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection. */
-export function createBulk({ app, chosen, onall, onend }) {
+/** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection; ondone(): an action
+ *  was applied. */
+export function createBulk({ app, chosen, onall, onend, ondone }) {
   let last = null; // {did, names} to undo
   const count = h("span.small.grow", { "aria-live": "polite" });
-  const choice = menu("Action…", labelsOf(ACTIONS), (did) => run(did, chosen()), {
+  const choice = menu("Action…", labelsOf(ACTIONS), async (did) => {
+    if (did !== "deleted" || (await mayDelete(chosen()))) run(did, chosen());
+  }, {
     "aria-label": "Action on the selected pictures", testid: "bulk-action",
   });
   const undo = iconButton("Undo", "undo", () => run(ACTIONS[last.did].undo, last.names), {
@@ -59,8 +63,8 @@ export function createBulk({ app, chosen, onall, onend }) {
   }
 
   async function run(did, names) {
-    if (did === "deleted" && !(await mayDelete(names))) return;
     const changed = await act(app, did, names);
+    ondone();
     if (!changed.length) return;
     last = { did, names: changed };
     undo.disabled = false;
@@ -72,5 +76,5 @@ export function createBulk({ app, chosen, onall, onend }) {
     count.textContent = `${chosen().length} selected`;
     choice.disabled = !chosen().length;
   };
-  return { element, show };
+  return { element, run, show };
 }

@@ -1,5 +1,6 @@
 // Requests for fits, their cache, and texts about their results.
 
+import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 
 /** Number of cached fits, so that an earlier picture shows its fit at once. The server keeps 64. */
@@ -97,7 +98,9 @@ export function verdictOf(fit) {
     const advice = "The search may not have found the object. If the points are wrong, draw a box around it:";
     return { kind: "warn", title: `${title}, search uncertain`, advice, isSure };
   }
-  if (isSure) return { kind: isUnknown ? "warn" : "good", title, advice: "", isSure };
+  const more = (fit.n_found ?? 1) - 1;
+  const others = more > 0 ? `${several(more, "more object")} in the picture. To choose another, draw a box around it:` : "";
+  if (isSure) return { kind: isUnknown ? "warn" : "good", title, advice: others, isSure };
   return { kind: "warn", title, advice: "Check the points. If they are wrong, draw a box around the object:", isSure };
 }
 

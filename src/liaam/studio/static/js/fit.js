@@ -5,9 +5,8 @@ import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { hooksOf } from "./fit-hooks.js";
 import { Iterations } from "./fit-iterations.js";
 import { EmptyStage, GuestPanel, isGuest } from "./fit-only.js";
-import { ResultPanel } from "./fit-result.js";
 import { afterPaint } from "./fit-schedule.js";
-import { SetupPanel } from "./fit-setup.js";
+import { ResultPanel, SetupPanel } from "./fit-setup.js";
 import { BoxTool, MeanTool } from "./fit-start.js";
 import { FitView } from "./fit-view.js";
 import { fileField, h, isPlain } from "./ui.js";
@@ -288,6 +287,6 @@ class FitTab {
     for (const panel of this._ofFits) panel.hidden = !model;
     this.view.container.classList.toggle("without", !source);
     this.view.bar.hidden = !source;
-    this._empty.show(!source, this.visible && !model);
+    this._empty.show(!source);
   }
 }

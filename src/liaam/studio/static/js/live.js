@@ -25,7 +25,7 @@ class LiveTab {
     this.app = app;
     this.source = new LiveSource((time) => this._frame(time));
     this.view = new LiveView(root, app, {
-      camera: () => this._start(() => this.source.openCamera()), file: (file) => this.show({ file }),
+      camera: () => this.show({ camera: true }), file: (file) => this.show({ file }),
       stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
       flat: () => this._switchFlat(), record: () => this._record(),
       save: () => saveFile(new Blob([this.track.csv()], { type: "text/csv" }), `${this.source.name}_track.csv`),
@@ -47,9 +47,10 @@ class LiveTab {
     };
   }
 
-  /** @param {{file?: File}} options file: a video to follow */
-  show({ file } = {}) {
-    if (file) this._start(() => this.source.openFile(file));
+  /** @param {{file?: File, camera?: boolean}} options file: a video to follow; camera: whether to follow that */
+  show({ file, camera } = {}) {
+    if (camera) this._start(() => this.source.openCamera());
+    else if (file) this._start(() => this.source.openFile(file));
     else if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
   }
 

@@ -2,12 +2,11 @@
 
 import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
-import { createAdding } from "./adding.js";
-import { acceptFiles } from "./drops.js";
-import { isGuest, reopenHead } from "./fit-only.js";
+import { acceptFiles, createAdding } from "./adding.js";
+import { isGuest } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
 import { Sources } from "./fit-source.js";
-import { unsavedWork } from "./handover.js";
+import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
 import { PictureStore } from "./picture-store.js";
 import { State } from "./state.js";
@@ -30,6 +29,7 @@ const COMMON_KEYS = [
   { keys: "Wheel", what: "Zoom at the pointer" },
   { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
+  { keys: "G W", what: "Wall of all pictures; open the worst of them" },
   { keys: "?", what: "Show these keys" },
 ];
 
@@ -45,7 +45,7 @@ const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
   /** Whether the open tab shows a picture that is not in the folder. */
   showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
-  fits: new FitStore(state), adding: null,
+  fits: new FitStore(state), adding: null, selection: () => [],
 };
 app.adding = createAdding(app);
 
@@ -77,7 +77,6 @@ async function start() {
   acceptFiles(app.adding.take);
   if (!open) openTab(wanted ?? tabIn(location.search) ?? "annotate");
   opened();
-  reopenHead(app);
   addEventListener("popstate", () => {
     const name = nameIn(location.hash);
     openTab(tabIn(location.search) ?? "annotate");
@@ -127,6 +126,7 @@ async function load(name, root) {
 }
 
 function openTab(name, options = {}) {
+  state.wall?.open(false);
   if (!tabs.size) {
     wanted = name;
     return;
@@ -163,6 +163,8 @@ function commonKey(key) {
   if (key === "?") showKeys();
   else if (tab) openTab(tab.name);
   else if (panels) window.liaamPanels(panels);
+  else if (key === "g") state.wall.open(!state.wall.on);
+  else if (key === "w") state.wall.openWorst();
   else if (key === "[" || key === "PageUp") state.step(-1);
   else if (key === "]" || key === "PageDown") state.step(1);
   else return false;

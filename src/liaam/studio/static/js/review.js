@@ -2,15 +2,16 @@
 
 import { percent } from "./annotate-words.js";
 import { act } from "./bulk.js";
+import { measureAll } from "./measure.js";
 import { button, h, menu, saveFile } from "./ui.js";
 import { askName, whoAmI } from "./who.js";
 
 const DID = {
-  placed: "placed points", cleared: "removed all points", checked: "checked it", unchecked: "withdrew the check",
+  placed: "placed points", accepted: "accepted proposed points", cleared: "removed all points", checked: "checked it", unchecked: "withdrew the check",
   "left out": "left it out of training", "taken in": "took it into training", discarded: "discarded proposed points",
   restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
 };
-const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)" };
+const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", measure: "Measurements (.csv)…" };
 
 export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
 
@@ -37,7 +38,8 @@ export function createReview(app) {
   const name = button("", {
     small: true, kind: "ghost", title: "Your name in the history", onclick: () => askName().then(show),
   });
-  const save = async (format) => saveFile(...(await api.file(api.url("export", format))));
+  const save = async (format) =>
+    (format === "measure" ? measureAll(app) : saveFile(...(await api.file(api.url("export", format)))));
   const files = menu("Export all…", EXPORTS, save, {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
   });

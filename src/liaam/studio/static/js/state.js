@@ -15,6 +15,7 @@ export class State extends EventTarget {
     this.project = null;
     this.current = null;
     this.order = []; // names of the pictures as the list shows them
+    this.worstFirst = false; // whether that is by quality
     this.folder = ""; // the subfolder that the list shows; "" for all
     this.online = true;
     this.adding = null; // {done, total} of the files that are being added

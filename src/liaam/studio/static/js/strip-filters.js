@@ -67,6 +67,10 @@ export function matching(pictures, { text, filter, folder, order }, left) {
   return key ? found.sort((a, b) => key(a) - key(b)) : found;
 }
 
+/** Pictures with work left: those with a possible slip, and those that are not done. */
+export const openIn = (pictures) =>
+  pictures.filter(({ state, slip }) => slip || !["done", "broken", "reading"].includes(state));
+
 /** The names from one to another in a list, both included; only the second if the first is not there. */
 export function between(names, first, last) {
   const [from, to] = [names.indexOf(first), names.indexOf(last)];

@@ -4,9 +4,11 @@
 import { createBulk } from "./bulk.js";
 import * as filters from "./strip-filters.js";
 import { consume, h, icon, iconButton, labelsOf, optionsOf, perFrame, press } from "./ui.js";
+import { createWall } from "./wall.js";
 
 const BESIDE = matchMedia("(min-width: 900px)"); // otherwise the list is above the picture
-const SIZES = { column: 58, row: 66 }; // css pixels of an item along the list
+const SIZES = { column: 58, row: 66, wall: 172 }; // css pixels of an item along the list
+const COLUMN = 150; // least css pixels of a column of the wall
 const AHEAD = 6; // items before and after the visible ones
 const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 
@@ -38,15 +40,18 @@ export function mountStrip(root, app) {
   const adder = iconButton("Add pictures", "plus", () => app.adding.choose(), {
     small: true, testid: "add-pictures", title: "Add pictures, landmark files, a model or a video; or drop them on the page",
   });
+  const wall = createWall({ app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild });
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
-    onall: () => mark(state.order) });
+    onall: () => mark(state.order), ondone: () => wall.on && list.focus({ preventScroll: true }) });
   const space = h("div.strip-space", { role: "presentation" });
   const list = h("div.strip-list", {
     role: "listbox", tabindex: "0", "aria-label": "Pictures", testid: "strip", onclick: click, onkeydown: key,
   }, space);
   root.append(
-    h("div.strip-head", search, folders, filter, order, h("div.row.strip-count", count, adder, several)), bulk.element, list);
+    h("div.strip-head", h("div.row.strip-search", search, wall.toggler), folders, filter, order,
+      h("div.row.strip-count", count, adder, several)),
+    wall.element, bulk.element, list);
 
   // Selecting -------------------------------------------------------------------------------------------------------
 
@@ -62,8 +67,19 @@ export function mountStrip(root, app) {
   function mark(names) {
     chosen.clear();
     for (const name of names) chosen.add(name);
-    bulk.show(selecting);
+    bulk.show(selecting || wall.on);
     render();
+  }
+
+  /** Make all items again, as those of the list or of the wall. */
+  function rebuild() {
+    if (wall.on) wanted.order = order.value = "quality";
+    items.clear();
+    space.replaceChildren();
+    bulk.show(selecting || wall.on);
+    show();
+    reveal();
+    if (wall.on) list.focus({ preventScroll: true });
   }
 
   /** Select a picture too, or no longer; with a range, all up to it. */
@@ -78,11 +94,23 @@ export function mountStrip(root, app) {
     const name = event.target.closest("[data-name]")?.dataset.name;
     if (!name) return;
     if (selecting || event.shiftKey || event.ctrlKey || event.metaKey) add(name, event.shiftKey);
-    else state.select(name);
+    else enter(name);
+  }
+
+  /** Open a picture; the wall gives way to it. */
+  function enter(name) {
+    wall.open(false);
+    state.select(name);
   }
 
   function key(event) {
-    const step = { ArrowDown: 1, ArrowRight: 1, ArrowUp: -1, ArrowLeft: -1 }[event.key];
+    if (wall.on && event.key === "Enter" && state.current) {
+      consume(event);
+      enter(state.current);
+      return;
+    }
+    const { columns } = along();
+    const step = { ArrowDown: columns, ArrowRight: 1, ArrowUp: -columns, ArrowLeft: -1 }[event.key];
     const isAll = event.key === "a" && (event.ctrlKey || event.metaKey);
     const isMark = event.key === " " || (event.key === "Escape" && selecting);
     if (!isAll && !isMark && (!step || event.ctrlKey || event.altKey || event.metaKey)) return;
@@ -105,9 +133,9 @@ export function mountStrip(root, app) {
   const leftOut = () => state.project.model?.left_out ?? {};
 
   function make(picture) {
-    const { name, tag, rank, error, checked, slip } = picture;
+    const { name, tag, rank, error, checked, slip, quality } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const what = filters.describe(picture, leftOut());
+    const what = filters.describe(picture, leftOut()) + (quality == null ? "" : `, ${Math.round(100 * quality)} %`);
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
       ? h("span.no-picture", icon("warning", 20))
@@ -126,9 +154,9 @@ export function mountStrip(root, app) {
 
   /** The item of a picture, made again if the picture has changed. */
   function itemOf(picture) {
-    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip } = picture;
+    const { name, state: progress, placed, doubtful, rank, error, tag, checked, slip, quality } = picture;
     const why = filters.whyLeftOut(picture, leftOut());
-    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip].join("|");
+    const key = [progress, placed, doubtful, rank === 1, error, tag, checked, why, slip, quality].join("|");
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
@@ -137,20 +165,27 @@ export function mountStrip(root, app) {
     return element;
   }
 
-  const along = () => (BESIDE.matches ? { size: SIZES.column, at: list.scrollTop, room: list.clientHeight }
-    : { size: SIZES.row, at: list.scrollLeft, room: list.clientWidth });
+  /** Size of an item along the list, where the visible part begins, its length, and the number of columns. */
+  function along() {
+    const down = { at: list.scrollTop, room: list.clientHeight };
+    if (wall.on) return { ...down, size: SIZES.wall, columns: Math.max(1, Math.floor(list.clientWidth / COLUMN)) };
+    if (BESIDE.matches) return { ...down, size: SIZES.column, columns: 1 };
+    return { size: SIZES.row, at: list.scrollLeft, room: list.clientWidth, columns: 1 };
+  }
 
   /** Put the visible items into the list. */
   function render() {
-    const { size, at, room } = along();
-    const first = Math.max(0, Math.floor(at / size) - AHEAD);
-    const shown = pictures.slice(first, Math.ceil((at + room) / size) + AHEAD);
+    const { size, at, room, columns } = along();
+    const first = Math.max(0, Math.floor(at / size) - AHEAD) * columns;
+    const shown = pictures.slice(first, (Math.ceil((at + room) / size) + AHEAD) * columns);
+    space.style.setProperty("--columns", String(columns));
     const names = new Set(shown.map(({ name }) => name));
     for (const [name, { element }] of items) if (!names.has(name)) { element.remove(); items.delete(name); }
     shown.forEach((picture, i) => {
       const { name } = picture;
       const element = itemOf(picture);
-      element.style.setProperty("--at", `${(first + i) * size}px`);
+      element.style.setProperty("--at", `${Math.floor((first + i) / columns) * size}px`);
+      element.style.setProperty("--column", String((first + i) % columns));
       element.setAttribute("aria-posinset", String(first + i + 1));
       element.setAttribute("aria-setsize", String(pictures.length));
       element.setAttribute("aria-selected", String(selecting ? chosen.has(name) : name === state.current));
@@ -166,15 +201,17 @@ export function mountStrip(root, app) {
 
   function fetchFaces() {
     for (const image of space.querySelectorAll("img:not([src])")) image.src = image.dataset.src;
+    if (!wall.on) return;
+    for (const item of space.children) wall.outline(state.picture(item.dataset.name), item.firstChild);
   }
 
   /** Scroll the current picture into view. */
   function reveal() {
-    const index = state.order.indexOf(state.current);
-    const { size, at, room } = along();
+    const { size, at, room, columns } = along();
+    const index = Math.floor(state.order.indexOf(state.current) / columns);
     if (index < 0 || (index * size >= at && (index + 1) * size <= at + room)) return;
     const to = index * size < at ? index * size : (index + 1) * size - room;
-    list.scrollTo(BESIDE.matches ? { top: to } : { left: to });
+    list.scrollTo(BESIDE.matches || wall.on ? { top: to } : { left: to });
   }
 
   /** While pictures are added or fitted, those in the list keep their places, and others come after them. */
@@ -198,19 +235,27 @@ export function mountStrip(root, app) {
 
   function show() {
     const all = state.project.pictures;
+    document.documentElement.dataset.pictures = all.length ? "some" : "none";
     showFolders(all);
     pictures = inPlace(filters.matching(all, { ...wanted, folder: state.folder }, leftOut()));
     state.order = pictures.map(({ name }) => name);
+    state.worstFirst = wanted.order === "quality";
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
     const done = usable.filter((picture) => picture.state === "done").length;
     const some = pictures.length < all.length ? `${pictures.length} shown, ` : "";
     count.textContent = all.length ? `${some}${done} of ${usable.length} done` : "No pictures yet";
-    space.style.setProperty("--length", `${pictures.length * along().size}px`);
+    const { size, columns } = along();
+    space.style.setProperty("--length", `${Math.ceil(pictures.length / columns) * size}px`);
+    wall.show();
     render();
   }
 
-  document.addEventListener("keydown", (event) => event.key === "Escape" && selecting && select(false));
+  document.addEventListener("keydown", ({ key: pressed }) => {
+    if (pressed !== "Escape") return;
+    if (selecting) select(false);
+    else wall.open(false);
+  });
   state.addEventListener("to-review", () => {
     wanted.filter = filter.value = "review";
     show();
@@ -222,6 +267,7 @@ export function mountStrip(root, app) {
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
   state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
+  state.wall = wall;
   show();
   reveal();
 }

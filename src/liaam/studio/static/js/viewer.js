@@ -215,7 +215,8 @@ export class Viewer extends EventTarget {
 
   _draw() {
     const { canvas } = this;
-    if (!this.container.clientWidth) return; // in a hidden tab; drawn when the tab is opened and resized
+    // In a hidden tab, or under the wall; drawn when it is shown again and resized.
+    if (!this.container.clientWidth || !canvas.width || !canvas.clientWidth) return;
     const ctx = canvas.getContext("2d");
     const ratio = canvas.width / (canvas.clientWidth || 1);
     const [x, y] = this._offset();

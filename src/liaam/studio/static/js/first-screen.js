@@ -1,0 +1,167 @@
+// The first screen, of an empty folder: a photograph of a face under a lamp that follows the pointer, and ways to begin.
+
+import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
+import { perFrame, button, consume, h, icon } from "./ui.js";
+
+const AMBIENT = [0.05, 0.065, 0.09]; // linear red, green and blue of the light from everywhere
+const LAMP = [1.2, 1.07, 0.88];
+const MOST = 1.6; // most light, relative to the photograph without its shading
+const NEAR = 0.16; // distance over a ball of radius 1 of lamps whose light is mixed
+const FIRST = [-0.82, -0.3]; // where the lamp is at first
+const PHASES = { hard: 500, wipe: 1900, flat: 2600, end: 16000 }; // milliseconds: the wipe, then the lamp goes round
+const MIDDLE = [0.5, 0.47]; // of the face, as fractions of the picture
+
+const GAMMA = Uint8ClampedArray.from({ length: 2048 }, (_, i) => 255 * (i / 2047) ** (1 / 2.2));
+
+/** Light of lamps as a sum of layers, which make_first_screen.py has prepared. */
+export class Layers {
+  /** pixels: RGBA of all layers, one below the other; the first is ambient light. */
+  constructor(pixels, { low, high, lamps, coefficients }) {
+    const [n, size] = [low.length, pixels.length / 4 / low.length];
+    Object.assign(this, { n, size, lamps, coefficients });
+    const value = (i, k) => low[k] + ((high[k] - low[k]) * pixels[4 * (k * size + i)]) / 255;
+    this.values = Float32Array.from({ length: n * size }, (_, j) => value(Math.floor(j / n), j % n));
+  }
+
+  /** Coefficients of a lamp at [x, y] over the ball: those of nearby lamps, mixed. */
+  mixed([x, y]) {
+    const near = this.lamps.map(([u, v]) => Math.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * NEAR ** 2)));
+    const total = near.reduce((sum, each) => sum + each, 1e-9);
+    return this.coefficients[0].map((_, k) =>
+      near.reduce((sum, each, j) => sum + each * this.coefficients[j][k], 0) / total);
+  }
+
+  /** Write the light under a lamp as RGBA, with MOST as white. */
+  draw(at, target) {
+    const { values, n, size } = this;
+    const weights = Float32Array.from([0, ...this.mixed(at)]);
+    const [here, lamp] = [AMBIENT, LAMP].map((colour) => colour.map((each) => (each * 2047) / MOST));
+    for (let i = 0, j = 0; i < size; i += 1, j += n) {
+      let lit = 0;
+      for (let k = 1; k < n; k += 1) lit += weights[k] * values[j + k];
+      if (lit < 0) lit = 0;
+      for (let c = 0; c < 3; c += 1)
+        target[4 * i + c] = GAMMA[Math.min(here[c] * values[j] + lamp[c] * lit, 2047) | 0];
+    }
+  }
+}
+
+const load = async (name) => createImageBitmap(await (await fetch(`first/${name}`)).blob());
+
+/** The picture with its lamp. Resolves once it is painted for the first time. */
+class RelitFace {
+  at = FIRST;
+  flat = 0; // fraction that is shown without shading, from the left
+  frames = 0;
+
+  constructor() {
+    this.canvas = h("canvas.first-face", { width: 640, height: 640, "aria-hidden": "true" });
+    this.lamp = h("div.first-lamp", {
+      role: "slider", tabindex: "0", "aria-label": "Lamp", "aria-valuemin": "0", "aria-valuemax": "90", testid: "first-lamp",
+      onkeydown: (event) => this._key(event),
+    });
+    this.element = h("div.first-picture", { testid: "first-picture" }, this.canvas, this.lamp);
+    const follow = perFrame((event) => this._follow(event));
+    this.element.addEventListener("pointermove", follow);
+    this.element.addEventListener("pointerdown", follow);
+    this.ready = this._load();
+  }
+
+  async _load() {
+    const [face, light, facts] = await Promise.all([
+      load("face.jpg"), load("light.jpg"), fetch("first/light.json").then((answer) => answer.json())]);
+    this._face = face;
+    const { width, height } = light;
+    const ctx = new OffscreenCanvas(width, height).getContext("2d");
+    ctx.drawImage(light, 0, 0);
+    this._layers = new Layers(ctx.getImageData(0, 0, width, height).data, facts);
+    this._bright = new OffscreenCanvas(face.width, face.height);
+    const bright = this._bright.getContext("2d");
+    bright.filter = `brightness(${MOST ** (1 / 2.2)})`;
+    bright.drawImage(face, 0, 0);
+    this._small = new OffscreenCanvas(width, width);
+    this._image = new ImageData(width, width);
+    this._image.data.fill(255);
+    this.moved = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.flat = this.moved ? 0.5 : 0;
+    this.draw();
+    if (!this.moved) this._play(performance.now());
+  }
+
+  /** Wipe from hard light to none, then lead the lamp round the face, until a person moves it. */
+  _play(began) {
+    const step = (now) => {
+      if (this.moved || !this.element.isConnected) return;
+      const t = now - began;
+      const angle = Math.PI + Math.max(0, t - PHASES.flat) / 1600;
+      const wiped = Math.min(Math.max((t - PHASES.hard) / (PHASES.wipe - PHASES.hard), 0), 1);
+      this.flat = t < PHASES.flat ? wiped * wiped * (3 - 2 * wiped) : 0;
+      if (t > PHASES.flat) this.at = [0.85 * Math.cos(angle), 0.6 * Math.sin(angle) - 0.1];
+      if (this.canvas.checkVisibility()) this.draw();
+      if (t < PHASES.end) requestAnimationFrame(step);
+    };
+    requestAnimationFrame(step);
+  }
+
+  _follow({ clientX, clientY }) {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    this._move([(2 * (clientX - left)) / width - 2 * MIDDLE[0], (2 * (clientY - top)) / height - 2 * MIDDLE[1]]);
+  }
+
+  _move(place) {
+    const [x, y] = directionAt(place);
+    Object.assign(this, { at: [x, y], moved: true, flat: 0 });
+    if (this._layers) this.draw();
+  }
+
+  _key(event) {
+    const next = directionAfterKey(directionAt(this.at), event);
+    if (!next) return;
+    consume(event);
+    this._move(next);
+  }
+
+  draw() {
+    const { canvas, at: [x, y], flat, lamp } = this;
+    const { width, height } = canvas;
+    const ctx = canvas.getContext("2d");
+    this._layers.draw(this.at, this._image.data);
+    this._small.getContext("2d").putImageData(this._image, 0, 0);
+    ctx.globalCompositeOperation = "copy";
+    ctx.drawImage(this._bright, 0, 0);
+    ctx.globalCompositeOperation = "multiply";
+    ctx.drawImage(this._small, 0, 0, width, height);
+    ctx.globalCompositeOperation = "source-over";
+    if (flat > 0) ctx.drawImage(this._face, 0, 0, flat * width, height, 0, 0, flat * width, height);
+    if (flat > 0 && flat < 1) {
+      ctx.fillStyle = "rgb(255 255 255 / 85%)";
+      ctx.fillRect(flat * width - 1, 0, 2, height);
+    }
+    lamp.style.left = `${100 * (MIDDLE[0] + x / 2)}%`;
+    lamp.style.top = `${100 * (MIDDLE[1] + y / 2)}%`;
+    lamp.style.opacity = String(1 - flat);
+    lamp.setAttribute("aria-valuetext", directionInWords(directionAt(this.at)));
+    lamp.setAttribute("aria-valuenow", String(Math.round((Math.asin(Math.min(Math.hypot(x, y), 1)) * 180) / Math.PI)));
+    this.frames += 1;
+  }
+}
+
+export function createFirstScreen(app) {
+  const face = new RelitFace();
+  const fit = async () => {
+    const file = new File([await (await fetch("first/face.jpg")).blob()], "face.jpg", { type: "image/jpeg" });
+    app.openTab("fit", { view: "relit" });
+    await app.sources.take(file);
+  };
+  const drop = h("button.first-drop", { type: "button", testid: "add-first", onclick: () => app.adding.choose() },
+    icon("upload", 22), h("span", "Drop pictures or landmark files here"));
+  const camera = button("Camera", { icon: "eye", testid: "first-camera", onclick: () => app.openTab("live", { camera: true }) });
+  const fitting = button("Fit this face", { icon: "target", testid: "first-fit", onclick: fit });
+  const show = () => { camera.disabled = fitting.disabled = !app.state.project.model; };
+  app.state.addEventListener("project", show);
+  show();
+  window.liaamStudio.first = face;
+  return h("div.first", { testid: "first" }, face.element, h("div.first-words",
+    h("h2.grow", "One photograph. Move its light."), h("div.row.first-ways", drop, camera, fitting),
+    h("p.small.muted", "Everything stays on this machine. Photograph: Lisa DeBruine, CC0.")));
+}

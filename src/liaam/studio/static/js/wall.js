@@ -1,0 +1,76 @@
+// The wall: the list of pictures as a grid over the whole page, with their points, to accept many and open the worst.
+
+import { openIn } from "./strip-filters.js";
+import { button, h, iconButton, press, slider, svg } from "./ui.js";
+
+const FIRST = 90; // percent of quality from which points are accepted, until a person chooses another
+
+/** Names of the proposals with at least a quality, from 0 to 1. */
+export const acceptable = (pictures, least) =>
+  pictures.filter(({ state, doubtful, quality }) => state === "proposed" && !doubtful && quality >= least)
+    .map(({ name }) => name);
+
+/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed. */
+export function createWall({ app, shown, accept, onchange }) {
+  const { api, state } = app;
+  const outlines = new Map(); // by name: {key, promise of the drawing}
+  const level = slider({
+    min: "50", max: "100", value: String(FIRST), "aria-label": "Least quality to accept", testid: "wall-level", oninput: show,
+  });
+  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: () => accept(chosen()) });
+  const worst = button("Open the worst", {
+    testid: "wall-worst", shortcut: "W", title: "Open the first that is not done, or that has a possible slip",
+    onclick: () => openWorst(),
+  });
+  const element = h("div.wall-bar", { hidden: true }, level, take, worst);
+  const toggler = iconButton("Wall of all pictures", "wall", () => open(!wall.on), {
+    small: true, pressed: false, shortcut: "G", testid: "wall",
+  });
+
+  const chosen = () => acceptable(shown(), Number(level.value) / 100);
+
+  function show() {
+    const count = chosen().length;
+    take.lastChild.textContent = `Accept ${count} above ${level.value} %`;
+    take.disabled = !count;
+    worst.disabled = !openIn(shown()).length;
+  }
+
+  function open(on) {
+    if (wall.on === on || !state.project.pictures.length) return;
+    wall.on = on;
+    document.documentElement.dataset.wall = on ? "on" : "off";
+    press(toggler, on);
+    element.hidden = !on;
+    onchange();
+  }
+
+  function openWorst() {
+    const [picture] = openIn(shown());
+    if (!picture) return;
+    open(false);
+    app.openTab("annotate");
+    state.select(picture.name);
+  }
+
+  /** Draw the points of a picture over its thumbnail. */
+  async function outline(picture, face) {
+    const { name, placed, quality, revision, state: progress } = picture;
+    if (!placed && progress !== "proposed") return;
+    const key = [revision, quality, picture.tag, progress].join();
+    if (outlines.get(name)?.key !== key) outlines.set(name, { key, drawn: draw(name).catch(() => null) });
+    const drawn = await outlines.get(name).drawn;
+    if (drawn && !face.querySelector(".wall-points")) face.append(drawn.cloneNode(true));
+  }
+
+  async function draw(name) {
+    const { points, width, height } = await api.get(api.url("pictures", name, "landmarks"), { quiet: true });
+    const d = points.filter(Boolean).map(([x, y]) => `M${x.toFixed(1)} ${y.toFixed(1)}h0`).join("");
+    const dot = Math.max(width, height) / 60;
+    const viewBox = `-0.5 -0.5 ${width} ${height}`;
+    return svg("svg", { class: "wall-points", viewBox, "stroke-width": dot, "aria-hidden": "true" }, svg("path", { d }));
+  }
+
+  const wall = { element, toggler, on: false, open, openWorst, outline, show };
+  return wall;
+}
