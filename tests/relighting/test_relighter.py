@@ -48,14 +48,14 @@ def test_the_flat_picture_is_near_the_truth(head, taken_apart):
     model, pair = head
     made = log_light(taken_apart.picture, "srgb")
     before = flat_error(model, made, taken_apart.shape, pair.flat)
-    made[taken_apart.box] = taken_apart.log_flat
+    made[taken_apart.region.box] = taken_apart.log_flat
     assert flat_error(model, made, taken_apart.shape, pair.flat) < BAR < 0.8 < before
     truth = np.log(np.maximum(pair.flat.linear, 1e-4))
     assert flat_error(model, truth, taken_apart.shape, pair.flat) < 0.02  # the measure's own
 
 
 def test_what_is_kept_is_in_single_precision(taken_apart):
-    assert taken_apart.log_flat.dtype == taken_apart.log_own.dtype == taken_apart.grain.dtype == np.float32
+    assert taken_apart.log_flat.dtype == taken_apart.log_own.dtype == taken_apart._grain.dtype == np.float32
 
 
 def fine(log: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
@@ -110,7 +110,7 @@ def test_a_smooth_light_is_taken_off(head):
     relighter = Relighter.of(fitter, image, fitter.fit(pair.flat.image, pair.flat.landmarks))
     made = log_light(image, "srgb")
     before = flat_error(model, made, relighter.shape, pair.flat)
-    made[relighter.box] = relighter.log_flat
+    made[relighter.region.box] = relighter.log_flat
     assert flat_error(model, made, relighter.shape, pair.flat) < 0.2 * before
 
 
