@@ -149,11 +149,12 @@ def averaged(layers: np.ndarray, seen: np.ndarray, scale: float, edge: float = E
         found = averaged(_resized(layers, small), _resized(seen, small), scale / step, edge)
         return _resized(found, (width, height))
     found = np.array(layers, np.float32, order="C")
-    across, down = (1.0 + scale / edge * np.abs(np.diff(seen, axis=axis)).sum(axis=2) for axis in (1, 0))
+    steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
+    across, down = (1.0 + np.float32(scale / edge) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
     for i in range(ROUNDS):  # standard deviations halve, and their squares sum to scale ** 2 (their equation 14)
         deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - i - 1) / np.sqrt(4.0**ROUNDS - 1.0)
-        feedback = np.exp(-np.sqrt(2.0) / deviation)
-        kept = (np.power(feedback, each, dtype=np.float32) for each in (across, down))
+        decay = np.float32(-np.sqrt(2.0) / deviation)
+        kept = (np.exp(decay * each) for each in (across, down))
         _core.filter_rows_and_columns(found, *map(np.ascontiguousarray, kept))
     return found
 

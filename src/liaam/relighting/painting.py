@@ -142,6 +142,7 @@ def as_eight_bit(image: np.ndarray) -> np.ndarray:
     return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
 
 
+@lru_cache(maxsize=4)
 def soft_edge(model: AAM) -> np.ndarray:
     """Return weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
     from scipy.ndimage import distance_transform_edt

@@ -47,8 +47,8 @@ GRAIN = 1.0
 CLIPPED = math.log(0.95)
 """Logarithm of light from which a channel counts as clipped."""
 
-COLOUR_REACH = 3.0
-"""Standard deviation of the Gaussian within which the colour around clipped highlights is averaged, in reaches."""
+COLOUR_REACH = 4.0
+"""Half the side of the square within which the colour around clipped highlights is averaged, in reaches."""
 
 LEAST_CHANGE = 1e-4
 """Change of log light that counts as one."""
@@ -308,6 +308,8 @@ def _separated(
     steadied: Callable[[Shading], Shading] | None,
 ) -> Relighter:
     """Estimate the light on the reference frame, warp it to the image, and continue it beyond the mesh."""
+    import cv2
+
     noise = noise_deviation(image)
     seen = Seen.of(model, image, shape, response, noise)
     appearance, log_rgb, covariance = appearance_in_light(model, seen, start, prior)
@@ -322,13 +324,14 @@ def _separated(
         return _unchanged(model, image, shape, response)
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
     small, within = region.reduced(own), inside[..., None]
-    beyond = np.dstack([painted[..., :3] - lit, painted[..., 4:]])
-    nearby, share, belongs = around(beyond, inside, small - lit, region.reach)
-    light = np.where(within, painted[..., :3], share * nearby[..., :3] + belongs * lit).astype(np.float32)
-    normals = np.where(within, painted[..., 4:], nearby[..., 3:])
+    nearby, share, belongs = around(painted[..., :3] - lit, inside, small - lit, region.reach)
+    light = np.where(within, painted[..., :3], share * nearby + belongs * lit).astype(np.float32)
     pose = align(model.shape_model.mean, shape)
+    width = 2 * round(2.0 * region.reach) + 1
+    nearby = cv2.blur(cv2.blur(painted[..., 4:], (width, width)), (width, width))
+    normals = np.where(within, painted[..., 4:], nearby)
     normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
+    normals /= np.sqrt(np.maximum(cv2.transform(np.square(normals), np.ones((1, 3), np.float32)), 1e-12))[..., None]
     light, whole = spared(own, light, belongs, region)
     light = region.along_edges(light, own)
     return Relighter(
@@ -346,7 +349,7 @@ def _separated(
         inside=inside,
         share=np.where(within, 1.0, share).astype(np.float32),
         belongs=belongs,
-        normals=normals.astype(np.float32),
+        normals=normals,
     )
 
 
@@ -375,21 +378,27 @@ def spared(
     """
     import cv2
 
-    clipped = own >= CLIPPED
-    if not clipped.any():
+    brightest = np.maximum.reduce(cv2.split(own))
+    if not (brightest >= CLIPPED).any():
         return light, own
-    some, every = (np.asarray(each(axis=2), np.float32) for each in (clipped.any, clipped.all))
+    some = (brightest >= CLIPPED).astype(np.float32)
+    every = (np.minimum.reduce(cv2.split(own)) >= CLIPPED).astype(np.float32)
     gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
     light = light + smoothstep(4.0 * gone) * (np.minimum(mean_of(light)[..., None], 0.0) - light)
     known = belongs * (1.0 - region.reduced(some)[..., None])
     small = region.reduced(own)
     colour = small - mean_of(small)[..., None]
-    sums = cv2.GaussianBlur(np.dstack([colour * known, known]), (0, 0), COLOUR_REACH * region.reach)
+    width = 2 * round(COLOUR_REACH * region.reach) + 1
+    sums = cv2.blur(np.dstack([colour * known, known]), (width, width))
     colour = region.enlarged(sums[..., :3] / np.maximum(sums[..., 3:], 1e-3))
-    level = np.where(clipped, -np.inf, own - colour).max(axis=2)
-    level = np.where(every > 0.0, -colour.min(axis=2), level)[..., None]
-    continued = np.where(clipped, np.maximum(own, colour + level), own)
-    return light, own + region.enlarged(belongs)[..., None].reshape(*own.shape[:2], 1) * (continued - own)
+    whole, at = own.copy(), np.nonzero(some)
+    colour, seen = colour[at], own[at]
+    over = seen >= CLIPPED
+    level = np.where(over, -np.inf, seen - colour).max(axis=1, keepdims=True)
+    level = np.where(over.all(axis=1, keepdims=True), -colour.min(axis=1, keepdims=True), level)
+    beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
+    whole[at] += region.enlarged(belongs).reshape(some.shape)[at][:, None] * beyond
+    return light, whole
 
 
 def mean_of(log_rgb: np.ndarray) -> np.ndarray:
@@ -401,7 +410,9 @@ def mean_of(log_rgb: np.ndarray) -> np.ndarray:
 
 def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
-    brightest = np.maximum.reduce([log_rgb[..., i] for i in range(3)])
+    import cv2
+
+    brightest = np.maximum.reduce(cv2.split(log_rgb))
     at = np.nonzero(brightest > BRIGHT)
     high, first = brightest[at], own[at].max(axis=1)
     limited = BRIGHT * np.exp((high - BRIGHT) / BRIGHT)

@@ -66,7 +66,7 @@ def find_shading(
     :func:`liaam.relighting.joint.appearance_in_light`.
     """
     modes = light_on_frame(model)
-    lit = np.tensordot(coordinates, modes, axes=1)
+    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1)
     left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
     if model.light is not None:  # without lamps, the modes leave cast shadows too
         left = without_marks(model, smoothed(model, left, 0.5 * SMOOTHNESS))
