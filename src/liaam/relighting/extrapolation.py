@@ -23,6 +23,9 @@ NEARBY = (2.0, 0.4)
 ACROSS = 12.0
 """Scale of the division between object and background, in reaches."""
 
+BORDER = 1.0
+"""Depth inside the mesh, in reaches, down to which another colour is background, because the fit is not exact."""
+
 BACKGROUND = 8.0
 """Distance beyond the mesh from which an image is background, in reaches."""
 
@@ -80,6 +83,8 @@ def around(
     import cv2
 
     known = inside[..., None].astype(np.float32)
+    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]
     own, seen = _edges(own, inside)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
     elsewhere = (away > BACKGROUND * reach).astype(np.float32)
@@ -92,8 +97,9 @@ def around(
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
     colours = colours - brightness
     apart = np.square(colours - colours[inside].mean(axis=0)).sum(axis=2, keepdims=True) / ANOTHER_COLOUR**2
-    belongs = belongs * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
-    belongs = np.where(known > 0, 1.0, averaged(np.where(known > 0, 1.0, belongs), seen, max(1.0, EVEN * reach)))
+    alike = np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
+    belongs = np.where(certain, 1.0, alike * belongs)  # that of the mesh is 1
+    belongs = np.where(known > 0, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
     share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
     return (
         means_nearby(values, known, seen, reach),

@@ -37,7 +37,7 @@ COUPLING, CORNER = 0.03, 0.02
 UNIT = 0.1
 """Standard deviation of a pixel's log light that gives a weight of 1."""
 
-CORRELATED, ACROSS = 0.12, 4
+CORRELATED, ACROSS = 0.12, 5
 """Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
 it. Modes learnt from lamps hold s, so smooth errors remain, and would outweigh the priors if they counted as
 independent from pixel to pixel. Without lamps, s takes them up."""

@@ -153,15 +153,6 @@ def soft_edge(model: AAM) -> np.ndarray:
     return (ramp * ramp * (3.0 - 2.0 * ramp))[inside].astype(np.float32)
 
 
-def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Return the rows and columns of a mask's bounding box plus a margin; empty slices for an empty mask."""
-    if not inside.any():
-        return slice(0, 0), slice(0, 0)
-    seen, grown = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)], round(margin)
-    rows, columns = (slice(max(0, int(at[0]) - grown), int(at[-1]) + 1 + grown) for at in seen)
-    return rows, columns
-
-
 def box_of(shape: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[slice, slice]:
     """Return the rows and columns of landmarks (n, 2) plus a margin, in an image of a size (height, width, ...)."""
     left, top = np.floor(shape.min(axis=0) - margin).astype(int).tolist()

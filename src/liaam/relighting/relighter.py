@@ -1,6 +1,5 @@
 """Relighting of one fitted image under any number of lights."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +17,8 @@ from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.basis import light_on_frame, light_on_image, square_around
-from liaam.relighting.extrapolation import around, carried, smoothstep
+from liaam.relighting.extrapolation import around, carried
+from liaam.relighting.highlights import below_white, mean_of, spared
 from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
 from liaam.relighting.painting import (
@@ -44,17 +44,8 @@ MOST_NOISE = 3.0
 GRAIN = 1.0
 """Standard deviation of the Gaussian that separates noise, pixels."""
 
-CLIPPED = math.log(0.95)
-"""Logarithm of light from which a channel counts as clipped."""
-
-COLOUR_REACH = 4.0
-"""Half the side of the square within which the colour around clipped highlights is averaged, in reaches."""
-
 LEAST_CHANGE = 1e-4
 """Change of log light that counts as one."""
-
-BRIGHT = math.log(0.6)
-"""Logarithm of light from which brightened pixels approach white gradually instead of being clipped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +316,7 @@ def _separated(
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
     small, within = region.reduced(own), inside[..., None]
     nearby, share, belongs = around(painted[..., :3] - lit, inside, small - lit, region.reach)
-    light = np.where(within, painted[..., :3], share * nearby + belongs * lit).astype(np.float32)
+    light = np.where(within, belongs * painted[..., :3], share * nearby + belongs * lit).astype(np.float32)
     pose = align(model.shape_model.mean, shape)
     width = 2 * round(2.0 * region.reach) + 1
     nearby = cv2.blur(cv2.blur(painted[..., 4:], (width, width)), (width, width))
@@ -347,77 +338,10 @@ def _separated(
         noise=noise,
         deviation=painted[..., 3],
         inside=inside,
-        share=np.where(within, 1.0, share).astype(np.float32),
+        share=np.where(within, belongs, share),
         belongs=belongs,
         normals=normals,
     )
-
-
-def spared(
-    own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Region
-) -> tuple[np.ndarray, np.ndarray]:
-    """Spare clipped highlights, whose light is not known.
-
-    Parameters
-    ----------
-    own : (bh, bw, 3) float32
-        Logarithms of the image's light.
-    light : (lh, lw, 3) float32
-        Light that will be removed.
-    belongs : (lh, lw, 1) float32
-        How much a pixel belongs to the object.
-    region : Region
-
-    Returns
-    -------
-    light : (lh, lw, 3) float32
-        Around highlights that are clipped in all channels, the object is not darkened, and its colour not changed.
-    whole : (bh, bw, 3) float32
-        Logarithms of the image's light where clipped channels are continued beyond white in the colour of the object
-        around them. A change of light then moves all channels alike, and leaves no grey patch.
-    """
-    import cv2
-
-    brightest = np.maximum.reduce(cv2.split(own))
-    if not (brightest >= CLIPPED).any():
-        return light, own
-    some = (brightest >= CLIPPED).astype(np.float32)
-    every = (np.minimum.reduce(cv2.split(own)) >= CLIPPED).astype(np.float32)
-    gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
-    light = light + smoothstep(4.0 * gone) * (np.minimum(mean_of(light)[..., None], 0.0) - light)
-    known = belongs * (1.0 - region.reduced(some)[..., None])
-    small = region.reduced(own)
-    colour = small - mean_of(small)[..., None]
-    width = 2 * round(COLOUR_REACH * region.reach) + 1
-    sums = cv2.blur(np.dstack([colour * known, known]), (width, width))
-    colour = region.enlarged(sums[..., :3] / np.maximum(sums[..., 3:], 1e-3))
-    whole, at = own.copy(), np.nonzero(some)
-    colour, seen = colour[at], own[at]
-    over = seen >= CLIPPED
-    level = np.where(over, -np.inf, seen - colour).max(axis=1, keepdims=True)
-    level = np.where(over.all(axis=1, keepdims=True), -colour.min(axis=1, keepdims=True), level)
-    beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
-    whole[at] += region.enlarged(belongs).reshape(some.shape)[at][:, None] * beyond
-    return light, whole
-
-
-def mean_of(log_rgb: np.ndarray) -> np.ndarray:
-    """Return the means (h, w) over the channels of logarithms of light (h, w, 3) float32."""
-    import cv2
-
-    return cv2.transform(log_rgb, np.full((1, 3), 1 / 3, np.float32))
-
-
-def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
-    import cv2
-
-    brightest = np.maximum.reduce(cv2.split(log_rgb))
-    at = np.nonzero(brightest > BRIGHT)
-    high, first = brightest[at], own[at].max(axis=1)
-    limited = BRIGHT * np.exp((high - BRIGHT) / BRIGHT)
-    log_rgb[at] += np.minimum(np.maximum(limited, first) - high, 0.0)[:, None]
-    return log_rgb
 
 
 def grain_of(own: np.ndarray, deviation: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from liaam.photometry.invariant import invariant_row, temperature_direction
 from liaam.relighting.basis import UNEXPLAINED, light_on_frame
 from liaam.relighting.seen import NOISE_FACTOR, Seen, angle_of, errors_of_the_model
 
-SMOOTHNESS, WINDOW = 0.012, 0.06
+SMOOTHNESS, WINDOW = 0.01, 0.08
 """Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
 the frame's diagonal."""
 
@@ -30,7 +30,7 @@ ERRORS_PER_AREA = 2.0
 INVARIANT, TEMPERATURE = 0.06, 0.15
 """Standard deviations of light's colour along the invariant and the temperature, in logarithms."""
 
-MARK, CONTRAST = 0.09, 0.2
+MARK, CONTRAST = 0.08, 0.2
 """Width of marks, such as moles, rims of glasses and letters, that are never light, as a fraction of the frame's
 diagonal, and difference of log brightness from the median of their surroundings from which they are such."""
 
