@@ -63,7 +63,8 @@ def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Regi
     whole, at = own.copy(), np.nonzero(some)
     colour, seen = colour[at], own[at]
     over = seen >= CLIPPED
-    level = np.where(over, -np.inf, seen - colour).max(axis=1, keepdims=True)
+    # Gloss raises the weaker channels more.
+    level = np.where(over, np.inf, seen - colour).min(axis=1, keepdims=True)
     level = np.where(over.all(axis=1, keepdims=True), -colour.min(axis=1, keepdims=True), level)
     beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
     whole[at] += region.enlarged(belongs).reshape(some.shape)[at][:, None] * beyond

@@ -14,8 +14,9 @@ from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.relighting import Relighter
 from liaam.relighting.shading import Shading
 
-SHARE_OF_FRAME = 0.05
-"""Smallest weight of a frame's light in the running average: the light follows within about twenty frames."""
+FIRST_SHARE, SHARE = 0.2, 0.05
+"""Weights of a frame's light in the running average, at first and later: the light follows within about five and about
+twenty frames."""
 
 
 @dataclass(eq=False)
@@ -80,9 +81,9 @@ class ShadingRemover:
         ).flat()
 
     def _steadied(self, now: Shading) -> Shading:
-        """Return the mean light of the first frames, and then its running average."""
+        """Return the running average of the light."""
         before, self._frames = self._before or now, self._frames + 1
-        share = max(SHARE_OF_FRAME, 1.0 / self._frames)
+        share = max(SHARE, min(FIRST_SHARE, 1.0 / self._frames))
         names = ("coordinates", "log", "rest", "deviation")
         averages = (getattr(before, n) + share * (getattr(now, n) - getattr(before, n)) for n in names)
         self._before = Shading(*averages)
