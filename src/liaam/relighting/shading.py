@@ -37,6 +37,9 @@ diagonal, and difference of log brightness from the median of their surroundings
 STEPS = 64.0
 """Steps of log light per unit in the median filter, which has 256 in all."""
 
+OUTLYING = 3.0
+"""Weight against larger regions, such as beards, that differ more from their surroundings than errors do."""
+
 COLOURED = 0.3
 """Change of colour temperature that comes with a change of brightness, at most."""
 
@@ -75,7 +78,9 @@ def find_shading(
     prior = WRONG**2 * np.maximum(varying, 0.0) + (UNEXPLAINED**2 if model.light is None else 0.0)
     noise = NOISE_FACTOR * seen.noise.mean(axis=1)
     errors = errors_of_the_model(model, log_rgb) + noise
-    errors *= 1.0 + not_light(model, left, noise)
+    apart = smoothed(model, left.mean(axis=1), 0.5 * SMOOTHNESS) - smoothed(model, left.mean(axis=1), WINDOW)
+    outlying = 0.0 if model.light is None else OUTLYING  # without lamps, cast shadows are so
+    errors *= 1.0 + not_light(model, left, noise) + outlying * np.square(np.square(apart) / (errors + prior))
     weights = seen.usable / errors
     rest = smoothed(model, left, SMOOTHNESS, weights)
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * smoothed(model, weights, SMOOTHNESS), 1e-6)
