@@ -425,7 +425,7 @@ def test_one_call_refuses_what_cannot_be(head):
 def test_clipped_channels_continue_in_the_colour_around_them():
     """A cheek whose red is clipped, and its middle in all channels: darkened, it has the skin's colour, not grey."""
     y, x = np.mgrid[:120, :120]
-    skin = np.float32([0.0, -0.4, -0.8]) - 0.5
+    skin = np.array([-0.5, -0.9, -1.3], np.float32)
     true = skin + 1.6 * np.exp(-(np.square(x - 60) + np.square(y - 60)) / 900.0)[..., None]
     own = np.minimum(true, 0.0).astype(np.float32)
     region, belongs = (
