@@ -44,7 +44,7 @@ def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ..
     shape, picture = relighter.shape, pair.lit.image
     untouched = log_light(picture, relighter.response)
     made = untouched.copy()
-    made[relighter.box] = relighter.log_flat
+    made[relighter.region.box] = relighter.log_flat
     alone, _ = paint(picture, shape, model, relighter.appearance.log_rgb)
     errors = flat_error(model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
     truth = eight_bits(np.log(np.maximum(pair.flat.linear, 1e-4)), relighter.response)

@@ -456,7 +456,7 @@ def test_relighting_with_lamps_reaches_beyond_the_mesh(trained):
         relighter = Relighter.of(fitter, dark.image, fitter.fit(dark.image, day.landmarks))
         assert relighter.log_flat.dtype == relighter.log_own.dtype == np.float32
         covered = np.zeros(truth.shape[:2], bool)
-        covered[relighter.box] = relighter.inside
+        covered[relighter.region.box] = relighter.covered
         away = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         around = (away > 6) & (away < 20)
         errors[name] = root_mean_square((np.log((relighter.flat() + 8.0) / 255) - truth)[around])

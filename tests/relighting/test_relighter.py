@@ -13,9 +13,12 @@ from liaam.io import write_image
 from liaam.model.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Lamp, Relighter
 from liaam.relighting.extrapolation import around
+from liaam.relighting.highlights import spared
 from liaam.relighting.one_call import lamps_of
 from liaam.relighting.painting import eight_bits, log_light
+from liaam.relighting.region import Region
 from liaam.relighting.relief import normals_of
+from liaam.relighting.shading import without_marks
 from scenes import Head
 
 SIZE = (240, 180)
@@ -48,14 +51,14 @@ def test_the_flat_picture_is_near_the_truth(head, taken_apart):
     model, pair = head
     made = log_light(taken_apart.picture, "srgb")
     before = flat_error(model, made, taken_apart.shape, pair.flat)
-    made[taken_apart.box] = taken_apart.log_flat
+    made[taken_apart.region.box] = taken_apart.log_flat
     assert flat_error(model, made, taken_apart.shape, pair.flat) < BAR < 0.8 < before
     truth = np.log(np.maximum(pair.flat.linear, 1e-4))
     assert flat_error(model, truth, taken_apart.shape, pair.flat) < 0.02  # the measure's own
 
 
 def test_what_is_kept_is_in_single_precision(taken_apart):
-    assert taken_apart.log_flat.dtype == taken_apart.log_own.dtype == taken_apart.grain.dtype == np.float32
+    assert taken_apart.log_flat.dtype == taken_apart.log_own.dtype == taken_apart._grain.dtype == np.float32
 
 
 def fine(log: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
@@ -110,7 +113,7 @@ def test_a_smooth_light_is_taken_off(head):
     relighter = Relighter.of(fitter, image, fitter.fit(pair.flat.image, pair.flat.landmarks))
     made = log_light(image, "srgb")
     before = flat_error(model, made, relighter.shape, pair.flat)
-    made[relighter.box] = relighter.log_flat
+    made[relighter.region.box] = relighter.log_flat
     assert flat_error(model, made, relighter.shape, pair.flat) < 0.2 * before
 
 
@@ -414,3 +417,72 @@ def test_one_call_refuses_what_cannot_be(head):
             liaam.relight(model, pair.lit.image, **wrong)
     with pytest.raises(LiaamError, match="trained on grey images, and estimating shading needs colour"):
         liaam.relight(replace(model, is_colour=False), pair.lit.image)
+
+
+# Clipped and dark pictures
+
+
+def test_clipped_channels_continue_in_the_colour_around_them():
+    """A cheek whose red is clipped, and its middle in all channels: darkened, it has the skin's colour, not grey."""
+    y, x = np.mgrid[:120, :120]
+    skin = np.array([-0.5, -0.9, -1.3], np.float32)
+    true = skin + 1.6 * np.exp(-(np.square(x - 60) + np.square(y - 60)) / 900.0)[..., None]
+    own = np.minimum(true, 0.0).astype(np.float32)
+    region, belongs = (
+        Region.of(np.array([[20, 20], [90, 90.0]]), (slice(0, 120), slice(0, 120))),
+        np.ones((120, 120, 1)),
+    )
+    light, whole = spared(own, np.full(own.shape, 0.5, np.float32), belongs, region)
+    assert region.small == (120, 120)
+    hue, expected = whole - whole.mean(axis=2, keepdims=True), skin - skin.mean()
+    assert np.abs(hue - expected).max() < 0.1
+    assert light[60, 60].max() == pytest.approx(0.0, abs=1e-3)  # how bright it was is not known
+    assert light[2, 2].min() > 0.45
+    assert np.abs(np.diff(light, axis=0)).max() < 0.2  # over a few pixels, as a reach is four here
+
+
+def test_a_dark_picture_gets_no_glow_around_the_object():
+    """Edges are relative to the light: thirty times darker, a wall of another colour is still a wall."""
+    inside, own = np.zeros((120, 160), bool), np.zeros((120, 160, 3), np.float32)
+    inside[40:80, 60:100] = True
+    own[:] = (-1.5, -0.8, -1.0)
+    own[35:120, 55:105] = (-0.5, -0.9, -1.3)
+    for darker in (0.0, np.log(30.0)):
+        _, _, belongs = around(np.ones((120, 160, 1), np.float32), inside, own - np.float32(darker), 5.0)
+        assert belongs[60, 60:100].min() > 0.95
+        assert belongs[40:80, 110:150].max() < 0.1
+
+
+def test_background_inside_the_border_of_the_mesh_gets_no_light():
+    inside, own = np.zeros((120, 160), bool), np.full((120, 160, 3), -0.6, np.float32)
+    inside[40:80, 60:100] = True
+    own[:, 96:] = (-2.6, -0.6, -1.6)  # a wall, which the mesh covers by four pixels
+    _, _, belongs = around(np.ones((120, 160, 1), np.float32), inside, own, 5.0)
+    assert belongs[50:70, 98:].max() < 0.25
+    assert belongs[50:70, 60:94].min() > 0.95
+
+
+def test_large_objects_are_relit_as_small_ones(head, taken_apart):
+    """Light is computed at a lower resolution; edges stay where they are."""
+    import cv2
+
+    model, pair = head
+    large = cv2.resize(pair.lit.image, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
+    fitter = Fitter(model)
+    result = fitter.fit(large, 3.0 * (taken_apart.shape + 0.5) - 0.5)
+    relighter = Relighter.of(fitter, large, replace(result, landmarks=3.0 * (taken_apart.shape + 0.5) - 0.5))
+    assert max(relighter.region.small) < 0.7 * max(relighter.region.size)
+    small = cv2.resize(relighter.flat(), taken_apart.picture.shape[1::-1], interpolation=cv2.INTER_AREA)
+    assert np.abs(small.astype(int) - taken_apart.flat()).mean() < 3.0
+
+
+def test_small_marks_are_not_light(model):
+    """The median ignores a spot and a line, and keeps the edge of a shadow."""
+    frame = model.frame
+    y, x = (frame.pixels - frame.pixels.mean(axis=0)).T / model.diagonal
+    shadow = np.where(x > 0.15, -0.8, 0.0)
+    marks = -1.2 * ((np.hypot(x + 0.1, y) < 0.018) | (np.abs(y + 0.1) < 0.01))
+    left = np.repeat((shadow + marks)[:, None], 3, axis=1).astype(np.float32)
+    found = without_marks(model, left).mean(axis=1)
+    clear = (np.abs(x - 0.15) > 0.03) & (np.abs(x) < 0.2) & (np.abs(y) < 0.15)
+    assert np.abs(found - shadow)[clear].max() < 0.25

@@ -9,6 +9,7 @@ from liaam.model import AAM
 from liaam.model.light import LightBasis
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry.invariant import temperature_direction
+from liaam.relighting.region import Region
 from liaam.relighting.seen import angle_of
 
 LEAST_UNEXPLAINED = 0.05
@@ -38,13 +39,11 @@ def unexplained_on_frame(model: AAM) -> np.ndarray:
     return np.maximum(_at_frame(model, model.light.remainder), LEAST_UNEXPLAINED)
 
 
-def light_on_image(
-    model: AAM, coordinates: np.ndarray, shape: np.ndarray, box: tuple[slice, slice], size: tuple[int, ...]
-) -> np.ndarray:
-    """Return the change of log light around landmarks in a box of an image, (*size, 3) float32; 0 without lamps."""
+def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
+    """Return the change of log light in a region of an image, (h, w, 3) float32; 0 without lamps."""
     if model.light is None or not coordinates.any():
-        return np.zeros((*size, 3), np.float32)
-    at = places(model.light.mean, shape - (box[1].start, box[0].start), (size[1], size[0]))
+        return np.zeros((*region.small[::-1], 3), np.float32)
+    at = places(model.light.mean, region.shape, region.small)
     change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
     return sample_field(change, at)
 

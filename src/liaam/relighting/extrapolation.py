@@ -23,6 +23,9 @@ NEARBY = (2.0, 0.4)
 ACROSS = 12.0
 """Scale of the division between object and background, in reaches."""
 
+BORDER = 1.0
+"""Depth inside the mesh, in reaches, down to which another colour is background, because the fit is not exact."""
+
 BACKGROUND = 8.0
 """Distance beyond the mesh from which an image is background, in reaches."""
 
@@ -37,8 +40,9 @@ BRIGHTER, BRIGHTEST = 0.3, 0.95
 """Logarithm of light above the brightest of the object, from which a pixel is rather background, as a wall is behind a
 dark face; the brightest is this quantile."""
 
-DARK = 0.03
-"""Light that is added before edges are measured: in the dark, noise and JPEG's blocks are edges of logarithms."""
+DARK = 0.05
+"""Light that is added before edges are measured, relative to the brightest of the object: in the dark, noise and JPEG's
+blocks are edges of logarithms."""
 
 ROUNDS = 3
 """Number of passes over rows and columns; three leave no visible stripes."""
@@ -79,7 +83,9 @@ def around(
     import cv2
 
     known = inside[..., None].astype(np.float32)
-    own, seen = _edges(own)
+    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]
+    own, seen = _edges(own, inside)
     away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
     elsewhere = (away > BACKGROUND * reach).astype(np.float32)
     elsewhere[np.flatnonzero(inside.any(axis=1))[-1] :] = 0.0  # below
@@ -91,9 +97,10 @@ def around(
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
     colours = colours - brightness
     apart = np.square(colours - colours[inside].mean(axis=0)).sum(axis=2, keepdims=True) / ANOTHER_COLOUR**2
-    belongs = belongs * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
-    belongs = np.where(known > 0, 1.0, averaged(np.where(known > 0, 1.0, belongs), seen, max(1.0, EVEN * reach)))
-    share = belongs * _smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
+    alike = np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
+    belongs = np.where(certain, 1.0, alike * belongs)  # that of the mesh is 1
+    belongs = np.where(known > 0, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
+    share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
     return (
         means_nearby(values, known, seen, reach),
         np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32),
@@ -103,7 +110,7 @@ def around(
 
 def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
     """Return only the means of nearby values, (h, w, c) float32, of :func:`around`."""
-    return means_nearby(values, inside[..., None].astype(np.float32), _edges(own)[1], reach)
+    return means_nearby(values, inside[..., None].astype(np.float32), _edges(own, inside)[1], reach)
 
 
 def means_nearby(values: np.ndarray, known: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
@@ -112,15 +119,16 @@ def means_nearby(values: np.ndarray, known: np.ndarray, seen: np.ndarray, reach:
     for scale in NEARBY:
         sums = averaged(layers, seen, max(1.0, scale * reach))
         means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
-        nearby = nearby + _smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
+        nearby = nearby + smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
     return nearby
 
 
-def _edges(own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _edges(own: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return logarithms of light (h, w, 3) without the noise of the dark, and the same blurred, whose edges divide."""
     import cv2
 
-    own = np.log(np.exp(own) + np.float32(DARK))
+    light = np.exp(own)
+    own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
     return own, cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
 
 
@@ -147,11 +155,12 @@ def averaged(layers: np.ndarray, seen: np.ndarray, scale: float, edge: float = E
         found = averaged(_resized(layers, small), _resized(seen, small), scale / step, edge)
         return _resized(found, (width, height))
     found = np.array(layers, np.float32, order="C")
-    across, down = (1.0 + scale / edge * np.abs(np.diff(seen, axis=axis)).sum(axis=2) for axis in (1, 0))
+    steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
+    across, down = (1.0 + np.float32(scale / edge) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
     for i in range(ROUNDS):  # standard deviations halve, and their squares sum to scale ** 2 (their equation 14)
         deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - i - 1) / np.sqrt(4.0**ROUNDS - 1.0)
-        feedback = np.exp(-np.sqrt(2.0) / deviation)
-        kept = (np.power(feedback, each, dtype=np.float32) for each in (across, down))
+        decay = np.float32(-np.sqrt(2.0) / deviation)
+        kept = (np.exp(decay * each) for each in (across, down))
         _core.filter_rows_and_columns(found, *map(np.ascontiguousarray, kept))
     return found
 
@@ -165,6 +174,7 @@ def _resized(layers: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return np.dstack([cv2.resize(layers[..., i : i + 4], size, interpolation=how) for i in parts])
 
 
-def _smoothstep(x):
+def smoothstep(x):
+    """Rise smoothly from 0 at 0 to 1 at 1."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -90,19 +90,20 @@ class Problem:
         return factorised(self.pairs, coupling, weights + self.held).solve(weights * mean)
 
     def solved(self, found: np.ndarray, brightness: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Run one pass; return coordinates (m,), brightness of shading (n,) and the coordinates' covariance (m, m)."""
-        weighted = self.weights.sum(axis=2)
+        """Run one pass; return coordinates (m,), brightness of shading (n,) and the coordinates' precision (m, m)."""
+        weighted, modes = self.weights.sum(axis=2), self.modes.reshape(len(self.modes), -1)
         jumps = np.abs(brightness[self.pairs[0]] - brightness[self.pairs[1]])
         own = weighted.sum(axis=1) + self.held
         system = factorised(self.pairs, self.coupling / (jumps + CORNER), own)
-        mixed = np.einsum("mnc,nc->nm", self.modes, weighted)
+        mixed = np.einsum("mnc,nc->nm", self.modes, weighted).astype(np.float64)
         eliminated = system.solve(np.column_stack([mixed, (weighted * self.seen).sum(axis=1)]))
-        of_modes = np.einsum("ncd,mnd->mnc", self.weights, self.modes, optimize=True).reshape(len(mixed.T), -1)
-        hessian = of_modes @ self.modes.reshape(len(of_modes), -1).T - mixed.T @ eliminated[:, :-1]
+        by_pixel = self.modes.transpose(1, 0, 2) @ self.weights.astype(np.float32)
+        of_modes = by_pixel.transpose(1, 0, 2).reshape(len(modes), -1)
+        hessian = of_modes @ modes.T - mixed.T @ eliminated[:, :-1]
         unit = self.together * UNIT**2
-        covariance = np.linalg.inv(hessian + unit * np.diag(self.precision))
-        found = covariance @ (of_modes @ self.seen.ravel() - mixed.T @ eliminated[:, -1])
-        return found, eliminated[:, -1] - eliminated[:, :-1] @ found, unit * covariance
+        hessian += unit * np.diag(self.precision)
+        found = np.linalg.solve(hessian, of_modes @ self.seen.ravel() - mixed.T @ eliminated[:, -1])
+        return found, eliminated[:, -1] - eliminated[:, :-1] @ found, hessian / unit
 
     def _shading(self, found: np.ndarray) -> np.ndarray:
         return self.seen - np.tensordot(found, self.modes, axes=1)
@@ -135,22 +136,22 @@ def appearance_in_light(model: AAM, seen: Seen, start: ShadowFree, prior: float 
     priors = max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.ones(k)
     precision = np.concatenate([*priors, np.full(2 * len(barycentric), OFF**-2.0)])
     unexplained = unexplained_on_frame(model)
-    weights = _weights(known, seen.noise, usable, np.square(COLOURED * unexplained))[kept]
+    weights = _weights(part, seen.noise[kept], usable[kept], np.square(COLOURED * unexplained[kept]))
     held = np.square(UNIT / unexplained[kept])
     together = 1.0 if model.light is None else max(1.0, np.square(side / step))
     # Unknowns: lambda, the coordinates of the light, and the landmarks' offsets, all x before all y.
-    found, covariance = np.concatenate([start.lam, np.zeros(len(precision) - n)]), np.diag(1.0 / precision)
+    found, posterior = np.concatenate([start.lam, np.zeros(len(precision) - n)]), np.diag(precision)
     log_rgb, brightness = start.log_rgb, None
     for _ in range(PASSES):
         slopes = frame.gradient(log_rgb)[kept]
         offsets = np.einsum("vn,nac->avnc", barycentric[:, kept], slopes).reshape(-1, *part.mean.shape)
-        modes = np.concatenate([part.modes, lit, offsets])
+        modes = np.concatenate([part.modes, lit, offsets], dtype=np.float32)
         # A sampled pixel represents step ** 2 pixels, and a jump ``step`` pixels of an edge.
         problem = Problem(seen.log[kept] - part.mean, modes, precision, weights, pairs, COUPLING / step, held, together)
         brightness = problem.first_brightness(found) if brightness is None else brightness
-        found, brightness, covariance = problem.solved(found, brightness)
+        found, brightness, posterior = problem.solved(found, brightness)
         log_rgb = known.texture(found[:n])
-    own = slice(n, n + k)
+    own, covariance = slice(n, n + k), np.linalg.inv(posterior)
     same = as_in_training(found[own], covariance[own, own])
     if model.light is not None and len(model.light.levels):
         brightness = lit.mean(axis=2)
@@ -196,7 +197,7 @@ def at_a_known_level(found: np.ndarray, covariance: np.ndarray, along: np.ndarra
 
 
 def _weights(known: AppearanceModel, noise: np.ndarray, usable: np.ndarray, of_light: np.ndarray) -> np.ndarray:
-    """Compute the weights of :class:`Problem`, (n_pixels, 3, 3) float64."""
+    """Compute the weights of :class:`Problem`, (n, 3, 3) float64."""
     grey, every = np.ones((3, 3)), np.eye(3)
     unexplained = UNKNOWN**2 * grey if known.unexplained is None else known.unexplained
     fine = FINE_BRIGHTNESS**2 * grey + FINE_COLOUR**2 * every

@@ -142,6 +142,7 @@ def as_eight_bit(image: np.ndarray) -> np.ndarray:
     return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
 
 
+@lru_cache(maxsize=4)
 def soft_edge(model: AAM) -> np.ndarray:
     """Return weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
     from scipy.ndimage import distance_transform_edt
@@ -150,15 +151,6 @@ def soft_edge(model: AAM) -> np.ndarray:
     depth = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
     ramp = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
     return (ramp * ramp * (3.0 - 2.0 * ramp))[inside].astype(np.float32)
-
-
-def box_around(inside: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Return the rows and columns of a mask's bounding box plus a margin; empty slices for an empty mask."""
-    if not inside.any():
-        return slice(0, 0), slice(0, 0)
-    seen, grown = [np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0)], round(margin)
-    rows, columns = (slice(max(0, int(at[0]) - grown), int(at[-1]) + 1 + grown) for at in seen)
-    return rows, columns
 
 
 def box_of(shape: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[slice, slice]:

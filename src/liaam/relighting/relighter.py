@@ -1,6 +1,5 @@
 """Relighting of one fitted image under any number of lights."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,11 +13,12 @@ from liaam.fitting.picture import load_picture
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
-from liaam.photometry.encoding import SATURATED, refuse_grey, stored_values
+from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.basis import light_on_frame, light_on_image, square_around
 from liaam.relighting.extrapolation import around, carried
+from liaam.relighting.highlights import below_white, mean_of, spared
 from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
 from liaam.relighting.painting import (
@@ -30,6 +30,7 @@ from liaam.relighting.painting import (
     paint,
     seen_triangles,
 )
+from liaam.relighting.region import Region
 from liaam.relighting.relief import normals_of
 from liaam.relighting.seen import Seen, noise_variance
 from liaam.relighting.shading import Shading, find_shading
@@ -43,14 +44,8 @@ MOST_NOISE = 3.0
 GRAIN = 1.0
 """Standard deviation of the Gaussian that separates noise, pixels."""
 
-CLIPPED_REACH = 0.1
-"""Width of the transition to clipped highlights, which keep their light, in reaches."""
-
 LEAST_CHANGE = 1e-4
 """Change of log light that counts as one."""
-
-BRIGHT = math.log(0.6)
-"""Logarithm of light from which brightened pixels approach white gradually instead of being clipped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +68,23 @@ class Relighter:
         The model's appearance under the training light.
     frame_shading : Shading
         The image's light on the model's reference frame.
-    box : (rows, columns)
-        The part of the image that may change; the arrays below cover it.
+    region : Region
+        The part of the image that may change, (bh, bw) pixels, and its resolution of light, (lh, lw).
     log_flat : (bh, bw, 3) float32
-        Logarithm of light with the object under the training light.
+        Logarithm of light with the object under the training light. Clipped highlights may have more than white.
     log_own : (bh, bw, 3) float32
         That of the image.
-    grain : (bh, bw, 3) float32
-        The part of ``log_own`` that may be noise.
-    deviation : (bh, bw) float32
+    noise : float
+        Standard deviation of the image's stored values.
+    deviation : (lh, lw) float32
         Standard deviation of the logarithm of the light that was removed, inside the mesh.
-    inside : (bh, bw) bool
+    inside : (lh, lw) bool
         Inside the mesh.
-    share : (bh, bw, 1) float32
+    share : (lh, lw, 1) float32
         Weight of a new light: 1 inside the mesh, falling to 0 around it.
-    belongs : (bh, bw, 1) float32
+    belongs : (lh, lw, 1) float32
         Weight of the light of a basis, which also knows the surroundings: 1 on the object, 0 in the background.
-    normals : (bh, bw, 3) float32
+    normals : (lh, lw, 3) float32
         Normals of the inflated surface (:func:`liaam.relighting.relief.normals_of`), rotated with the object.
     """
 
@@ -99,10 +94,10 @@ class Relighter:
     picture: np.ndarray
     appearance: ShadowFree
     frame_shading: Shading
-    box: tuple[slice, slice]
+    region: Region
     log_flat: np.ndarray
     log_own: np.ndarray
-    grain: np.ndarray
+    noise: float
     deviation: np.ndarray
     inside: np.ndarray
     share: np.ndarray
@@ -160,7 +155,9 @@ class Relighter:
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
         whole = np.zeros(self.picture.shape, np.float32)
-        whole[self.box] = np.where(self.inside[..., None], self.log_own - self.log_flat, 0.0)
+        whole[self.region.box] = np.where(
+            self.covered[..., None], self.log_own - np.minimum(self.log_flat, 0.0), np.float32(0.0)
+        )
         return whole
 
     def certainty(self) -> np.ndarray:
@@ -170,8 +167,9 @@ class Relighter:
         lower where noise would have been amplified more than three times.
         """
         whole = np.full(self.picture.shape[:2], np.nan, np.float32)
-        noisy = np.minimum(MOST_NOISE / self._amplified(self.log_flat), 1.0)
-        whole[self.box] = np.where(self.inside, np.exp(-self.deviation) * noisy, np.nan)
+        if self.inside.any():
+            known = self.region.enlarged(np.exp(-self.deviation)) * (1.0 - self._excess(self.log_flat))
+            whole[self.region.box] = np.where(self.covered, known, np.nan)
         return whole
 
     @cached_property
@@ -221,7 +219,7 @@ class Relighter:
             return self.picture.copy()
         light, frontal = (light_of(given, self.normals, ambient) for given in (lamps, [Lamp((0.0, 0.0, 1.0))]))
         exposure = min(float(frontal[self.inside].mean() / light[self.inside].mean()) ** 0.5, LONGEST)
-        return self._with(self.log_flat + self.share * np.log(exposure * light / frontal))
+        return self._changed(self.share * np.log(exposure * light / frontal))
 
     def like(self, other: "Relighter") -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
@@ -238,37 +236,57 @@ class Relighter:
         light, rest = other.frame_shading.coordinates, other.frame_shading.log
         if self.model.light is not None:
             rest = other.frame_shading.rest
-        values, _ = _painted(self.picture, self.box, self.shape, self.model, rest)
-        nearby = carried(values, self.inside, self.log_flat, reach_of(self.shape))
+        region = self.region
+        values, _ = paint(self.inside, region.shape, self.model, rest)
+        nearby = carried(values, self.inside, region.reduced(self.log_flat), region.reach)
         change = self.share * np.where(self.inside[..., None], values, nearby)
-        change += self.belongs * light_on_image(self.model, light, self.shape, self.box, self.inside.shape)
-        return self._with(self.log_flat + change)
+        return self._changed(change + self.belongs * light_on_image(self.model, light, region))
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays of the picture."""
         return sum(each.nbytes for each in vars(self).values() if isinstance(each, np.ndarray))
 
+    @cached_property
+    def covered(self) -> np.ndarray:
+        """Pixels of the box inside the mesh, (bh, bw) bool."""
+        return self.region.enlarged(self.inside.astype(np.float32)) > 0.5
+
+    @cached_property
+    def _grain(self) -> np.ndarray:
+        """The part of ``log_own`` that may be noise, (bh, bw, 3) float32."""
+        stored = stored_values(self.picture[self.region.box])
+        deviation = np.sqrt(noise_variance(stored, self.response, self.noise))
+        return grain_of(self.log_own, deviation.astype(np.float32))
+
+    @cached_property
+    def _brightness(self) -> np.ndarray:
+        """Stored brightness of the image, (bh, bw) uint8."""
+        return eight_bits(mean_of(self.log_own), self.response)
+
+    def _changed(self, change: np.ndarray) -> np.ndarray:
+        """Return the flat image with a change of log light, (lh, lw, 1 or 3)."""
+        change = self.region.enlarged(change)
+        return self._with(self.log_flat + change.reshape(*self.log_flat.shape[:2], -1))
+
     def _with(self, log_rgb: np.ndarray) -> np.ndarray:
         """Return the image with new logarithms of light, (bh, bw, 3), where they differ; noise stays low."""
         picture = self.picture.copy()
         if not self.inside.any():
             return picture
-        excess = 1.0 - np.minimum(MOST_NOISE / self._amplified(log_rgb), 1.0)
-        changed = np.abs(log_rgb - self.log_own).max(axis=2) > LEAST_CHANGE
-        fresh = eight_bits(log_rgb - excess[..., None] * self.grain, self.response)
-        picture[self.box][changed] = fresh[changed]
+        changed = mean_of(np.abs(np.minimum(log_rgb, 0.0) - self.log_own)) > LEAST_CHANGE
+        excess = self._excess(log_rgb)
+        if (excess > 0.0).any():
+            log_rgb = log_rgb - excess[..., None] * self._grain
+        part = picture[self.region.box]
+        np.copyto(part, eight_bits(log_rgb, self.response), where=changed[..., None])
         return picture
 
-    def _amplified(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return by how much new logarithms of light (bh, bw, 3) amplify the noise of stored values, (bh, bw)."""
-        after, before = (eight_bits(each.mean(axis=2), self.response) for each in (log_rgb, self.log_own))
-        return np.maximum(after, np.float32(1.0)) / np.maximum(before, np.float32(1.0))
-
-
-def reach_of(shape: np.ndarray) -> float:
-    """Return the distance over which a new light fades out around the mesh, pixels."""
-    return max(1.0, REACH * diagonal_of(shape))
+    def _excess(self, log_rgb: np.ndarray) -> np.ndarray:
+        """Return the share, (bh, bw), of noise that new logarithms of light (bh, bw, 3) would amplify too much."""
+        after = eight_bits(mean_of(log_rgb), self.response).astype(np.float32)
+        before = np.maximum(self._brightness, np.float32(1.0))
+        return 1.0 - np.minimum(MOST_NOISE * before / np.maximum(after, 1.0), 1.0)
 
 
 def _separated(
@@ -281,28 +299,32 @@ def _separated(
     steadied: Callable[[Shading], Shading] | None,
 ) -> Relighter:
     """Estimate the light on the reference frame, warp it to the image, and continue it beyond the mesh."""
-    seen = Seen.of(model, image, shape, response)
+    import cv2
+
+    noise = noise_deviation(image)
+    seen = Seen.of(model, image, shape, response, noise)
     appearance, log_rgb, covariance = appearance_in_light(model, seen, start, prior)
     shading = find_shading(model, seen, log_rgb, appearance.light, covariance)
     shading = shading if steadied is None else steadied(shading)
-    reach = reach_of(shape)
-    around_it = box_of(shape, 4 * reach, image.shape)
-    box = around_it if model.light is None else square_around(model.light, shape, image.shape)
+    around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
+    region = Region.of(shape, around_it if model.light is None else square_around(model.light, shape, image.shape))
     layers = np.column_stack([shading.log, shading.deviation, normals_of(model.frame)])
-    painted, inside = _painted(image, box, shape, model, layers.astype(np.float32))
+    canvas = np.empty(region.small[::-1], np.uint8)
+    painted, inside = paint(canvas, region.shape, model, layers.astype(np.float32))
     if not inside.any():
         return _unchanged(model, image, shape, response)
-    own, lit = log_light(image[box], response), light_on_image(model, shading.coordinates, shape, box, inside.shape)
-    values, within = np.dstack([painted[..., :3] - lit, painted[..., 4:]]), inside[..., None]
-    nearby, share, belongs = around(values, inside, own - lit, reach)
-    light = np.where(within, painted[..., :3], share * nearby[..., :3] + belongs * lit)
-    normals = np.where(within, painted[..., 4:], nearby[..., 3:])
+    own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
+    small, within = region.reduced(own), inside[..., None]
+    nearby, share, belongs = around(painted[..., :3] - lit, inside, small - lit, region.reach)
+    light = np.where(within, belongs * painted[..., :3], share * nearby + belongs * lit).astype(np.float32)
     pose = align(model.shape_model.mean, shape)
+    width = 2 * round(2.0 * region.reach) + 1
+    nearby = cv2.blur(cv2.blur(painted[..., 4:], (width, width)), (width, width))
+    normals = np.where(within, painted[..., 4:], nearby)
     normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
-    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
-    stored = stored_values(image[box])
-    light *= unclipped(stored, reach)
-    deviation = np.sqrt(noise_variance(stored, response, noise_deviation(image)))
+    normals /= np.sqrt(np.maximum(cv2.transform(np.square(normals), np.ones((1, 3), np.float32)), 1e-12))[..., None]
+    light, whole = spared(own, light, belongs, region)
+    light = region.along_edges(light, own)
     return Relighter(
         model=model,
         shape=shape,
@@ -310,32 +332,16 @@ def _separated(
         picture=as_eight_bit(image),
         appearance=appearance,
         frame_shading=shading,
-        box=box,
-        log_flat=below_white(own - light, own).astype(np.float32),
+        region=region,
+        log_flat=below_white(whole - light, whole),
         log_own=own,
-        grain=grain_of(own, deviation.astype(np.float32)),
+        noise=noise,
         deviation=painted[..., 3],
         inside=inside,
-        share=np.where(within, 1.0, share).astype(np.float32),
+        share=np.where(within, belongs, share),
         belongs=belongs,
-        normals=normals.astype(np.float32),
+        normals=normals,
     )
-
-
-def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
-    brightest = log_rgb.max(axis=2, keepdims=True)
-    excess = np.maximum(brightest - BRIGHT, 0.0)
-    limited = brightest - excess - BRIGHT * (1.0 - np.exp(excess / BRIGHT))
-    return log_rgb + np.minimum(np.maximum(limited, own.max(axis=2, keepdims=True)) - brightest, 0.0)
-
-
-def unclipped(stored: np.ndarray, reach: float) -> np.ndarray:
-    """Return weights (h, w, 1) of stored values (h, w, 3): 1, and smoothly 0 around highlights that are clipped."""
-    import cv2
-
-    clipped = np.asarray((stored >= SATURATED).any(axis=2), np.float32)
-    return np.clip(1.0 - 2.0 * cv2.GaussianBlur(clipped, (0, 0), CLIPPED_REACH * reach), 0.0, 1.0)[..., None]
 
 
 def grain_of(own: np.ndarray, deviation: np.ndarray) -> np.ndarray:
@@ -344,13 +350,6 @@ def grain_of(own: np.ndarray, deviation: np.ndarray) -> np.ndarray:
 
     fine = own - cv2.GaussianBlur(own, (0, 0), GRAIN)
     return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6))))
-
-
-def _painted(
-    image: np.ndarray, box: tuple[slice, slice], shape: np.ndarray, model: AAM, values: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return what :func:`paint` gives within a box of the image."""
-    return paint(image[box], shape - (box[1].start, box[0].start), model, values)
 
 
 def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
@@ -366,10 +365,10 @@ def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respo
         as_eight_bit(image),
         appearance,
         shading,
-        (slice(0, 0), slice(0, 0)),
+        Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0))),
         log_flat=none,
         log_own=none,
-        grain=none,
+        noise=0.0,
         deviation=none[..., 0],
         inside=np.zeros((0, 0), bool),
         share=none[..., :1],

@@ -9,7 +9,6 @@ from liaam.model import AAM
 from liaam.model.shape import align
 from liaam.photometry import Response, from_linear
 from liaam.photometry.invariant import THETA_DEFAULT
-from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
 from liaam.relighting.painting import soft_edge
 from liaam.training.textures import sample_appearance
@@ -45,12 +44,12 @@ class Seen:
     __repr__ = short_repr
 
     @classmethod
-    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> "Seen":
-        """Warp an image (h, w, 3) to the reference frame by its fitted landmarks (n, 2)."""
+    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, noise: float) -> "Seen":
+        """Warp an image (h, w, 3), whose stored values have a standard deviation, by its fitted landmarks (n, 2)."""
         log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
         pixel = max(1.0, align(model.shape_model.mean, shape).scale)
         stored = from_linear(np.exp(log), response)
-        return cls(log, usable, noise_variance(stored, response, noise_deviation(image) / pixel).astype(np.float32))
+        return cls(log, usable, noise_variance(stored, response, noise / pixel).astype(np.float32))
 
 
 def noise_variance(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:

@@ -17,11 +17,11 @@ from liaam.photometry.invariant import invariant_row, temperature_direction
 from liaam.relighting.basis import UNEXPLAINED, light_on_frame
 from liaam.relighting.seen import NOISE_FACTOR, Seen, angle_of, errors_of_the_model
 
-SMOOTHNESS, WINDOW = 0.012, 0.06
+SMOOTHNESS, WINDOW = 0.01, 0.08
 """Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
 the frame's diagonal."""
 
-WRONG = 2.0
+WRONG = 3.0
 """Standard deviation of the errors of the modes of light, relative to that of their light within the window."""
 
 ERRORS_PER_AREA = 2.0
@@ -30,8 +30,15 @@ ERRORS_PER_AREA = 2.0
 INVARIANT, TEMPERATURE = 0.06, 0.15
 """Standard deviations of light's colour along the invariant and the temperature, in logarithms."""
 
-OUTLYING = 30.0
-"""Weight against what differs more from its surroundings than errors of the model and of the light do."""
+MARK, CONTRAST = 0.08, 0.2
+"""Width of marks, such as moles, rims of glasses and letters, that are never light, as a fraction of the frame's
+diagonal, and difference of log brightness from the median of their surroundings from which they are such."""
+
+STEPS = 64.0
+"""Steps of log light per unit in the median filter, which has 256 in all."""
+
+OUTLYING = 3.0
+"""Weight against larger regions, such as beards, that differ more from their surroundings than errors do."""
 
 COLOURED = 0.3
 """Change of colour temperature that comes with a change of brightness, at most."""
@@ -62,8 +69,10 @@ def find_shading(
     :func:`liaam.relighting.joint.appearance_in_light`.
     """
     modes = light_on_frame(model)
-    lit = np.tensordot(coordinates, modes, axes=1)
+    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1)
     left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
+    if model.light is not None:  # without lamps, the modes leave cast shadows too
+        left = without_marks(model, smoothed(model, left, 0.5 * SMOOTHNESS))
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
     prior = WRONG**2 * np.maximum(varying, 0.0) + (UNEXPLAINED**2 if model.light is None else 0.0)
@@ -82,6 +91,23 @@ def find_shading(
     return Shading(
         coordinates, (lit + rest).astype(np.float32), rest, np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
     )
+
+
+def without_marks(model: AAM, left: np.ndarray) -> np.ndarray:
+    """Replace what the modes leave, (n_pixels, 3), by the median of its surroundings where it is far from that.
+
+    The median of a square ignores lines and spots up to half its area, but keeps edges between larger regions.
+    """
+    import cv2
+
+    frame, deviation = model.frame, 0.3 * MARK * model.diagonal
+    layers = cv2.GaussianBlur(frame.picture(np.column_stack([left, np.ones(len(left), np.float32)])), (0, 0), deviation)
+    picture = layers[..., :3] / np.maximum(layers[..., 3:], 1e-3)  # around the frame
+    picture[tuple(frame.pixels.T)] = left
+    levels = np.clip(STEPS * picture + 128.0, 0, 255).astype(np.uint8)
+    median = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)[tuple(frame.pixels.T)] / np.float32(STEPS) - 2.0
+    apart = (left - median).mean(axis=1, keepdims=True) / CONTRAST
+    return (median + np.exp(-0.5 * np.square(apart)) * (left - median)).astype(np.float32)
 
 
 def not_light(model: AAM, left: np.ndarray, noise: np.ndarray) -> np.ndarray:

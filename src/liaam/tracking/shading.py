@@ -14,8 +14,9 @@ from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.relighting import Relighter
 from liaam.relighting.shading import Shading
 
-SHARE_OF_FRAME = 0.2
-"""Weight of a frame's light in the running average: the light follows within about five frames."""
+FIRST_SHARE, SHARE = 0.2, 0.05
+"""Weights of a frame's light in the running average, at first and later: the light follows within about five and about
+twenty frames."""
 
 
 @dataclass(eq=False)
@@ -31,6 +32,7 @@ class ShadingRemover:
     fitter: Fitter
     _model: AAM | None = field(default=None, init=False, repr=False)
     _before: Shading | None = field(default=None, init=False, repr=False)
+    _frames: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
         method, model = self.fitter.objectives[-1].method, self.fitter.model
@@ -46,7 +48,7 @@ class ShadingRemover:
 
     def reset(self) -> None:
         """Reset the average, after the object was lost."""
-        self._before = None
+        self._before, self._frames = None, 0
 
     def remove(self, image: np.ndarray, result: FitResult, landmarks: np.ndarray) -> np.ndarray:
         """Return the image with the object under the training light.
@@ -72,15 +74,17 @@ class ShadingRemover:
         refuse_grey(image, "the video", "estimating shading needs colour; give a colour video", MethodError)
         part = self.fitter.part_for(result).model
         if part is not self._model:
-            self._model, self._before = part, None
+            self._model = part
+            self.reset()
         return Relighter.of(
             self.fitter, image, replace(result, landmarks=landmarks), name="the video", steadied=self._steadied
         ).flat()
 
     def _steadied(self, now: Shading) -> Shading:
         """Return the running average of the light."""
-        before = self._before or now
+        before, self._frames = self._before or now, self._frames + 1
+        share = max(SHARE, min(FIRST_SHARE, 1.0 / self._frames))
         names = ("coordinates", "log", "rest", "deviation")
-        averages = (getattr(before, n) + SHARE_OF_FRAME * (getattr(now, n) - getattr(before, n)) for n in names)
+        averages = (getattr(before, n) + share * (getattr(now, n) - getattr(before, n)) for n in names)
         self._before = Shading(*averages)
         return self._before
