@@ -18,7 +18,10 @@ export class Layers {
   /** pixels: RGBA of all layers, one below the other; the first is ambient light. */
   constructor(pixels, { low, high, lamps, coefficients }) {
     const [n, size] = [low.length, pixels.length / 4 / low.length];
-    Object.assign(this, { n, size, lamps, coefficients });
+    this.n = n;
+    this.size = size;
+    this.lamps = lamps;
+    this.coefficients = coefficients;
     const value = (i, k) => low[k] + ((high[k] - low[k]) * pixels[4 * (k * size + i)]) / 255;
     this.values = Float32Array.from({ length: n * size }, (_, j) => value(Math.floor(j / n), j % n));
   }

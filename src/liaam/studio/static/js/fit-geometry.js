@@ -51,7 +51,7 @@ export function meanDistance(first, second) {
 /** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
 const RIM = Math.sin((85 * Math.PI) / 180);
 
-/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a ball of radius 1. */
+/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a ball of radius 1. @param {number[]} place */
 export function directionAt([x, y]) {
   const r = Math.hypot(x, y);
   if (r > RIM) [x, y] = [(x * RIM) / r, (y * RIM) / r];

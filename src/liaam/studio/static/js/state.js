@@ -18,6 +18,7 @@ export class State extends EventTarget {
     this.worstFirst = false; // whether that is by quality
     this.folder = ""; // the subfolder that the list shows; "" for all
     this.online = true;
+    this.wall = null; // the list as a grid; the list sets it
     this.adding = null; // {done, total} of the files that are being added
     this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
     this.unsure = false; // whether another server, for another folder, may have taken over the port
