@@ -27,8 +27,10 @@ def is_it(source: Source) -> bool:
 def parse(source: Source) -> list[Landmarks]:
     """Parse the annotations of images."""
     content = source.json
-    images = {str(image["id"]): image for image in content["images"]}
-    categories = {str(category["id"]): category for category in content.get("categories") or ()}
+    images, _ = _by_id(content["images"], "file_name")
+    categories, unclear = _by_id(content.get("categories") or (), "keypoints")
+    if unclear:
+        raise LandmarkError(f"several categories have the number {unclear[0]}: give each a number of its own.")
     annotations = [each for each in content["annotations"] if each.get("keypoints")]
     # Keypoints that are all of visibility 0 belong to an object that was not labelled.
     labelled = [each for each in annotations if any(each["keypoints"][2::3]) or len(each["keypoints"]) % 3]
@@ -40,10 +42,17 @@ def parse(source: Source) -> list[Landmarks]:
     return list(source.each(records, lambda each: _landmarks(each, images, outline)))
 
 
+def _by_id(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
+    """Return records by number, and the numbers of several records that differ, which are left out."""
+    found: dict[str, Any] = {}
+    several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
+    return {key: record for key, record in found.items() if key not in several}, several
+
+
 def _labelled(annotation: Any, images: dict[str, Any], categories: dict[str, Any]) -> Labelled[Any]:
     key, n, image = str(annotation.get("category_id")), len(annotation["keypoints"]), str(annotation.get("image_id"))
     category = categories.get(key, {})
-    keypoints = tuple(map(str, category.get("keypoints") or ())) or n
+    keypoints = tuple(sorted(map(str, category.get("keypoints") or ()))) or n
     where = str(images.get(image, {}).get("file_name", image))
     return Labelled(key, str(category.get("name", key)), keypoints, n, where, annotation)
 
@@ -58,7 +67,8 @@ def _area(annotation: Any) -> float:
 def _landmarks(annotation: Any, images: dict[str, Any], outline: Any) -> Landmarks:
     image, values = images.get(str(annotation.get("image_id"))), annotation["keypoints"]
     if image is None:
-        raise LandmarkError(f"the file has no image {annotation.get('image_id')}: add it.")
+        number = annotation.get("image_id")
+        raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
     name = str(image["file_name"])
     if len(values) % 3:
         raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v per keypoint: correct it.")

@@ -1,20 +1,21 @@
 """The meaning of the columns of a table with one row a landmark: by their names, and else by their values."""
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from pathlib import PureWindowsPath
 
 from liaam.errors import LandmarkError
-from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
+from liaam.io.landmarks.matching import names_picture
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
 IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
+SIZES = ("image_width", "img_width"), ("image_height", "img_height")
+VISIBLE = ("visible", "visibility", "v")
 UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")
 """Names of columns whose meaning their values decide."""
 
@@ -23,13 +24,16 @@ _AXIS = re.compile(r"(?:(?:pos|coord|point|pixel)_)?([xy])(?:_(?:px|pixels?|coor
 
 @dataclass(frozen=True)
 class Columns:
-    """Indices of columns: x and y; of images, of specimens in an image, and of landmarks, None if there are none."""
+    """Indices of columns: x and y; of images, specimens in an image, landmarks and so on, None if there are none."""
 
     x: int
     y: int
     image: int | None = None
     specimen: int | None = None
     landmark: int | None = None
+    visible: int | None = None
+    size: tuple[int, ...] = ()
+    """Those of the width and height of the images."""
 
 
 def has_points(header: Sequence[str]) -> bool:
@@ -48,9 +52,9 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
     axes: dict[str, int] = {}
     for axis, i in _axes(header):
-        if axis in axes and header[axes[axis]] == axis:
+        if axis in axes and header[i] != header[axes[axis]] == axis:
             continue
-        if axis in axes and header[i] != axis:
+        if axis in axes and (header[i] != axis or header[axes[axis]] == axis):
             raise _ambiguous(header, f"and '{header[axes[axis]]}' both may be {axis}: name one of them {axis}", i)
         axes[axis] = i
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
@@ -67,10 +71,36 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         if image is None and header[i] != "name" and _in_blocks(values[i]):
             image = i
         elif landmark is None and (header[i] in ("name", "label") or _repeats(values[i])):
+            if image is not None and len({*zip(values[image], values[i], strict=True)}) == len({*values[image]}):
+                continue  # one value an image
             landmark = i
     if image is None:
         _check_one_image(header, values, texts, landmark)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark)
+    elif landmark is None:
+        keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
+        landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
+    size = tuple(i for names in SIZES for i in texts if header[i] in names)
+    visible = next((i for i in texts if header[i] in VISIBLE), None)
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size if len(size) == 2 else ())
+
+
+def filled(values: Sequence[str]) -> list[str]:
+    """Fill empty cells with those above them, as merged cells are exported."""
+    last, made = "", []
+    for value in values:
+        last = value or last
+        made.append(last)
+    return made
+
+
+def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
+    """Return whether a column holds each of the same few values once in each image, as names of landmarks do."""
+    groups: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for key, value in zip(keys, values, strict=True):
+        groups[key].append(value)
+    most = max(groups.values(), key=len, default=[])
+    alike = all(len(set(own)) == len(own) and set(own) <= set(most) for own in groups.values())
+    return alike and len(groups) > 1 < len(most)
 
 
 def _check_one_image(header: list[str], values: list[list[str]], texts: list[int], landmark: int | None) -> None:
@@ -97,15 +127,12 @@ def _ambiguous(header: list[str], why: str, column: int) -> LandmarkError:
 
 
 def without_title(name: str) -> str:
-    """Return an image's name without what ImageJ adds behind it, as in ``a.png:eye``."""
-    return re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", name)
+    """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
+    return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)
 
 
 def _are_files(values: Sequence[str]) -> bool:
-    return bool(values) and all(
-        PureWindowsPath(without_title(value)).suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)
-        for value in set(values)
-    )
+    return any(values) and all(names_picture(without_title(value)) for value in {*values} - {""})
 
 
 def _in_blocks(values: Sequence[str]) -> bool:

@@ -12,6 +12,7 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import decimal
 
 _WFLW = 10
 """Numbers of a box and of attributes."""
@@ -23,7 +24,11 @@ def is_it(source: Source) -> bool:
 
 
 def _words(line: str) -> list[str]:
-    """Split a line; a name may hold blanks if commas, semicolons or tabs separate."""
+    """Split a line; a name may hold blanks if others separate, and commas may be decimal if these do not."""
+    cells = [word.strip() for word in re.split(r"[\t;]", line) if word.strip()]
+    words = [decimal(cell) for cell in cells]
+    if words != cells:
+        return words
     cells, words = ([word.strip() for word in re.split(by, line) if word.strip()] for by in (r"[\t,;]", r"[\s,;]"))
     return words if _name_at(cells) is None else cells
 

@@ -28,7 +28,7 @@ _UPWARDS = Placing(upwards=True)
 def parse(source: Source) -> Landmarks | list[Landmarks]:
     """Parse a matrix. y counts upwards."""
     lines = [line for line in source.lines if not line.startswith(('"', "'"))]
-    header = _HEADER.fullmatch(lines[0]) if lines else None
+    header = _HEADER.fullmatch(" ".join(lines[0].split())) if lines else None  # many blanks would take long
     if header is None:
         raise LandmarkError("there is no header of a matrix, such as '1 10L 16 0 DIM=2': export it again.")
     n, width, dim = int(header["rows"]), int(header["columns"]), int(header["dim"] or 2)

@@ -148,9 +148,10 @@ class Source:
 def size_of_file(width: Any, height: Any) -> Placing:
     """Return how positions count in an image whose size a file states as numbers or text, if it does."""
     try:
-        return Placing((float(width), float(height)))
+        size = float(width), float(height)
     except (TypeError, ValueError, OverflowError):
         return Placing()
+    return Placing(size if all(0 < side < math.inf for side in size) else None)
 
 
 def area_of(*sides: Any) -> float:

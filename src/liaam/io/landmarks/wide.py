@@ -36,15 +36,26 @@ def is_it(source: Source) -> bool:
 def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
     """Return the indices of the columns of x and y by landmark."""
     found: dict[str, dict[str, int]] = {}
-    for i, cell in enumerate(header):
+    for i, cell in enumerate(_numbered([cell.strip() for cell in header])):
         match = _COLUMN.fullmatch(cell.strip())
         if match is None:
             continue
         key = match["key"] or match["key2"] or match["key3"] or match["key4"]
         if plain(key) not in _OTHERS:
             axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
-            found.setdefault(key, {})[axis.lower()] = i
+            at = found.setdefault(key, {}).setdefault(axis.lower(), i)
+            if at != i:
+                both = f"'{header[at]}' and '{header[i]}' both may be {axis.lower()} of '{key}'"
+                raise LandmarkError(f"the columns {both}: remove one of them.")
     return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def _numbered(header: list[str]) -> list[str]:
+    """Return a header with numbers for columns x and y that are repeated, as they are or as x, x.1, x.2."""
+    plain = [cell for cell in header if cell in ("x", "y", "X", "Y")]
+    if len(plain) == len({*plain}) and not any(re.fullmatch(r"[xyXY]\.1", cell) for cell in header):
+        return header
+    return [f"{cell}.{header[:i].count(cell)}" if cell in plain else cell for i, cell in enumerate(header)]
 
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
