@@ -178,6 +178,25 @@ def test_one_misplaced_point_is_named(n):
     assert n < 6 or fault.points == (1,)
 
 
+def test_a_misplaced_point_of_four_is_nearly_always_found_and_nothing_else():
+    found, alarms = 0, 0
+    for seed in range(20):
+        rng = np.random.default_rng([4, seed])
+        shapes = specimens(4, seed=seed)
+        alarms += len(find_label_faults(shapes))
+        angle = rng.uniform(0, 2 * np.pi)
+        shapes[7, seed % 4] += 0.1 * np.linalg.norm(np.ptp(WING[:4], axis=0)) * np.array([np.cos(angle), np.sin(angle)])
+        found += [fault.picture for fault in find_label_faults(shapes)] == [7]
+    assert found >= 19 and alarms == 0
+
+
+def test_points_nearly_on_a_line_are_not_mirrored():
+    rng = np.random.default_rng(2)
+    line = np.array([[0, 0], [40, 3], [70, -2], [100, 1.0]])
+    faults = find_label_faults(line + rng.uniform(-1.5, 1.5, (30, 4, 2)))
+    assert faults == []
+
+
 @pytest.mark.parametrize(("kind", "signs"), [("mirrored", [-1.0, 1.0]), ("upside-down", [1.0, -1.0])])
 @pytest.mark.parametrize("n", [5, 9])
 @pytest.mark.parametrize("share", [1, 13])

@@ -14,8 +14,8 @@ from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.contours import Contour, chain_edges
-from liaam.io.landmarks.reading import MISSING, Labelled, Source, area_of, of_category, size_of_file
+from liaam.io.landmarks.contours import Contour, chain_edges, edges_from
+from liaam.io.landmarks.reading import MISSING, Labelled, Source, area_of, by_number, of_category, size_of_file
 from liaam.io.landmarks.text import check_number
 
 
@@ -27,8 +27,8 @@ def is_it(source: Source) -> bool:
 def parse(source: Source) -> list[Landmarks]:
     """Parse the annotations of images."""
     content = source.json
-    images, _ = _by_id(content["images"], "file_name")
-    categories, unclear = _by_id(content.get("categories") or (), "keypoints")
+    images, _ = by_number(content["images"], "file_name")
+    categories, unclear = by_number(content.get("categories") or (), "keypoints")
     if unclear:
         raise LandmarkError(f"several categories have the number {unclear[0]}: give each a number of its own.")
     annotations = [each for each in content["annotations"] if each.get("keypoints")]
@@ -40,13 +40,6 @@ def parse(source: Source) -> list[Landmarks]:
     outline = cache(partial(_lines, source, categories))
     records = ((f"annotation {each.get('id')}", each) for each in chosen)
     return list(source.each(records, lambda each: _landmarks(each, images, outline)))
-
-
-def _by_id(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
-    """Return records by number, and the numbers of several records that differ, which are left out."""
-    found: dict[str, Any] = {}
-    several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
-    return {key: record for key, record in found.items() if key not in several}, several
 
 
 def _labelled(annotation: Any, images: dict[str, Any], categories: dict[str, Any]) -> Labelled[Any]:
@@ -84,16 +77,13 @@ def _landmarks(annotation: Any, images: dict[str, Any], outline: Any) -> Landmar
 def _lines(source: Source, categories: Any, category: str, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
     """Return the names of a category's keypoints, and their contours, as far as they suit n keypoints."""
     found = categories.get(category, {})
-    names, edges = tuple(map(str, found.get("keypoints") or ())), found.get("skeleton") or ()
+    names, skeleton = tuple(map(str, found.get("keypoints") or ())), found.get("skeleton") or ()
     if names and len(names) != n:
         source.notes.repair("keypoints are read without names, because a category has", f"{len(names)} names for {n}")
         names = ()
-    pairs = [edge for edge in edges if isinstance(edge, list) and len(edge) == 2]
-    sound = [edge for edge in pairs if all(type(number) in (int, float) for number in edge)]
-    places = set(range(n))
-    first = 0 if any(0 in edge for edge in sound) else 1  # COCO counts from 1, some programs from 0
-    kept = [(start - first, end - first) for start, end in sound if {start - first, end - first} <= places]
-    if len(kept) < len(edges):
-        source.notes.repair("edges of the skeleton are left out, because there are no such keypoints", str(len(edges)))
-        kept = []
-    return names, chain_edges((int(start), int(end)) for start, end in kept)
+    edges = edges_from(skeleton, n)
+    if len(edges) < len(skeleton):
+        which = str(len(skeleton))
+        source.notes.repair("edges of the skeleton are left out, because there are no such keypoints", which)
+        return names, ()
+    return names, chain_edges(edges)

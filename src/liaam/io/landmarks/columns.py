@@ -1,4 +1,4 @@
-"""The meaning of the columns of a table with one row a landmark: by their names, and else by their values."""
+"""The meaning of the columns of tables: by their names, and else by their values."""
 
 import re
 from collections import Counter, defaultdict
@@ -8,6 +8,7 @@ from itertools import groupby
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.matching import names_picture
+from liaam.io.landmarks.tables import filled, plain
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
 IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
@@ -20,6 +21,16 @@ UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")
 """Names of columns whose meaning their values decide."""
 
 _AXIS = re.compile(r"(?:(?:pos|coord|point|pixel)_)?([xy])(?:_(?:px|pixels?|coords?|coordinates?|pos|position))?")
+
+_FORMS = (
+    r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
+    r"(?P<axis>[xyz])[ ._-](?P<key>\w.*)",
+    r"(?P<key>.*\w)[ ._-](?P<axis>[xyz])",
+    r"(?P<key>\w*\d)(?P<axis>[xyz])",
+)
+_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
+"""Words beside x and y that name no landmark."""
 
 
 @dataclass(frozen=True)
@@ -84,15 +95,6 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size if len(size) == 2 else ())
 
 
-def filled(values: Sequence[str]) -> list[str]:
-    """Fill empty cells with those above them, as merged cells are exported."""
-    last, made = "", []
-    for value in values:
-        last = value or last
-        made.append(last)
-    return made
-
-
 def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
     """Return whether a column holds each of the same few values once in each image, as names of landmarks do."""
     groups: dict[tuple[str, str], list[str]] = defaultdict(list)
@@ -101,6 +103,29 @@ def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool
     most = max(groups.values(), key=len, default=[])
     alike = all(len(set(own)) == len(own) and set(own) <= set(most) for own in groups.values())
     return alike and len(groups) > 1 < len(most)
+
+
+def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
+    """Return the indices of the columns of x and y by landmark, in a table of one row an image."""
+    found: dict[str, dict[str, int]] = {}
+    for i, cell in enumerate(_numbered([cell.strip() for cell in header])):
+        match = next(filter(None, (re.fullmatch(form, cell, re.IGNORECASE) for form in _FORMS)), None)
+        if match is None or plain(match["key"]) in _OTHERS:
+            continue
+        key, axis = match["key"], match["axis"].lower()
+        at = found.setdefault(key, {}).setdefault(axis, i)
+        if at != i:
+            both = f"'{header[at]}' and '{header[i]}' both may be {axis} of '{key}'"
+            raise LandmarkError(f"the columns {both}: remove one of them.")
+    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def _numbered(header: list[str]) -> list[str]:
+    """Return a header with numbers for columns x and y that are repeated, as they are or as x, x.1, x.2."""
+    plain = [cell for cell in header if cell in ("x", "y", "X", "Y")]
+    if len(plain) == len({*plain}) and not any(re.fullmatch(r"[xyXY]\.1", cell) for cell in header):
+        return header
+    return [f"{cell}.{header[:i].count(cell)}" if cell in plain else cell for i, cell in enumerate(header)]
 
 
 def _check_one_image(header: list[str], values: list[list[str]], texts: list[int], landmark: int | None) -> None:

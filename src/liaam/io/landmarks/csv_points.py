@@ -11,13 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.columns import Columns, columns_of, filled, has_points, without_title
+from liaam.io.landmarks.columns import Columns, columns_of, has_points, without_title
 from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
-from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
+from liaam.io.landmarks.tables import Row, check_widths, header_of, is_imagej, rows_of, without_gaps
 from liaam.io.landmarks.text import parse_point
-
-_SUMMARY = {"mean", "sd", "min", "max"}
-"""Labels of rows that ImageJ adds below its results."""
 
 
 def is_it(source: Source) -> bool:
@@ -27,15 +24,13 @@ def is_it(source: Source) -> bool:
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
     """Parse landmarks of one image, or of many images if a column names the image."""
-    header, lines = header_of(source), rows_of(source)
-    rows = [(number, row) for number, row in lines[1:] if any(row) or len(row) == len(header)]
+    header = header_of(source)
+    rows = [(number, row) for number, row in rows_of(source)[1:] if any(row) or len(row) == len(header)]
     check_widths(header, rows)
-    imagej = _is_imagej(source, lines[0][1])
-    if imagej:
-        rows = [(number, row) for number, row in rows if not _SUMMARY & {cell.strip().lower() for cell in row}]
+    imagej = is_imagej(source)
     columns = columns_of(header, [row for _, row in rows])
     for column in (columns.image, columns.specimen):
-        rows = rows if column is None else _without_gaps(source, rows, column)
+        rows = rows if column is None else without_gaps(source, rows, column)
     shift = 0.5 if imagej else 0.0
     groups: dict[tuple[str, str], list[Row]] = {}
     for number, row in rows:
@@ -74,22 +69,8 @@ def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator
         yield (key if i == 1 else (key[0], f"{key[1]}{i}")), part
 
 
-def _without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
-    """Name the image or specimen in rows that lack it, as exports of merged cells do."""
-    names = filled([row[column] for _, row in rows])
-    for name, (_, row) in zip(names, rows, strict=True):
-        if name and not row[column]:
-            source.notes.say("rows without a name of the image or specimen belong to the one above", name)
-    return [(n, [*row[:column], name, *row[column + 1 :]]) for name, (n, row) in zip(names, rows, strict=True)]
-
-
 def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]:
     """Return the point of a row; missing if it is marked invisible and has no position."""
     point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
     seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
     return MISSING if point == (0.0, 0.0) and seen in ("0", "false") else point
-
-
-def _is_imagej(source: Source, header: list[str]) -> bool:
-    """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
-    return {"X", "Y"} <= set(header) and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])

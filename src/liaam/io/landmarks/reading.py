@@ -163,6 +163,13 @@ def area_of(*sides: Any) -> float:
     return area if math.isfinite(area) else 0.0
 
 
+def by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
+    """Return records by number, and the numbers of several records that differ, which are left out."""
+    found: dict[str, Any] = {}
+    several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
+    return {key: record for key, record in found.items() if key not in several}, several
+
+
 def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
     """Return landmarks by image; further ones of an image are its others, unless they have no point."""
     found: dict[str, list[Landmarks]] = {}

@@ -14,6 +14,8 @@ Row = tuple[int, list[str]]
 """A line number, and the cells of the line."""
 
 _SEPARATORS = ";\t,"
+_SUMMARY = {"Mean", "SD", "Min", "Max"}
+"""Labels of rows that ImageJ adds below its results."""
 
 
 def rows_of(source: Source) -> list[Row]:
@@ -40,6 +42,8 @@ def _rows_of(text: str) -> list[Row]:
     except csv.Error as fault:
         raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
     rows = rows or [(1, [""])]
+    if "Label" in rows[0][1]:
+        rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
     if separator != ",":
         rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
     if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
@@ -65,3 +69,27 @@ def check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
     for number, row in rows:
         if len(row) != len(header):
             raise LandmarkError(f"line {number} has {len(row)} cells but the header {len(header)}: correct the line.")
+
+
+def filled(values: Sequence[str]) -> list[str]:
+    """Fill empty cells with those above them, as merged cells are exported."""
+    last, made = "", []
+    for value in values:
+        last = value or last
+        made.append(last)
+    return made
+
+
+def without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
+    """Name the image or specimen in rows that lack it, as exports of merged cells do."""
+    names = filled([row[column] for _, row in rows])
+    for name, (_, row) in zip(names, rows, strict=True):
+        if name and not row[column]:
+            source.notes.say("rows without a name of the image or specimen belong to the one above", name)
+    return [(n, [*row[:column], name, *row[column + 1 :]]) for name, (n, row) in zip(names, rows, strict=True)]
+
+
+def is_imagej(source: Source) -> bool:
+    """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
+    header = rows_of(source)[0][1]
+    return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
