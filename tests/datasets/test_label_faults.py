@@ -8,7 +8,7 @@ from liaam.datasets import load_folder
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_landmarks
-from liaam.model.shape import rotation
+from liaam.model.shape import align, rotation
 from scenes import Head, random_expression, random_pose
 from scenes.render import landmarks_of
 
@@ -267,3 +267,17 @@ def test_the_faults_of_imm_are_found(shared_data):
 def test_faces_labelled_alike_have_no_exchanged_landmarks(shared_data, folder):
     faults = find_label_faults([sample.landmarks.points for sample in load_folder(shared_data / folder)])
     assert not [fault for fault in faults if fault.is_order]
+
+
+def test_points_of_faces_moved_by_more_than_usual_are_named(shared_data):
+    shapes = np.array([sample.landmarks.points for sample in load_folder(shared_data / "imm-frontal")])[:50]
+    rng, usual = np.random.default_rng(5), np.array([align(shape, shapes[0])(shape) for shape in shapes])
+    usual = np.sqrt(usual.var(axis=0).mean(axis=1)) / np.linalg.norm(np.ptp(shapes[0], axis=0))
+    sizes = np.linalg.norm(np.ptp(shapes, axis=1), axis=1)
+    moved, angles = rng.random(shapes.shape[:2]) < 0.05, rng.uniform(0, 2 * np.pi, shapes.shape[:2])
+    away = 0.025 * sizes[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=2)  # a tenth of the eyes'
+    faults = find_label_faults(shapes + away * moved[..., None])
+    named = {(fault.picture, point) for fault in faults for point in fault.points}
+    far = set(zip(*np.nonzero(moved & (4 * usual < 0.025)), strict=True))
+    assert len(far) > 10 and len(far & named) >= 0.8 * len(far)
+    assert len(named - set(zip(*np.nonzero(moved), strict=True))) <= 3

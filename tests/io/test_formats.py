@@ -106,6 +106,7 @@ READ = [
         POINTS,
     ),
     ("a.txt", "a.png\t10,0\t20,0\t30,0\t40,0\t50,0\t60,0\nb.png\t1,0\t2,0\t3,0\t4,0\t5,0\t6,0\n", POINTS),
+    ("a.txt", "".join(f"{name}.png 5 5 60 70 10 20 30 40 50 60\n" for name in "abc"), POINTS),
     ("a.txt", "p\t10,0\t20,0\nq\t30,0\t40,0\nr\t50,0\t60,0\n", POINTS),
     ("a.pts", "n_points: 3\n{\n11,0 21,0\n31,0 41,0\n51,0 61,0\n}\n", POINTS),
     ("a.xml", BOXES.replace("<box width='9'", "<box ignore='False' width='9'"), POINTS),

@@ -27,7 +27,7 @@ LEAST_SPREAD, LEAST, ALWAYS = 3.5, 0.02, 0.05
 """Least distance of a misplaced landmark in its standard deviations, at least and at most these fractions of the
 diagonal. The last allows for turned faces and open mouths, and is that for fewer images than MANY."""
 
-MANY = 25
+MANY = 30
 """Least number of images whose landmarks' standard deviations are relied on."""
 
 SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
