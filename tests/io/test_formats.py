@@ -160,6 +160,15 @@ def test_boxes_of_another_label_are_left_out_with_a_line() -> None:
     assert notes.lines() == ["left out the category 'scale', because 'wing' has more (--category chooses): a.png"]
 
 
+def test_a_column_that_tells_landmarks_apart_by_its_values_is_named() -> None:
+    notes = Notes()
+    rows = "".join(f"{image},{n},{n},{n}\n" for image in ("a.png", "b.png") for n in (3, 1, 2))
+    parse_landmark_data("a.csv", f"image,nr,x,y\n{rows}".encode(), SIZE, notes=notes)
+    assert notes.lines() == [
+        "landmarks are told apart by a column, because it has the same values in all images: nr",
+    ]
+
+
 def test_images_are_found_by_addresses() -> None:
     names = ImageNames([Path("a b.png"), Path("c.png")])
     assert names.find("https://host/x/a%20b.png?sig=1.2&b=/c.png")[0] == Path("a b.png")

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.columns import Columns, columns_of, has_points, without_title
+from liaam.io.landmarks.columns import LANDMARKS, UNCLEAR, Columns, columns_of, has_points, without_title
 from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
 from liaam.io.landmarks.tables import Row, check_widths, header_of, is_imagej, rows_of, without_gaps
 from liaam.io.landmarks.text import parse_point
@@ -29,6 +29,11 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
     check_widths(header, rows)
     imagej = is_imagej(source)
     columns = columns_of(header, [row for _, row in rows])
+    if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
+        source.notes.say(
+            "landmarks are told apart by a column, because it has the same values in all images",
+            header[columns.landmark],
+        )
     for column in (columns.image, columns.specimen):
         rows = rows if column is None else without_gaps(source, rows, column)
     shift = 0.5 if imagej else 0.0
