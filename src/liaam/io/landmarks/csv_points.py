@@ -31,7 +31,7 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         source.notes.say(
-            "landmarks are told apart by a column, because it has the same values in all images",
+            "landmarks are named by a column that has the same values in all images",
             header[columns.landmark],
         )
     for column in (columns.image, columns.specimen):
