@@ -142,6 +142,7 @@ REFUSED = [
     ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
     ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),
     ("a.nts", f"1 9{' ' * 40_000}9{' ' * 40_000}1 1 dim\n1 2\n", "there is no header of a matrix"),
+    ("a.nts", f"1 2L 4 1 -{'9' * 200_000}x\n1 2\n", "there is no header of a matrix"),
     ("a.csv", "id,x1,y1,x2,y2,X1,Y1\na,1,2,3,4,5,6\n", "'x1' and 'X1' both may be x of '1'"),
     ("a.json", coco().replace("}]}", '}, {"id": 1, "name": "b"}]}'), "several categories have the number 1"),
     ("a.json", coco().replace('.png"}', '.png"}, {"id": 1, "file_name": "b"}'), "the file has no image 1: .* several"),
