@@ -8,7 +8,7 @@ from liaam.datasets import load_folder
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, read_landmarks
-from liaam.model.shape import rotation
+from liaam.model.shape import align, rotation
 from scenes import Head, random_expression, random_pose
 from scenes.render import landmarks_of
 
@@ -178,6 +178,25 @@ def test_one_misplaced_point_is_named(n):
     assert n < 6 or fault.points == (1,)
 
 
+def test_a_misplaced_point_of_four_is_nearly_always_found_and_nothing_else():
+    found, alarms = 0, 0
+    for seed in range(20):
+        rng = np.random.default_rng([4, seed])
+        shapes = specimens(4, seed=seed)
+        alarms += len(find_label_faults(shapes))
+        angle = rng.uniform(0, 2 * np.pi)
+        shapes[7, seed % 4] += 0.1 * np.linalg.norm(np.ptp(WING[:4], axis=0)) * np.array([np.cos(angle), np.sin(angle)])
+        found += [fault.picture for fault in find_label_faults(shapes)] == [7]
+    assert found >= 19 and alarms == 0
+
+
+def test_points_nearly_on_a_line_are_not_mirrored():
+    rng = np.random.default_rng(2)
+    line = np.array([[0, 0], [40, 3], [70, -2], [100, 1.0]])
+    faults = find_label_faults(line + rng.uniform(-1.5, 1.5, (30, 4, 2)))
+    assert faults == []
+
+
 @pytest.mark.parametrize(("kind", "signs"), [("mirrored", [-1.0, 1.0]), ("upside-down", [1.0, -1.0])])
 @pytest.mark.parametrize("n", [5, 9])
 @pytest.mark.parametrize("share", [1, 13])
@@ -248,3 +267,17 @@ def test_the_faults_of_imm_are_found(shared_data):
 def test_faces_labelled_alike_have_no_exchanged_landmarks(shared_data, folder):
     faults = find_label_faults([sample.landmarks.points for sample in load_folder(shared_data / folder)])
     assert not [fault for fault in faults if fault.is_order]
+
+
+def test_points_of_faces_moved_by_more_than_usual_are_named(shared_data):
+    shapes = np.array([sample.landmarks.points for sample in load_folder(shared_data / "imm-frontal")])[:50]
+    rng, usual = np.random.default_rng(5), np.array([align(shape, shapes[0])(shape) for shape in shapes])
+    usual = np.sqrt(usual.var(axis=0).mean(axis=1)) / np.linalg.norm(np.ptp(shapes[0], axis=0))
+    sizes = np.linalg.norm(np.ptp(shapes, axis=1), axis=1)
+    moved, angles = rng.random(shapes.shape[:2]) < 0.05, rng.uniform(0, 2 * np.pi, shapes.shape[:2])
+    away = 0.025 * sizes[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=2)  # a tenth of the eyes'
+    faults = find_label_faults(shapes + away * moved[..., None])
+    named = {(fault.picture, point) for fault in faults for point in fault.points}
+    far = set(zip(*np.nonzero(moved & (4 * usual < 0.025)), strict=True))
+    assert len(far) > 10 and len(far & named) >= 0.8 * len(far)
+    assert len(named - set(zip(*np.nonzero(moved), strict=True))) <= 3

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import LandmarkError
+from liaam.io.files import natural_key
 from liaam.io.landmarks import parse_landmark_data
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.formats import FORMATS, KNOWN_FILES
@@ -30,6 +31,32 @@ def label_studio(data: dict, **more: object) -> str:
     return json.dumps([{"id": 1, "data": data, "annotations": [{"result": results}]}])
 
 
+SECOND = "b.png,p,1,2\nb.png,q,3,4\nb.png,r,5,6\n"
+IMAGEJ = "".join(f"{i},a.png,{x + 0.5},{y + 0.5}\n" for i, (x, y) in enumerate(POINTS, 1))
+SLICES = "".join(f"{line},1\n" for line in IMAGEJ.replace("a.png", "stack.tif:a.png").splitlines())
+NUMBERS = "".join(
+    f"<points label='lm' points='{POINTS[i][0]},{POINTS[i][1]}'><attribute name='n'>{i + 1}</attribute></points>"
+    for i in (2, 0, 1)
+)
+
+
+def labelme(groups: list[int], labels: list[str]) -> str:
+    """The last point first, and each in a group of its own."""
+    each = zip((2, 0, 1), groups, labels, strict=True)
+    shapes = [{"label": n, "points": [POINTS[i]], "group_id": g, "shape_type": "point"} for i, g, n in each]
+    return json.dumps({"shapes": shapes, "imagePath": "a.png", "imageWidth": 0, "imageHeight": 0})
+
+
+def coco(factor: int = 1, **more: object) -> str:
+    shift = 0.5 * (factor - 1)
+    keypoints = [value for x, y in POINTS for value in (x * factor + shift, y * factor + shift, 2)]
+    facts = {"image_id": 1, "category_id": 1, "keypoints": keypoints}
+    names = {"id": 1, "name": "leg", "keypoints": ["p", "q", "r"]}
+    return json.dumps(
+        {"images": [{"id": 1, "file_name": "a.png", **more}], "annotations": [facts], "categories": [names]}
+    )
+
+
 READ = [
     (
         "a.csv",
@@ -45,6 +72,49 @@ READ = [
     ("a.pts", "n_points: 3\n{\n11;21\n31 ; 41\n51;61\n}\n", POINTS),
     ("a.xml", BOXES, POINTS),
     ("a.json", label_studio({"note": "see p. 3", "image": "/data/upload/1/0a1b2c3d-a.png"}), POINTS),
+    ("a.json", label_studio({"image": "a.png"}).replace("keypointlabels", "labels"), POINTS),
+    ("a.json", label_studio({"image": "a.png"}).replace("annotations", "completions"), POINTS),
+    (
+        "a.csv",
+        "Bild;Punkt;X;Y\na.png;p;10,0;20,0\na.png;q;30,0;40,0\na.png;r;50,0;60,0\n" + SECOND.replace(",", ";"),
+        POINTS,
+    ),
+    (
+        "a.csv",
+        "image,nr,x,y\na.png,3,50,60\na.png,1,10,20\na.png,2,30,40\nb.png,1,1,2\nb.png,2,3,4\nb.png,3,5,6\n",
+        POINTS,
+    ),
+    ("a.csv", f"image,landmark,x,y\na.png,p,10,20\n,q,30,40\n,r,50,60\n{SECOND}", POINTS),
+    ("a.csv", "image,specimen,landmark,x,y\na,A,p,10,20\n,,q,30,40\n,,r,50,60\n,B,p,1,2\n,,q,3,4\n,,r,5,6\n", POINTS),
+    ("a.csv", "id,x,y,x,y,x,y\na.png,10,20,30,40,50,60\n", POINTS),
+    ("a.csv", "id,x,y,x.1,y.1,x.2,y.2\na.png,10,20,30,40,50,60\n", POINTS),
+    ("a.csv", f" ,Label,X,Y\n{IMAGEJ}4,Mean,30,40\n5,SD,2,2\n6,Min,1,1\n7,Max,9,9\n", POINTS),
+    (
+        "a.csv",
+        f" ,Label,X,Y,Slice\n{SLICES}4,stack.tif:b.png,9,9,2\n",
+        POINTS,
+    ),
+    (
+        "a.csv",
+        '"Image Name", "Landmark ID", "X (px)", "Y (px)"\n"a", "p", 10, 20\n"a", "q", 30, 40\n"a", "r", 50, 60',
+        POINTS,
+    ),
+    ("a.csv", "image,landmark,x,y,visible\na,p,10,20,1\na,q,30,40,1\na,r,0,0,0\n", HOLE),
+    (
+        "a.csv",
+        "image,image_width,image_height,x,y\na,400,320,20.5,40.5\na,400,320,60.5,80.5\na,400,320,100.5,120.5\n",
+        POINTS,
+    ),
+    ("a.txt", "a.png\t10,0\t20,0\t30,0\t40,0\t50,0\t60,0\nb.png\t1,0\t2,0\t3,0\t4,0\t5,0\t6,0\n", POINTS),
+    ("a.txt", "".join(f"{name}.png 5 5 60 70 10 20 30 40 50 60\n" for name in "abc"), POINTS),
+    ("a.txt", "p\t10,0\t20,0\nq\t30,0\t40,0\nr\t50,0\t60,0\n", POINTS),
+    ("a.pts", "n_points: 3\n{\n11,0 21,0\n31,0 41,0\n51,0 61,0\n}\n", POINTS),
+    ("a.xml", BOXES.replace("<box width='9'", "<box ignore='False' width='9'"), POINTS),
+    ("a.xml", f"<annotations><image name='a.png'>{NUMBERS}</image></annotations>", POINTS),
+    ("a.json", labelme([3, 1, 2], ["lm"] * 3), POINTS),
+    ("a.json", labelme([5, 6, 7], ["r", "p", "q"]), POINTS),
+    ("a.json", coco(width=0, height=0), POINTS),
+    ("a.json", coco(width=400, height=320, factor=2), POINTS),
 ]
 
 
@@ -52,7 +122,7 @@ READ = [
 def test_a_file_is_read_rightly(name: str, text: str, points: list) -> None:
     parsed = parse_landmark_data(name, text.encode(), SIZE)
     first = parsed if isinstance(parsed, Landmarks) else next(iter(parsed.values()))
-    np.testing.assert_allclose(first.points, points)
+    np.testing.assert_allclose(first.in_order_of(sorted(first.names, key=natural_key)).points, points)
 
 
 FRACTIONS = "0.05,0.125,0.15,0.25,0.25,0.375"
@@ -71,6 +141,11 @@ REFUSED = [
     ("a.nts", "1 999999999 2 0 DIM=2\n1 2\n", "999999999 x 2 numbers are promised but 2 are there"),
     ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
     ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),
+    ("a.nts", f"1 9{' ' * 40_000}9{' ' * 40_000}1 1 dim\n1 2\n", "there is no header of a matrix"),
+    ("a.nts", f"1 2L 4 1 -{'9' * 200_000}x\n1 2\n", "there is no header of a matrix"),
+    ("a.csv", "id,x1,y1,x2,y2,X1,Y1\na,1,2,3,4,5,6\n", "'x1' and 'X1' both may be x of '1'"),
+    ("a.json", coco().replace("}]}", '}, {"id": 1, "name": "b"}]}'), "several categories have the number 1"),
+    ("a.json", coco().replace('.png"}', '.png"}, {"id": 1, "file_name": "b"}'), "the file has no image 1: .* several"),
 ]
 
 
@@ -84,6 +159,15 @@ def test_boxes_of_another_label_are_left_out_with_a_line() -> None:
     notes = Notes()
     parse_landmark_data("a.xml", BOXES.encode(), SIZE, notes=notes)
     assert notes.lines() == ["left out the category 'scale', because 'wing' has more (--category chooses): a.png"]
+
+
+def test_a_column_that_tells_landmarks_apart_by_its_values_is_named() -> None:
+    notes = Notes()
+    rows = "".join(f"{image},{n},{n},{n}\n" for image in ("a.png", "b.png") for n in (3, 1, 2))
+    parse_landmark_data("a.csv", f"image,nr,x,y\n{rows}".encode(), SIZE, notes=notes)
+    assert notes.lines() == [
+        "landmarks are named by a column that has the same values in all images: nr",
+    ]
 
 
 def test_images_are_found_by_addresses() -> None:

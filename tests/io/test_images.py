@@ -481,7 +481,7 @@ def test_memory_errors_are_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyP
         raise MemoryError
 
     write_image(tmp_path / "a.png", np.zeros((2, 2), np.uint8))
-    monkeypatch.setattr("liaam.io.images._rgb_of", full)
+    monkeypatch.setattr("liaam.io.images.rgb_of", full)
     with pytest.raises(MemoryError):
         read_image(tmp_path / "a.png")
 

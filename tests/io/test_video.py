@@ -15,8 +15,9 @@ import pytest
 from PIL import Image
 
 from liaam.errors import LiaamError, VideoError
-from liaam.io import VideoReader, video as io_video, video_writer, write_image
-from liaam.io.video import SOUGHT, check_video_name, is_video
+from liaam.io import VideoReader, VideoWriter, video as io_video, video_writer, write_image
+from liaam.io.video import SOUGHT, is_video
+from liaam.io.video_writer import check_video_name
 from setups import open_files
 
 N = 30
@@ -778,7 +779,7 @@ def test_an_error_while_decoding_comes_out_where_frames_are_taken(video, monkeyp
 
 @pytest.mark.parametrize(("height", "width"), [(48, 64), (47, 64), (48, 63), (47, 63)])
 def test_a_frame_that_lacks_a_row_or_column_gets_its_neighbour(height, width):
-    writer = io_video.VideoWriter(None, Path("film.mp4"), Fraction(25))
+    writer = VideoWriter(None, Path("film.mp4"), Fraction(25))
     writer._size = (48, 64)
     image = picture(0, height, width)
     fitted = writer._fitted(image)
@@ -790,7 +791,7 @@ def test_a_frame_that_lacks_a_row_or_column_gets_its_neighbour(height, width):
 
 @pytest.mark.parametrize(("height", "width"), [(46, 64), (48, 62), (49, 64), (48, 65), (96, 128)])
 def test_a_frame_of_another_size_is_scaled(height, width):
-    writer = io_video.VideoWriter(None, Path("film.mp4"), Fraction(25))
+    writer = VideoWriter(None, Path("film.mp4"), Fraction(25))
     writer._size = (48, 64)
     fitted = writer._fitted(picture(0, height, width))
     assert fitted.shape == (48, 64, 3)

@@ -21,7 +21,8 @@ from liaam.evaluation import ranges_of
 from liaam.io import VideoFrame, VideoReader, VideoWriter, read_start, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path
-from liaam.io.video import check_video_name, is_video
+from liaam.io.video import is_video
+from liaam.io.video_writer import check_video_name
 from liaam.progress import Progress
 
 if TYPE_CHECKING:

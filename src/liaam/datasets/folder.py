@@ -441,6 +441,12 @@ class _Pairing:
             return
         if image is None and parsed.image_name:
             image = self._find(file.parent, parsed.image_name)
+        elif image is not None and parsed.image_name:
+            other, _ = self.names.find(parsed.image_name, file.parent)
+            if other is not None and other.with_suffix("") != image.with_suffix(""):
+                self.notes.repair(
+                    "landmark files name another image than that of their own name, which is used", file.name
+                )
         if image is None:
             self._leave_out(file, NO_IMAGE)
         else:

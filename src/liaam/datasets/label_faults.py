@@ -35,7 +35,7 @@ BETTER = 8.0
 
 ALL_OFF = 3.0
 """Median distance, in usual deviations, above which other orders of all landmarks are tried, and the least factor by
-which such an order, or a reflection, must reduce it."""
+which such an order must reduce it; of reflections, the upper quartile."""
 
 UPRIGHT, ALIGNED = np.pi / 4, 0.8
 """Largest rotation (radians) of a record that is upright once its y is reversed, and least mean resultant length of
@@ -198,8 +198,11 @@ def _reflections(shapes: np.ndarray) -> tuple[np.ndarray, list[str]]:
 
 
 def _fit(shapes: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Median distance of each shape's landmarks to those of the mean, (m,) float64."""
-    return np.median(np.linalg.norm(resistant_fit(shapes, mean) - mean, axis=2), axis=1)
+    """Upper quartile of the distances of each shape's landmarks to those of the mean, (m,) float64.
+
+    The median would be that of points which any similarity fits, if there are four.
+    """
+    return np.quantile(np.linalg.norm(resistant_fit(shapes, mean) - mean, axis=2), 0.75, axis=1)
 
 
 def _turn(shape: np.ndarray, mean: np.ndarray) -> complex:

@@ -17,12 +17,18 @@ from liaam.progress import Progress
 LEAST_POINTS = 4
 """Least number of landmarks: any three points have a usual shape when one is left out."""
 
-RISK = 0.01
+RISK = 0.015
 """Probability that a set of images without misplaced points has any reported, if its shapes vary normally."""
 
-PRECISION, LEAST_DISTANCE = 0.003, 0.05
-"""Usual precision of landmarks, and least distance of a misplaced one, as fractions of the shape's diagonal. The
-second allows for turned faces and open mouths."""
+PRECISION = 0.003
+"""Usual precision of landmarks, as a fraction of the shape's diagonal."""
+
+LEAST_SPREAD, LEAST, ALWAYS = 3.5, 0.02, 0.05
+"""Least distance of a misplaced landmark in its standard deviations, at least and at most these fractions of the
+diagonal. The last allows for turned faces and open mouths, and is that for fewer images than MANY."""
+
+MANY = 30
+"""Least number of images whose landmarks' standard deviations are relied on."""
 
 SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Candidate variances of independent points, as fractions of the mean variance of a coordinate."""
@@ -33,11 +39,17 @@ POOLED = 100
 ALIKE = 6.0
 """Points whose test statistics differ by less may each explain an unusual shape."""
 
+PRECISE = 0.8
+"""Precision of a scale from the smaller nine tenths of squared distances, relative to that from all."""
+
 FAR = 4.0
 """Distance to the guesses, in medians, above which landmarks do not count for the first covariance."""
 
-PASSES = 3
-"""Largest number of estimates of the mean and the covariance."""
+PASSES = 4
+"""Number of estimates of the mean and the covariance."""
+
+DOUBTFUL = 0.0015
+"""Share of points that do not count for the next estimate if none is misplaced."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +73,17 @@ class Outliers:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal distribution of deviations ``own`` (m, 2 n), with its ``precision`` (2 n, 2 n) and ``scales`` (n,)."""
+    """Normal distribution of deviations ``own`` (m, 2 n), with its ``precision`` (2 n, 2 n) and ``scales`` (n,).
+
+    ``freedom`` is the number of degrees of freedom of the covariance, ``least`` (n,) the least distances of misplaced
+    points.
+    """
 
     own: np.ndarray
     precision: np.ndarray
     scales: np.ndarray
+    freedom: float
+    least: np.ndarray
 
     def without(self, i: int) -> tuple[np.ndarray, np.ndarray]:
         """Mean and precision of the shapes but shape ``i``."""
@@ -87,12 +105,9 @@ def point_outliers(shapes: np.ndarray, near: np.ndarray, progress: Progress | No
     progress : callable(done, total, what), optional
     """
     m, n = shapes.shape[:2]
-    # Quantile of Hotelling's statistic of two dimensions, 2 F(2, freedom), with a covariance of m - 1 other shapes.
-    freedom = m - 2
-    limit = freedom * ((RISK / (m * n)) ** (-2 / freedom) - 1)
     away = np.linalg.norm(shapes - near, axis=2)
     own, filled = shapes, np.where((away > FAR * np.median(away, axis=0))[..., None], near, shapes)
-    last, found = None, []
+    found = []
     for done in range(PASSES):
         if progress:
             progress(done, PASSES, "comparing landmarks")
@@ -102,13 +117,16 @@ def point_outliers(shapes: np.ndarray, near: np.ndarray, progress: Progress | No
         own = np.array([pose(shape) for pose, shape in zip(poses, own, strict=True)])
         filled = np.array([pose(shape) for pose, shape in zip(poses, filled, strict=True)])
         normal = _normal((filled - mean).reshape(m, -1), similarity_modes(mean))
-        found = [_outliers(normal, i, own[i] - mean, limit) for i in range(m)]
+        share, least = RISK / (m * n), normal.least if m >= MANY else np.full(n, ALWAYS)
+        if done < PASSES - 1 and m >= MANY:
+            share, least = max(DOUBTFUL, share), np.full(n, LEAST)
+        # Quantile of Hotelling's statistic of two dimensions, 2 F(2, freedom).
+        limit = normal.freedom * (share ** (-2 / normal.freedom) - 1)
+        found = [_outliers(normal, i, own[i] - mean, limit, least) for i in range(m)]
         filled = own.copy()
         for i, outliers in enumerate(found):
             at = list(outliers.points)
             filled[i, at] = mean[at] + outliers.expected[at]
-        if last == (last := [outliers.points for outliers in found]):
-            break
     back = [align(placed, shape) for placed, shape in zip(own, shapes, strict=True)]
     return [Outliers(o.points, o.instead, b(mean + o.expected)) for o, b in zip(found, back, strict=True)]
 
@@ -132,24 +150,29 @@ def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 def _normal(own: np.ndarray, rigid: np.ndarray) -> _Normal:
     """Estimate the normal distribution that predicts the points of left-out shapes best."""
-    m = len(own)
+    m, n = len(own), own.shape[1] // 2
     own = own - own @ rigid.T @ rigid
     away = own - own.mean(axis=0)
     spread = away.T @ away / (m - 1)
     values, modes = np.linalg.eigh(spread - (np.trace(spread) + 1) * rigid.T @ rigid)
     values, modes = np.maximum(values[len(rigid) :], 0.0), modes[:, len(rigid) :]
     noises = np.maximum(np.array(SHRINKAGES) * values.mean(), PRECISION**2)
-    best, kept = np.inf, (spread, away)
+    best, kept = np.inf, (spread, away, 1.0)
     for noise in np.unique(noises):
         precision = (modes / (values + noise)) @ modes.T
         squares, distances = _left_out(away, precision)
         score = np.log(np.median(distances, axis=0) + 1e-12).mean()
         if score < best:
-            best, kept = score, (precision, squares)
-    precision, squares = kept
-    each = np.median(squares, axis=0) / np.log(4)
-    common = max(np.median(squares) / np.log(4), np.quantile(squares, 0.9) / np.log(100))
-    return _Normal(own, precision, (m + POOLED) / np.maximum(m * each + POOLED * common, 1e-3))
+            best, kept = score, (precision, squares, float((values / (values + noise)).mean()))
+    precision, squares, share = kept
+    # Normal deviations have exponentially distributed squares of mean 2, of which the lower nine tenths have 1.488.
+    each, most = np.median(squares, axis=0) / np.log(4), np.quantile(squares, 0.9)
+    common = max(squares[squares <= most].mean() / 1.488, most / np.log(100))
+    scales = (m + POOLED) / np.maximum(m * each + POOLED * common, 1e-3)
+    # The variances are those of single modes by this share; the rest is one variance of all coordinates.
+    freedom = 1 / (share / (m - 2) + (1 - share) / (PRECISE * (m - 1) * (2 * n - 4)))
+    deviations = np.sqrt(np.diagonal(spread).reshape(n, 2).mean(axis=1))
+    return _Normal(own, precision, scales, freedom, np.clip(LEAST_SPREAD * deviations, LEAST, ALWAYS))
 
 
 def _left_out(away: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +193,7 @@ def _blocks(precision: np.ndarray) -> np.ndarray:
     return precision.reshape(n, 2, n, 2)[every, :, every]
 
 
-def _outliers(normal: _Normal, i: int, own: np.ndarray, limit: float) -> Outliers:
+def _outliers(normal: _Normal, i: int, own: np.ndarray, limit: float, least: np.ndarray) -> Outliers:
     """Leave out points of shape ``i``, with deviations ``own`` (n, 2) from the mean, until it is ordinary."""
     centre, precision = normal.without(i)
     away = (own.ravel() - centre).reshape(-1, 2)
@@ -180,7 +203,7 @@ def _outliers(normal: _Normal, i: int, own: np.ndarray, limit: float) -> Outlier
         blocks[gone], across[gone] = np.eye(2), 0.0
         moves = np.linalg.solve(blocks, across[..., None])[..., 0]
         squares = (moves * across).sum(axis=1) * normal.scales
-        unusual = np.where(np.linalg.norm(moves, axis=1) > LEAST_DISTANCE, squares, 0.0)
+        unusual = np.where(np.linalg.norm(moves, axis=1) > least, squares, 0.0)
         worst = int(unusual.argmax())
         if unusual[worst] <= limit or len(gone) >= max((n - 2) // 2, 1):
             break

@@ -2,15 +2,16 @@
 
 from liaam.io.atomic import atomic_path, write_bytes_atomically, write_text_atomically
 from liaam.io.files import make_folder
+from liaam.io.image_writer import write_image
 from liaam.io.images import (
     IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
     decode_image,
     encoded_size,
     image_size,
     is_image,
     read_image,
     read_preview,
-    write_image,
 )
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES,
@@ -26,7 +27,8 @@ from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import fit_text, write_fit
 from liaam.io.starts import check_start, read_start, start_file
 from liaam.io.tables import to_dataframe, write_columns
-from liaam.io.video import VIDEO_SUFFIXES, VideoFrame, VideoReader, VideoWriter, video_writer
+from liaam.io.video import VideoFrame, VideoReader
+from liaam.io.video_writer import VideoWriter, video_writer
 
 __all__ = [
     "IMAGE_SUFFIXES",

@@ -1,4 +1,4 @@
-"""Read and write still images as RGB arrays with their stored values.
+"""Read still images as RGB arrays with their stored values.
 
 Pillow opens and decodes files, converts colour profiles to sRGB and detects truncated files. OpenCV decodes the 16-bit
 and float files that Pillow would reduce to 8 bits. The size in the header is checked before decoding. The format is
@@ -9,7 +9,7 @@ import importlib
 import io
 import mimetypes
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import as_three_channels, check_size, existing_file
+from liaam.io.profiles import rgb_of
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
@@ -62,21 +62,10 @@ _NEEDS = {
 }
 _MAX_BYTES = 4_000_000_000
 _KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000"
-_DEEP_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm")
-_FLOAT_SUFFIXES = (".tif", ".tiff")
 _EXIF_ORIENTATION = 0x0112
 # Tags of the TIFF 6.0 specification.
 _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _PLANAR, _FORMAT = 256, 257, 258, 262, 277, 284, 339
 _EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
-
-ROWS_AT_ONCE = 256
-"""Rows converted at a time, because Pillow's conversions take several times the image's memory."""
-
-_PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Modes of Pillow's images that the colour profiles of each colour space are for."""
-
-_SAME = 2
-"""Largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding."""
 
 
 @dataclass(frozen=True)
@@ -181,31 +170,6 @@ def image_kind(path: Path) -> str | None:
     """Return the format of an image file by its first bytes, or None for other files."""
     with path.open("rb") as file:
         return _kind_of(file.read(16))
-
-
-def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
-    """Write an image atomically, in the format of the suffix.
-
-    Parameters
-    ----------
-    path : path-like
-        Ends in one of `IMAGE_SUFFIXES`.
-    array : np.ndarray
-        (height, width, 3) in RGB order, or (height, width) grey. uint8 for every format; uint16 for PNG,
-        TIFF, PPM and PGM; float32 for TIFF only. JPEG is written with quality 95 and full-resolution
-        chroma.
-
-    Raises
-    ------
-    ImageError
-        If the suffix, the shape or the type cannot be written, or writing fails.
-    """
-    path = Path(path)
-    array = np.asarray(array)
-    suffix = _check_writable(path, array)
-    if suffix == ".ppm" and array.ndim == 2:
-        array = as_three_channels(array)
-    write_bytes_atomically(path, _encode(array, suffix), ImageError)
 
 
 # Headers ------------------------------------------------------------------------------------------
@@ -384,56 +348,8 @@ def _decode(file: Any, name: object, opened: _Opened, max_pixels: int | None, pr
     if opened.kind != "PPM" or not opened.deep:
         if opened.image is not None and preview is not None:
             opened.image.draft(None, (preview, preview))  # affects JPEG only
-        return _upright(_decode_deep(file, opened) if opened.deep else _rgb_of(opened.image), opened)
+        return _upright(_decode_deep(file, opened) if opened.deep else rgb_of(opened.image), opened)
     return _decode_deep_ppm(file, opened.image)
-
-
-def _rgb_of(image: Any) -> np.ndarray:
-    """Decode a Pillow image to (h, w, 3) uint8, in sRGB."""
-    image.load()
-    width, height = image.size
-    array, convert = np.empty((height, width, 3), np.uint8), _to_srgb(image) or _to_rgb
-    for top in range(0, height, ROWS_AT_ONCE):
-        strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
-        array[top : top + strip.height] = convert(strip)
-    return array
-
-
-def _to_rgb(image: Any) -> Any:
-    # A palette with transparency cannot be converted to RGB directly.
-    return (image.convert("RGBA") if "transparency" in image.info else image).convert("RGB")
-
-
-def _to_srgb(image: Any) -> Callable[[Any], Any] | None:
-    """Return a function that converts parts of an image to sRGB; None if its values are to be taken as stored."""
-    profile = image.info.get("icc_profile")
-    if not profile:
-        return None
-    from PIL import Image, ImageCms
-
-    try:
-        source: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
-        space = source.profile.xcolor_space.strip()
-        if image.mode not in _PROFILE_MODES.get(space, ()):
-            return None
-        mode = _PROFILE_MODES[space][0]
-        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, "RGB")
-    except (ImageCms.PyCMSError, OSError):
-        return None
-    if mode == "L":  # as lcms gives channels that differ by rounding
-        return lambda part: Image.merge("RGB", [transform.apply(part.convert("L")).getchannel("G")] * 3)
-    if mode == "RGB" and _is_srgb(transform):
-        return None
-    return lambda part: transform.apply(_to_rgb(part) if mode == "RGB" else part)
-
-
-def _is_srgb(transform: Any) -> bool:
-    """Return whether a transform to sRGB changes no colour by more than rounding does."""
-    from PIL import Image
-
-    colours = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), axis=-1).reshape(-1, 18, 3)
-    changed = np.asarray(transform.apply(Image.fromarray(colours)), int)
-    return bool(np.abs(changed - colours).max() <= _SAME)
 
 
 def _decode_deep(file: Any, opened: _Opened) -> np.ndarray:
@@ -482,41 +398,3 @@ def _upright(array: np.ndarray, opened: _Opened) -> np.ndarray:
     if opened.orientation in (2, 3, 6, 7):
         array = array[:, ::-1]
     return np.ascontiguousarray(array)
-
-
-# Writing ------------------------------------------------------------------------------------------
-
-
-def _check_writable(path: Path, array: np.ndarray) -> str:
-    """Return the suffix in lower case after checking that it can hold this array."""
-    suffix = path.suffix.lower()
-    if suffix not in IMAGE_SUFFIXES:
-        fault = f"'{path.suffix}' is not a known extension. Use {', '.join(IMAGE_SUFFIXES)}."
-    elif array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or array.size == 0:
-        remedy = "Give (height, width, 3) for colour or (height, width) for grey."
-        fault = f"the array has shape {array.shape}. {remedy}"
-    elif array.dtype not in (np.uint8, np.uint16, np.float32):
-        fault = f"the values are {array.dtype}. Convert them to uint8, uint16 or float32."
-    elif array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
-        fault = f"{suffix} cannot hold float32. Use .tiff, or convert the array to uint8."
-    elif array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
-        fault = f"{suffix} cannot hold 16 bits. Use .png, or convert the array to uint8."
-    elif suffix == ".pgm" and array.ndim == 3:
-        fault = ".pgm is for grey images. Use .ppm or .png for colour."
-    else:
-        return suffix
-    raise ImageError(f"{path} cannot be written: {fault}")
-
-
-def _encode(array: np.ndarray, suffix: str) -> bytes:
-    import cv2
-
-    if suffix == ".pnm":
-        suffix = ".pgm" if array.ndim == 2 else ".ppm"
-    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # the quality is 95 by default
-    tiff = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none
-    png = [cv2.IMWRITE_PNG_COMPRESSION, 3]  # half the time of 6, for files larger by a twelfth
-    options = {".png": png, ".jpg": jpeg, ".jpeg": jpeg, ".tif": tiff, ".tiff": tiff}.get(suffix, [])
-    bgr = array if array.ndim == 2 else array[:, :, ::-1]
-    _, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), options)
-    return data.tobytes()

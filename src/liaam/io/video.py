@@ -1,7 +1,7 @@
-"""Read and write videos, and read cameras and folders of frames, frame by frame.
+"""Read videos, cameras and folders of frames, frame by frame.
 
 The optional package PyAV (FFmpeg) decodes videos in a background thread, a few frames ahead; OpenCV reads cameras.
-Frames are 8-bit RGB, upright. Files are written atomically.
+Frames are 8-bit RGB, upright.
 """
 
 import importlib
@@ -9,7 +9,7 @@ import os
 import queue
 import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -22,9 +22,8 @@ import numpy as np
 
 from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
-from liaam.io.atomic import atomic_path
 from liaam.io.files import as_8_bits, existing_file, natural_key
-from liaam.io.images import STILL_SUFFIXES, VIDEO_SUFFIXES, image_kind, read_image
+from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
 
 AHEAD = 16
 """Number of frames decoded ahead."""
@@ -47,11 +46,7 @@ _REORDERED = 32
 DEFAULT_RATE = Fraction(25)
 """Frames per second of files that do not specify a rate, and of folders of frames."""
 
-_ENCODERS = (("libx264", {"crf": "18", "preset": "veryfast"}), ("mpeg4", {"qscale": "3"}))
-_WEB_ENCODERS = (("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}),)
 _WAIT, _PATIENCE = 0.2, 5.0
-_TICKS = 60000  # time base of written files, a multiple of all usual frame rates
-_LEAST_STEP = _TICKS // 1000  # some formats store times in milliseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +283,7 @@ class _File(_Source):
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = existing_file(path, VideoError, "video")
-        self.av = _pyav(f"{path} is a video")
+        self.av = pyav(f"{path} is a video")
         self.errors = self.av.error.FFmpegError
         try:
             self.container = self._opened()
@@ -435,138 +430,16 @@ def _decoding() -> dict[str, str]:
     return {"max_pixels": str(2 * MAX_PIXELS)}
 
 
-class VideoWriter:
-    """Encoder for the frames of a video; see :func:`video_writer`."""
-
-    def __init__(self, container: Any, path: Path, rate: Fraction):
-        self._container, self._path, self._rate = container, path, rate
-        self._stream: Any = None
-        self._size = (0, 0)
-        # An .avi has a fixed rate and stores no times.
-        self._timed = path.suffix.lower() != ".avi"
-        self._base = Fraction(1, _TICKS) if self._timed else 1 / rate
-        self._begun: float | None = None
-        self._last = -1
-        self.n_frames = 0
-
-    def write(self, image: np.ndarray, time: float | None = None) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        image : (h, w, 3) uint8
-            Resized to the size of the first frame.
-        time : float, optional
-            Seconds, such as :attr:`VideoFrame.time`, relative to the first frame that has a time. If left out or NaN,
-            the frame follows the previous one at the given rate. An ``.avi`` ignores times.
-        """
-        import av
-
-        if not self.n_frames:
-            self._begin(image.shape[:2])
-        frame = av.VideoFrame.from_ndarray(self._fitted(image), format="rgb24")
-        frame.pts, frame.time_base = self._stamp(time), self._base
-        self._container.mux(self._stream.encode(frame))
-        self.n_frames, self._last = self.n_frames + 1, frame.pts
-
-    def _stamp(self, time: float | None) -> int:
-        """Return the time of the next frame in units of the time base, later than that of the previous one."""
-        if not self._timed:
-            return self.n_frames
-        step = round(_TICKS / self._rate)
-        counted = self._last + step if self.n_frames else 0
-        if time is None or not np.isfinite(time):
-            return counted
-        if self._begun is None:
-            self._begun = time - counted / _TICKS
-        stamp = round((time - self._begun) * _TICKS)
-        return stamp if not self.n_frames else max(stamp, self._last + min(step, _LEAST_STEP))
-
-    def _begin(self, size: tuple[int, int]) -> None:
-        name, options = _encoder(self._path)
-        self._size = (size[0] + size[0] % 2, size[1] + size[1] % 2)  # colour is stored for blocks of 2 × 2
-        self._stream = self._container.add_stream(name, rate=self._rate, options=options)
-        self._stream.height, self._stream.width = self._size
-        self._stream.pix_fmt = "yuv420p"
-        self._stream.codec_context.time_base = self._base
-
-    def _fitted(self, image: np.ndarray) -> np.ndarray:
-        height, width = self._size
-        more = height - image.shape[0], width - image.shape[1]
-        if more == (0, 0):
-            return np.ascontiguousarray(image)
-        if all(0 <= n <= 1 for n in more):
-            return np.pad(image, ((0, more[0]), (0, more[1]), (0, 0)), mode="edge")
-        import cv2
-
-        return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-
-    def finish(self) -> None:
-        """Write what the encoder still holds."""
-        if not self.n_frames:
-            raise VideoError(f"{self._path}: there is no frame to write; write at least one")
-        self._container.mux(self._stream.encode())
-
-
-@contextmanager
-def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_RATE) -> Iterator[VideoWriter]:
-    """Write a video. The file is created when the block ends without an error.
-
-    Parameters
-    ----------
-    path : path-like
-        Has one of the suffixes ``.mp4``, ``.m4v``, ``.mov``, ``.mkv``, ``.avi``, ``.webm``. The codec is H.264, or VP9
-        for ``.webm``.
-    rate : Fraction or float
-        Frames per second.
-
-    Yields
-    ------
-    VideoWriter
-        Its ``write(image, time=None)`` takes (h, w, 3) uint8, and a time in seconds if frames are not evenly spaced.
-
-    Raises
-    ------
-    VideoError
-        If the suffix is unknown, PyAV is missing, writing fails, or there is no frame.
-    """
-    path = Path(path)
-    check_video_name(path)
-    av = _pyav(f"{path} is a video")
-    rate = rate if isinstance(rate, Fraction) else Fraction(rate).limit_denominator(1001)
-    with atomic_path(path, VideoError) as temporary, av.open(str(temporary), "w") as container:
-        writer = VideoWriter(container, path, rate)
-        yield writer
-        writer.finish()
-
-
-def check_video_name(path: Path) -> None:
-    """Raise if the suffix is not that of a video that can be written."""
-    if path.suffix.lower() not in VIDEO_SUFFIXES:
-        raise VideoError(f"{path}: a video's name ends in {', '.join(VIDEO_SUFFIXES)}, such as {path.stem}.mp4")
-
-
 def is_video(path: Path) -> bool:
     """Return whether a file can be opened as a video."""
-    _pyav(f"{path} is a video")
+    pyav(f"{path} is a video")
     with suppress(VideoError), closing(_File(path)):
         return True
     return False
 
 
-def _encoder(path: Path) -> tuple[str, dict[str, str]]:
-    import av
-
-    suffix = path.suffix.lower()
-    choice = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
-    for name, options in choice:
-        if name in av.codecs_available:
-            # An .avi cannot store B-frames, which are shown in another order than decoded.
-            return name, {**options, "bf": "0"} if suffix == ".avi" else options
-    raise VideoError(f"{path}: this PyAV lacks the encoder {choice[0][0]}; install PyAV from PyPI, or try .mp4")
-
-
-def _pyav(what: str) -> Any:
+def pyav(what: str) -> Any:
+    """Import PyAV; raise if it is not installed, naming what needs it."""
     try:
         return importlib.import_module("av")  # optional
     except ImportError as error:

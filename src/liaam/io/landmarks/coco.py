@@ -14,8 +14,8 @@ from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.contours import Contour, chain_edges
-from liaam.io.landmarks.reading import MISSING, Labelled, Source, area_of, of_category, size_of_file
+from liaam.io.landmarks.contours import Contour, chain_edges, edges_from
+from liaam.io.landmarks.reading import MISSING, Labelled, Source, area_of, by_number, of_category, size_of_file
 from liaam.io.landmarks.text import check_number
 
 
@@ -27,8 +27,10 @@ def is_it(source: Source) -> bool:
 def parse(source: Source) -> list[Landmarks]:
     """Parse the annotations of images."""
     content = source.json
-    images = {str(image["id"]): image for image in content["images"]}
-    categories = {str(category["id"]): category for category in content.get("categories") or ()}
+    images, _ = by_number(content["images"], "file_name")
+    categories, unclear = by_number(content.get("categories") or (), "keypoints")
+    if unclear:
+        raise LandmarkError(f"several categories have the number {unclear[0]}: give each a number of its own.")
     annotations = [each for each in content["annotations"] if each.get("keypoints")]
     # Keypoints that are all of visibility 0 belong to an object that was not labelled.
     labelled = [each for each in annotations if any(each["keypoints"][2::3]) or len(each["keypoints"]) % 3]
@@ -43,7 +45,7 @@ def parse(source: Source) -> list[Landmarks]:
 def _labelled(annotation: Any, images: dict[str, Any], categories: dict[str, Any]) -> Labelled[Any]:
     key, n, image = str(annotation.get("category_id")), len(annotation["keypoints"]), str(annotation.get("image_id"))
     category = categories.get(key, {})
-    keypoints = tuple(map(str, category.get("keypoints") or ())) or n
+    keypoints = tuple(sorted(map(str, category.get("keypoints") or ()))) or n
     where = str(images.get(image, {}).get("file_name", image))
     return Labelled(key, str(category.get("name", key)), keypoints, n, where, annotation)
 
@@ -58,7 +60,8 @@ def _area(annotation: Any) -> float:
 def _landmarks(annotation: Any, images: dict[str, Any], outline: Any) -> Landmarks:
     image, values = images.get(str(annotation.get("image_id"))), annotation["keypoints"]
     if image is None:
-        raise LandmarkError(f"the file has no image {annotation.get('image_id')}: add it.")
+        number = annotation.get("image_id")
+        raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
     name = str(image["file_name"])
     if len(values) % 3:
         raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v per keypoint: correct it.")
@@ -74,16 +77,13 @@ def _landmarks(annotation: Any, images: dict[str, Any], outline: Any) -> Landmar
 def _lines(source: Source, categories: Any, category: str, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
     """Return the names of a category's keypoints, and their contours, as far as they suit n keypoints."""
     found = categories.get(category, {})
-    names, edges = tuple(map(str, found.get("keypoints") or ())), found.get("skeleton") or ()
+    names, skeleton = tuple(map(str, found.get("keypoints") or ())), found.get("skeleton") or ()
     if names and len(names) != n:
         source.notes.repair("keypoints are read without names, because a category has", f"{len(names)} names for {n}")
         names = ()
-    pairs = [edge for edge in edges if isinstance(edge, list) and len(edge) == 2]
-    sound = [edge for edge in pairs if all(type(number) in (int, float) for number in edge)]
-    places = set(range(n))
-    first = 0 if any(0 in edge for edge in sound) else 1  # COCO counts from 1, some programs from 0
-    kept = [(start - first, end - first) for start, end in sound if {start - first, end - first} <= places]
-    if len(kept) < len(edges):
-        source.notes.repair("edges of the skeleton are left out, because there are no such keypoints", str(len(edges)))
-        kept = []
-    return names, chain_edges((int(start), int(end)) for start, end in kept)
+    edges = edges_from(skeleton, n)
+    if len(edges) < len(skeleton):
+        which = str(len(skeleton))
+        source.notes.repair("edges of the skeleton are left out, because there are no such keypoints", which)
+        return names, ()
+    return names, chain_edges(edges)

@@ -1,35 +1,50 @@
-"""The meaning of the columns of a table with one row a landmark: by their names, and else by their values."""
+"""The meaning of the columns of tables: by their names, and else by their values."""
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from pathlib import PureWindowsPath
 
 from liaam.errors import LandmarkError
-from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
+from liaam.io.landmarks.matching import names_picture
+from liaam.io.landmarks.tables import filled, plain
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
 IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
+SIZES = ("image_width", "img_width"), ("image_height", "img_height")
+VISIBLE = ("visible", "visibility", "v")
 UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")
 """Names of columns whose meaning their values decide."""
 
 _AXIS = re.compile(r"(?:(?:pos|coord|point|pixel)_)?([xy])(?:_(?:px|pixels?|coords?|coordinates?|pos|position))?")
 
+_FORMS = (
+    r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
+    r"(?P<axis>[xyz])[ ._-](?P<key>\w.*)",
+    r"(?P<key>.*\w)[ ._-](?P<axis>[xyz])",
+    r"(?P<key>\w*\d)(?P<axis>[xyz])",
+)
+_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
+"""Words beside x and y that name no landmark."""
+
 
 @dataclass(frozen=True)
 class Columns:
-    """Indices of columns: x and y; of images, of specimens in an image, and of landmarks, None if there are none."""
+    """Indices of columns: x and y; of images, specimens in an image, landmarks and so on, None if there are none."""
 
     x: int
     y: int
     image: int | None = None
     specimen: int | None = None
     landmark: int | None = None
+    visible: int | None = None
+    size: tuple[int, ...] = ()
+    """Those of the width and height of the images."""
 
 
 def has_points(header: Sequence[str]) -> bool:
@@ -48,9 +63,9 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
     axes: dict[str, int] = {}
     for axis, i in _axes(header):
-        if axis in axes and header[axes[axis]] == axis:
+        if axis in axes and header[i] != header[axes[axis]] == axis:
             continue
-        if axis in axes and header[i] != axis:
+        if axis in axes and (header[i] != axis or header[axes[axis]] == axis):
             raise _ambiguous(header, f"and '{header[axes[axis]]}' both may be {axis}: name one of them {axis}", i)
         axes[axis] = i
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
@@ -67,10 +82,50 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         if image is None and header[i] != "name" and _in_blocks(values[i]):
             image = i
         elif landmark is None and (header[i] in ("name", "label") or _repeats(values[i])):
+            if image is not None and len({*zip(values[image], values[i], strict=True)}) == len({*values[image]}):
+                continue  # one value an image
             landmark = i
     if image is None:
         _check_one_image(header, values, texts, landmark)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark)
+    elif landmark is None:
+        keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
+        landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
+    size = tuple(i for names in SIZES for i in texts if header[i] in names)
+    visible = next((i for i in texts if header[i] in VISIBLE), None)
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size if len(size) == 2 else ())
+
+
+def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
+    """Return whether a column holds each of the same few values once in each image, as names of landmarks do."""
+    groups: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for key, value in zip(keys, values, strict=True):
+        groups[key].append(value)
+    most = max(groups.values(), key=len, default=[])
+    alike = all(len(set(own)) == len(own) and set(own) <= set(most) for own in groups.values())
+    return alike and len(groups) > 1 < len(most)
+
+
+def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
+    """Return the indices of the columns of x and y by landmark, in a table of one row an image."""
+    found: dict[str, dict[str, int]] = {}
+    for i, cell in enumerate(_numbered([cell.strip() for cell in header])):
+        match = next(filter(None, (re.fullmatch(form, cell, re.IGNORECASE) for form in _FORMS)), None)
+        if match is None or plain(match["key"]) in _OTHERS:
+            continue
+        key, axis = match["key"], match["axis"].lower()
+        at = found.setdefault(key, {}).setdefault(axis, i)
+        if at != i:
+            both = f"'{header[at]}' and '{header[i]}' both may be {axis} of '{key}'"
+            raise LandmarkError(f"the columns {both}: remove one of them.")
+    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def _numbered(header: list[str]) -> list[str]:
+    """Return a header with numbers for columns x and y that are repeated, as they are or as x, x.1, x.2."""
+    plain = [cell for cell in header if cell in ("x", "y", "X", "Y")]
+    if len(plain) == len({*plain}) and not any(re.fullmatch(r"[xyXY]\.1", cell) for cell in header):
+        return header
+    return [f"{cell}.{header[:i].count(cell)}" if cell in plain else cell for i, cell in enumerate(header)]
 
 
 def _check_one_image(header: list[str], values: list[list[str]], texts: list[int], landmark: int | None) -> None:
@@ -97,15 +152,12 @@ def _ambiguous(header: list[str], why: str, column: int) -> LandmarkError:
 
 
 def without_title(name: str) -> str:
-    """Return an image's name without what ImageJ adds behind it, as in ``a.png:eye``."""
-    return re.sub(r"(\.\w{2,5}):[^\\/]*$", r"\1", name)
+    """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
+    return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)
 
 
 def _are_files(values: Sequence[str]) -> bool:
-    return bool(values) and all(
-        PureWindowsPath(without_title(value)).suffix.lower() in (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)
-        for value in set(values)
-    )
+    return any(values) and all(names_picture(without_title(value)) for value in {*values} - {""})
 
 
 def _in_blocks(values: Sequence[str]) -> bool:

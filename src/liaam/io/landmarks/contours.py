@@ -44,6 +44,14 @@ def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
     return edges
 
 
+def edges_from(pairs: Iterable[object], n: int) -> list[tuple[int, int]]:
+    """Return those pairs of numbers that are edges between n landmarks. They count from 1, unless one of them is 0."""
+    lists = [pair for pair in pairs if isinstance(pair, list) and len(pair) == 2]
+    sound = [pair for pair in lists if all(type(number) in (int, float) for number in pair)]
+    first = 0 if any(0 in edge for edge in sound) else 1
+    return [(int(a) - first, int(b) - first) for a, b in sound if {a - first, b - first} <= {*range(n)}]
+
+
 def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
     """Join edges into contours, the inverse of `edges_of` for contours that do not touch.
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.columns import Columns, columns_of, has_points, without_title
-from liaam.io.landmarks.reading import Source, named_points
-from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.columns import LANDMARKS, UNCLEAR, Columns, columns_of, has_points, without_title
+from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
+from liaam.io.landmarks.tables import Row, check_widths, header_of, is_imagej, rows_of, without_gaps
 from liaam.io.landmarks.text import parse_point
 
 
@@ -24,11 +24,19 @@ def is_it(source: Source) -> bool:
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
     """Parse landmarks of one image, or of many images if a column names the image."""
-    header, lines = header_of(source), rows_of(source)
-    rows = [(number, row) for number, row in lines[1:] if any(row) or len(row) == len(header)]
+    header = header_of(source)
+    rows = [(number, row) for number, row in rows_of(source)[1:] if any(row) or len(row) == len(header)]
     check_widths(header, rows)
+    imagej = is_imagej(source)
     columns = columns_of(header, [row for _, row in rows])
-    shift = 0.5 if _is_imagej(lines[0][1]) else 0.0
+    if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
+        source.notes.say(
+            "landmarks are named by a column that has the same values in all images",
+            header[columns.landmark],
+        )
+    for column in (columns.image, columns.specimen):
+        rows = rows if column is None else without_gaps(source, rows, column)
+    shift = 0.5 if imagej else 0.0
     groups: dict[tuple[str, str], list[Row]] = {}
     for number, row in rows:
         image = "" if columns.image is None else without_title(row[columns.image])
@@ -39,10 +47,11 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
 
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
-        cells = [((row[columns.x], row[columns.y]), f"line {number}") for number, row in own]
-        points = np.array([parse_point(*each) for each in cells]) - shift
+        points = np.array([_point(number, row, columns) for number, row in own]) - shift
         names = [row[columns.landmark] for _, row in own] if columns.landmark is not None else []
-        return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen)
+        placing = size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else Placing()
+        names = tuple(names) if any(names) else ()
+        return Landmarks(points, (), names, image or None, label=specimen, placing=placing)
 
     made = list(source.each(((image or "its table", ((image, s), own)) for (image, s), own in groups.items()), make))
     numbers = columns.landmark is not None and header[columns.landmark] != "name"
@@ -65,6 +74,8 @@ def _parted(key: tuple[str, str], rows: list[Row], columns: Columns) -> Iterator
         yield (key if i == 1 else (key[0], f"{key[1]}{i}")), part
 
 
-def _is_imagej(header: list[str]) -> bool:
-    cells = [cell.strip() for cell in header]
-    return {"X", "Y"} <= set(cells) and (header[0] == " " or "Label" in cells[:2])
+def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]:
+    """Return the point of a row; missing if it is marked invisible and has no position."""
+    point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
+    seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
+    return MISSING if point == (0.0, 0.0) and seen in ("0", "false") else point

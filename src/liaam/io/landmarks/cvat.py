@@ -52,5 +52,7 @@ def _landmarks(found: _Object) -> Landmarks:
             points.append(MISSING if element.get("outside") == "1" else (x, y))
             names.append(element.get("label", ""))
     placing, image_name = size_of_file(image.get("width"), image.get("height")), image.get("name", "")
-    named = names_of(names)
+    attributes = [element.findtext("attribute", "").strip() for element in elements]
+    numbered = len({*names}) == 1 < len({*attributes}) == len(points)
+    named = names_of(attributes if numbered else names)
     return Landmarks(points, (), named, image_name, tuple(invisible), placing=placing)

@@ -46,7 +46,7 @@ def _boxes(root: Any) -> Iterator[tuple[Any, int, Any]]:
     for image in root.iter("image"):
         boxes = list(enumerate(image.iterfind("box"), 1))  # direct children, so that nested ones are not repeated
         for number, box in sorted(boxes, key=lambda each: -area_of(each[1].get("width"), each[1].get("height"))):
-            if box.get("ignore", "0") in ("0", "false", ""):
+            if box.get("ignore", "0").lower() in ("0", "false", "no", ""):
                 yield image, number, box
 
 

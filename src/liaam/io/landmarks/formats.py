@@ -138,7 +138,7 @@ def parse_source(source: Source) -> Parsed:
             raise UnrecognisedError(unknown if suffix == ".json" else untitled)
         parsed = form.reader.parse(source)
         if isinstance(parsed, Landmarks):
-            return replace(parsed, format=form.title)
+            return _titled(parsed, form.title)
         if not parsed:
             raise LandmarkError(
                 f"no landmarks in it ({form.title}): place those of at least one image, or export it again."
@@ -149,7 +149,11 @@ def parse_source(source: Source) -> Parsed:
         if "json" not in suffix or form is None:
             raise
         raise LandmarkError(f"{source.path} lacks the parts of a {form.title} file: export it again.") from fault
-    return {image: replace(own, format=form.title) for image, own in in_objects(parsed).items()}
+    return {image: _titled(own, form.title) for image, own in in_objects(parsed).items()}
+
+
+def _titled(landmarks: Landmarks, title: str) -> Landmarks:
+    return replace(landmarks, format=title, others=tuple(_titled(other, title) for other in landmarks.others))
 
 
 def _is_in(source: Source, form: Format) -> bool:

@@ -33,7 +33,7 @@ def parse(source: Source) -> list[Landmarks]:
 
 def _objects(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     """Return the objects of a task, each from its keypoints."""
-    done = [each for each in task.get("annotations") or () if not each.get("was_cancelled")]
+    done = [each for each in task.get("annotations") or task.get("completions") or () if not each.get("was_cancelled")]
     if len(done) > 1:
         source.notes.say("of several annotations the first is read", str(task.get("id", "")))
     marks = [{**each, **each["value"]} for each in done[0]["result"] if each.get("value")] if done else _lists(task)
@@ -41,7 +41,7 @@ def _objects(source: Source, task: dict[str, Any]) -> list[Landmarks]:
     image = next(filter(names_picture, texts), texts[0] if texts else "")
     groups: dict[Any, _Keypoints] = defaultdict(list)
     for mark in marks:
-        if "keypointlabels" in mark:
+        if "keypointlabels" in mark or ({"labels", "x"} <= mark.keys() and "height" not in mark):
             groups[mark.get("parentID")].append(mark)
     return [_landmarks(image, own) for own in groups.values()]
 
@@ -59,5 +59,5 @@ def _landmarks(image: str, marks: _Keypoints) -> Landmarks:
         raise LandmarkError(f"'{image}' has keypoints for several sizes: label it again.")
     if any(mark.get("image_rotation") for mark in marks):
         raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
-    names = names_of([str(mark["keypointlabels"][0]) for mark in marks])
+    names = names_of([str((mark.get("keypointlabels") or mark["labels"])[0]) for mark in marks])
     return Landmarks(points, names=names, image_name=image, placing=Placing(next(iter(sizes)), fractions=True))

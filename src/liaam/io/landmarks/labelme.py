@@ -10,6 +10,7 @@ from pathlib import PureWindowsPath
 from typing import Any
 
 from liaam.errors import LandmarkError
+from liaam.io.files import natural_key
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source, names_of, size_of_file
 from liaam.io.landmarks.text import check_number
@@ -29,6 +30,11 @@ def parse(source: Source) -> Landmarks:
     for shape in points:
         group = "" if shape.get("group_id") is None else str(shape["group_id"])
         groups.setdefault(group, []).append((str(shape.get("label")), shape["points"][0]))
+    if len(groups) > 1 and all(len(own) == 1 for own in groups.values()):  # the groups number the points
+        labels = [own[0][0] for own in groups.values()]
+        keys = labels if len({*labels}) == len(labels) else list(groups)
+        pairs = zip(keys, (own[0][1] for own in groups.values()), strict=True)
+        groups = {"": sorted(pairs, key=lambda pair: natural_key(pair[0]))}
     if not points and len(lines) == 1:
         groups = {"": [("", pair) for pair in lines[0]["points"]]}
     if not groups:

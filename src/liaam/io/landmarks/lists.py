@@ -1,7 +1,7 @@
 """Lists of images (``.txt``, ``.csv``): a line has x y of all landmarks, and the image's name first or last.
 
 Pixel centres counted from 0, x to the right and y downwards. Lines of WFLW also have a box and six attributes of 0 or 1
-before the name, which are skipped.
+before the name, which are skipped, as is a box around all points before them.
 """
 
 import re
@@ -12,9 +12,13 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import decimal
 
 _WFLW = 10
 """Numbers of a box and of attributes."""
+
+_FEW = 3
+"""Least number of lines, and of points in each, to tell boxes from landmarks."""
 
 
 def is_it(source: Source) -> bool:
@@ -23,7 +27,11 @@ def is_it(source: Source) -> bool:
 
 
 def _words(line: str) -> list[str]:
-    """Split a line; a name may hold blanks if commas, semicolons or tabs separate."""
+    """Split a line; a name may hold blanks if others separate, and commas may be decimal if these do not."""
+    cells = [word.strip() for word in re.split(r"[\t;]", line) if word.strip()]
+    words = [decimal(cell) for cell in cells]
+    if words != cells:
+        return words
     cells, words = ([word.strip() for word in re.split(by, line) if word.strip()] for by in (r"[\t,;]", r"[\s,;]"))
     return words if _name_at(cells) is None else cells
 
@@ -42,12 +50,15 @@ def parse(source: Source) -> list[Landmarks]:
     at = _name_at(lines[0])
     numbers = [words[1:] if at == 0 else words[:-1] for words in lines]
     skipped = _WFLW if all(map(_has_attributes, numbers)) else 0
+    box = 0 if skipped or len(lines) < _FEW or not all(map(_has_box, numbers)) else 4
+    if box:
+        source.notes.say("four numbers before the points are taken for a box around them", source.path.name)
 
     def make(pair: tuple[list[str], list[str]]) -> Landmarks:
         words, own = pair
         if at is None or _name_at(words) != at or len(own) % 2:
             raise LandmarkError("it has other parts than x y of landmarks and a name: correct it.")
-        values = np.array(own[: len(own) - skipped], np.float64)
+        values = np.array(own[box : len(own) - skipped], np.float64)
         return Landmarks(values.reshape(-1, 2), image_name=words[at])
 
     pairs = enumerate(zip(lines, numbers, strict=True), 1)
@@ -59,3 +70,14 @@ def _has_attributes(numbers: list[str]) -> bool:
         return False
     left, top, right, bottom = map(float, numbers[-_WFLW:-6])
     return set(numbers[-6:]) <= {"0", "1"} and left < right and top < bottom
+
+
+def _has_box(numbers: list[str]) -> bool:
+    """Whether the first four numbers are a box around all points: two corners, or one and the size."""
+    if len(numbers) < 4 + 2 * _FEW or len(numbers) % 2 or not all(map(is_number, numbers)):
+        return False
+    corner, other, *points = np.array(numbers, np.float64).reshape(-1, 2)
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    return bool(
+        (corner <= low).all() and ((other >= high).all() or (corner + other >= high).all()) and (other > 0).all()
+    )

@@ -17,7 +17,7 @@ from liaam.io.landmarks.text import parse_number
 
 _HEADER = re.compile(
     r"1\s+(?P<rows>\d{1,9})(?P<named>[lbe]?)\s+(?P<columns>\d{1,9})(?P<columns_named>l?)"
-    r"(?:\s+(?P<missing>[01])(?:\s+(?P<value>-?(?:\d+\.?\d*|\.\d+)))?)?(?:\s+dim\s*=\s*(?P<dim>\d))?\s*",
+    r"(?:\s+(?P<missing>[01])(?:\s+(?P<value>-?(?:\d+(?:\.\d*)?|\.\d+)))?)?(?:\s+dim\s*=\s*(?P<dim>\d))?\s*",
     re.IGNORECASE,
 )
 
@@ -28,7 +28,7 @@ _UPWARDS = Placing(upwards=True)
 def parse(source: Source) -> Landmarks | list[Landmarks]:
     """Parse a matrix. y counts upwards."""
     lines = [line for line in source.lines if not line.startswith(('"', "'"))]
-    header = _HEADER.fullmatch(lines[0]) if lines else None
+    header = _HEADER.fullmatch(" ".join(lines[0].split())) if lines else None
     if header is None:
         raise LandmarkError("there is no header of a matrix, such as '1 10L 16 0 DIM=2': export it again.")
     n, width, dim = int(header["rows"]), int(header["columns"]), int(header["dim"] or 2)

@@ -87,8 +87,6 @@ def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
 
 def _is_turned(declared: Size, size: Size, stored: Size, preferred: bool) -> bool:
     """Return whether a declared size is that of the stored image. Raise if it is of neither."""
-    if min(declared) <= 0:
-        raise LandmarkError(f"the file gives {declared[0]:g} x {declared[1]:g} pixels as the image's size: correct it.")
     upright = _fits(declared, size)
     if not upright and not _fits(declared, stored):
         raise LandmarkError(

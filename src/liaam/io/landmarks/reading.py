@@ -148,9 +148,10 @@ class Source:
 def size_of_file(width: Any, height: Any) -> Placing:
     """Return how positions count in an image whose size a file states as numbers or text, if it does."""
     try:
-        return Placing((float(width), float(height)))
+        size = float(width), float(height)
     except (TypeError, ValueError, OverflowError):
         return Placing()
+    return Placing(size if all(0 < side < math.inf for side in size) else None)
 
 
 def area_of(*sides: Any) -> float:
@@ -160,6 +161,13 @@ def area_of(*sides: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         return 0.0
     return area if math.isfinite(area) else 0.0
+
+
+def by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
+    """Return records by number, and the numbers of several records that differ, which are left out."""
+    found: dict[str, Any] = {}
+    several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
+    return {key: record for key, record in found.items() if key not in several}, several
 
 
 def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:

@@ -15,6 +15,8 @@ MAX_BYTES = 500_000_000
 _SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
 """A line of x and y with a comma or semicolon between them."""
 
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+
 _ABSENT = (-999.0, -9999.0)
 """Numbers that programs write for x and y of a missing landmark."""
 
@@ -78,6 +80,11 @@ def parse_number(token: str, where: str) -> float:
     return value
 
 
+def decimal(cell: str) -> str:
+    """Replace a decimal comma, where commas do not separate."""
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
+
+
 def parse_point(tokens: Sequence[str], where: str) -> tuple[float, float]:
     """Parse x and y, both or neither of them missing."""
     x, y = (parse_number(token, where) for token in tokens)
@@ -89,7 +96,9 @@ def parse_point(tokens: Sequence[str], where: str) -> tuple[float, float]:
 def parse_pair(line: str, where: str) -> tuple[float, float]:
     """Parse a line that holds x and y, both or neither of them missing."""
     match = _SEPARATED.fullmatch(line)
-    tokens = match.groups() if match is not None else line.split()
+    tokens = match.groups() if match is not None else re.split(r"\s*;\s*|\s+", line.strip())
+    if all(map(_DECIMAL_COMMA.fullmatch, tokens)):
+        tokens = [decimal(token) for token in tokens]
     if len(tokens) != 2:
         raise LandmarkError(f"{where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
     return parse_point(tokens, where)

@@ -4,12 +4,13 @@ Pixel centres counted from 0, x to the right and y downwards. HELEN's begin with
 A first line with the number of points is skipped.
 """
 
+import operator
 import re
 from typing import Any
 
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source
-from liaam.io.landmarks.text import parse_point
+from liaam.io.landmarks.text import decimal, parse_point
 
 _NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
 _LINE = re.compile(
@@ -26,10 +27,17 @@ def is_it(source: Source) -> bool:
 def _matches(source: Source) -> list[re.Match[str]]:
     if len(max(source.lines, key=len)) > _LONGEST:
         return []
-    lines = source.lines[1:] if _first(source) else source.lines
+    lines = [_with_points(line) for line in (source.lines[1:] if _first(source) else source.lines)]
     found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
     alike = len({match["name"] is None for match in found}) == 1
     return found if alike and len(found) == len(lines) >= _FEWEST else []
+
+
+def _with_points(line: str) -> str:
+    """Replace decimal commas, if x and y both have one."""
+    cells = re.split(r"([\t;]|\s+)", line)
+    made = [decimal(cell) for cell in cells]
+    return "".join(made if sum(map(operator.ne, made, cells)) == 2 else cells)
 
 
 def _first(source: Source) -> str:

@@ -10,41 +10,16 @@ from typing import Any
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.columns import IMAGES, SPECIMENS, UNCLEAR
+from liaam.io.landmarks.columns import IMAGES, SPECIMENS, UNCLEAR, pairs_of
 from liaam.io.landmarks.reading import Source
-from liaam.io.landmarks.tables import Row, check_widths, header_of, plain, rows_of
+from liaam.io.landmarks.tables import Row, check_widths, header_of, rows_of
 from liaam.io.landmarks.text import parse_point
-
-_COLUMN = re.compile(
-    r"(?:raw|coord|lm)?[ ._-]?(?P<a>[xyz])[ ._-]?(?P<key>\d+)"
-    r"|(?P<a2>[xyz])[ ._-](?P<key2>\w.*)"
-    r"|(?P<key3>.*\w)[ ._-](?P<a3>[xyz])"
-    r"|(?P<key4>\w*\d)(?P<a4>[xyz])",
-    re.IGNORECASE,
-)
-_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
-_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
-"""Words beside x and y that name no landmark."""
 
 
 def is_it(source: Source) -> bool:
     """Whether the first line has x and y of at least two landmarks."""
     rows = rows_of(source)
-    return bool(rows) and len(_pairs(rows[0][1])) > 1
-
-
-def _pairs(header: list[str]) -> dict[str, dict[str, int]]:
-    """Return the indices of the columns of x and y by landmark."""
-    found: dict[str, dict[str, int]] = {}
-    for i, cell in enumerate(header):
-        match = _COLUMN.fullmatch(cell.strip())
-        if match is None:
-            continue
-        key = match["key"] or match["key2"] or match["key3"] or match["key4"]
-        if plain(key) not in _OTHERS:
-            axis = match["a"] or match["a2"] or match["a3"] or match["a4"]
-            found.setdefault(key, {})[axis.lower()] = i
-    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+    return bool(rows) and len(pairs_of(rows[0][1])) > 1
 
 
 def parse(source: Source) -> Landmarks | list[Landmarks]:
@@ -52,7 +27,7 @@ def parse(source: Source) -> Landmarks | list[Landmarks]:
     first, *rows = rows_of(source)
     rows = [(number, row) for number, row in rows if any(row)]
     check_widths(first[1], rows)
-    given = _pairs(first[1])
+    given = pairs_of(first[1])
     numbered = all(map(str.isdigit, given))
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
