@@ -80,7 +80,7 @@ of 54 photographs, and no place without a face (largest sum: 1.12). This takes 2
 MOST = 20
 """Largest number of objects in an image."""
 
-OTHERS = 8
+OTHERS = 12
 """Number of other places to fit if the first is not the object."""
 
 LOOKED = 4
