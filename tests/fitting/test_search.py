@@ -1,6 +1,6 @@
 """Finding the object without a start: by the model's own directions of gradients, in generated scenes."""
 
-from copy import copy
+import pickle
 
 import cv2
 import numpy as np
@@ -10,12 +10,12 @@ import liaam
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import Detection, Finder, FitStatus, Fitter, find, search
 from liaam.fitting.levels import LinearImage
+from liaam.fitting.responses import SPECTRA_KEPT
 from liaam.fitting.search import (
     DOUBTFUL,
     LARGEST,
     LEAST_PIXELS,
     SMALLEST,
-    SPECTRA_KEPT,
     STEP,
     search_sizes,
 )
@@ -84,9 +84,9 @@ def fits_counted(finder, monkeypatch, image, **options):
     """What is found, and at how many places the small model was fitted."""
     fit, places = Finder._fitted, []
 
-    def counted(self, linear, place, field):
+    def counted(self, linear, place, template, field):
         places.append(place)
-        return fit(self, linear, place, field)
+        return fit(self, linear, place, template, field)
 
     monkeypatch.setattr(Finder, "_fitted", counted)
     found = finder.find(image, **options)
@@ -255,9 +255,9 @@ def test_what_was_searched_before_makes_no_difference(model):
         seen, fresh = used.find(picture)[0], Finder(model).find(picture)[0]
         assert seen.score == fresh.score
         assert np.array_equal(seen.landmarks, fresh.landmarks)
-    assert 0 < sum(height * width for height, width in used._spectra) <= SPECTRA_KEPT
-    again = copy(used)  # as one that is sent to another process
-    assert not again._spectra
+    assert 0 < sum(height * width for height, width in used.templates._spectra) <= SPECTRA_KEPT
+    again = pickle.loads(pickle.dumps(used))  # as one that is sent to another process
+    assert not again.templates._spectra
     assert again.find(pictures[0])[0].score == used.find(pictures[0])[0].score
 
 
@@ -398,7 +398,7 @@ def test_an_upright_object_is_the_same_among_all_rotations(turning, finder):
 
 def test_objects_that_fill_the_frame_are_tried_in_four_ways(turning, finder):
     image = photograph(Pose(scale=1.0)).image
-    filled = [search._Search(each, LinearImage(image, "srgb"), 10) for each in (finder, turning.finder)]
+    filled = [search._Search(each, LinearImage(image, "srgb"), 10, each.templates) for each in (finder, turning.finder)]
     for each in filled:
         each.for_all()
     assert [len(each.filling()) for each in filled] == [2, 8]

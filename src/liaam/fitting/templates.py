@@ -262,6 +262,22 @@ def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ..
     return tuple(templates)
 
 
+def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[Template, ...]:
+    """Make templates of a learnt filter (h, w, 2), of the mean shape in several rotations."""
+    import cv2  # heavy: imported when first needed
+
+    height, width = values.shape[:2]
+    centre, size = 0.5 * np.array([width - 1, height - 1]), max(height, width)
+    middle, straight, found = 0.5 * np.array([size - 1, size - 1]), np.zeros(len(small.shape_model.basis)), []
+    for turn in np.deg2rad(TURNS[rotations]):
+        back = rotation(-turn)
+        affine = np.column_stack([back, centre - back @ middle])
+        moved = cv2.warpAffine(values, affine, (size, size), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
+        field = (moved[..., 0] + 1j * moved[..., 1]) * np.exp(1j * turn)
+        found.append(Template(field.astype(np.complex64), -middle, float(turn), straight))
+    return tuple(found)
+
+
 def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
     frame = ReferenceFrame(small.shape_model.shape(p) @ rotation(turn).T, small.triangles)
     at = np.einsum("nv,nvc->nc", frame.weights, small.shape_model.mean[frame.vertices])

@@ -1,6 +1,7 @@
 """The active appearance model: one frozen object, one safetensors file."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -27,7 +28,7 @@ class AAM:
 
     Attributes
     ----------
-    views : dict of str to View
+    views : mapping of str to View
         Views by name: ``mesh``, ``surroundings``. ``mesh`` is always present.
     triangles : (t, 3) int32
         The mesh.
@@ -52,6 +53,9 @@ class AAM:
     features : Features, optional
         What is known of the function whose channels the appearance ``features`` holds. The function itself is given
         with the method (:func:`liaam.fitting.features_method`).
+    search_filter : (h, w, 2) float32, optional
+        Filter on gradient orientations that responds to the object at the resolution of the search, its centre at that
+        of the mean shape (:mod:`liaam.training.search_filter`); older files have none.
     is_colour : bool
         Whether the model was trained on colour images.
     credit : str
@@ -61,7 +65,7 @@ class AAM:
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
     """
 
-    views: dict[str, View]
+    views: Mapping[str, View]
     triangles: np.ndarray
     camera: CameraModel
     n_images: int
@@ -73,6 +77,7 @@ class AAM:
     light: LightBasis | None = None
     points: PointMap | None = None
     features: Features | None = None
+    search_filter: np.ndarray | None = None
     is_colour: bool = True
     credit: str = ""
     others: tuple["AAM", ...] = ()

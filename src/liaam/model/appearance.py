@@ -109,7 +109,7 @@ def strongest_modes(orientations: AppearanceModel) -> AppearanceModel:
 def spread(values: np.ndarray, known: np.ndarray, axis: int = 0) -> np.ndarray:
     """Return values along an axis of known places as values of all places; elsewhere they are 0."""
     whole = np.zeros((*values.shape[:axis], len(known), *values.shape[axis + 1 :]), values.dtype)
-    whole[(slice(None),) * axis + (known,)] = values
+    whole[(slice(None),) * axis + (np.flatnonzero(known),)] = values  # a mask takes three times as long
     return whole
 
 

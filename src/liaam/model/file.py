@@ -59,6 +59,9 @@ MAX_BLUR, MAX_LEVELS = 10.0, 10
 MAX_LIGHTS = 100
 """Largest number of modes of a light basis."""
 
+LARGEST_FILTER = 100
+"""Largest height and width of the search's filter, pixels."""
+
 LEAST_SHARE = 0.1
 """Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest."""
 
@@ -165,6 +168,8 @@ def _header(model: "AAM") -> dict:
 
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    if model.search_filter is not None:
+        tensors["search_filter"] = _half_if_exact(model.search_filter)
     parts = [(part, getattr(model, part), part) for part in ("light", "points", "features")]
     for name, view in model.views.items():
         parts += [
@@ -287,6 +292,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "light": _light(tensors, n) if "light.modes" in tensors else None,
         "points": _point_map(tensors, n),
         "features": features,
+        "search_filter": _search_filter(tensors),
         "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
     }
 
@@ -333,6 +339,16 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
     return LightBasis(mean, modes, remainder, np.zeros(0, np.float16) if levels is None else levels)
+
+
+def _search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Filter of the search, (h, w, 2)."""
+    if "search_filter" not in tensors:
+        return None
+    found = _half_or_single(tensors, "search_filter", (None, None, 2))
+    if not 1 <= min(found.shape[:2]) <= max(found.shape[:2]) <= LARGEST_FILTER:
+        raise ValueError(f"search_filter has shape {found.shape}")
+    return found
 
 
 def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:
@@ -407,7 +423,8 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
         raise ValueError(f"{len(modes)} shape modes are too many for {n} landmarks")
     basis = np.concatenate([modes, similarity_modes(mean)])
-    if not _are_unit(modes) or np.abs(modes @ basis.T - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
+    products = np.einsum("id,jd->ij", modes, basis)  # threads of BLAS would wait longer than this takes
+    if not _are_unit(modes) or np.abs(products - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
         raise ValueError("shape.modes are not orthonormal")
     eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
     unexplained = _optional(tensors, "shape.unexplained", np.float64, (n, 2, 2))
@@ -536,7 +553,7 @@ def _check_variances(key: str, matrices: np.ndarray) -> None:
 
 def _are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
     """Whether modes (m, d) have unit length, or at most that if a part of them is not stored."""
-    if np.abs(modes).max(initial=0.0) > 2.0:  # the squares might overflow
+    if max(modes.max(initial=0.0), -modes.min(initial=0.0)) > 2.0:  # the squares might overflow
         return False
     beyond = np.einsum("md,md->m", modes, modes) - 1.0
     return bool(((beyond if at_most else np.abs(beyond)) < UNIT).all())

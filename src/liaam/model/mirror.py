@@ -1,5 +1,6 @@
 """The mirror image of a model: of heads turned to one side, it is a model of heads turned to the other."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -35,8 +36,28 @@ def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":
     if model.features is not None:
         raise ModelFileError("a model with features of a function cannot be mirrored; train it without them")
     triangles = order[model.triangles][:, ::-1].astype(np.int32)
-    views = {name: _view(name, view, triangles, order) for name, view in model.views.items()}
-    return replace(model, views=views, triangles=triangles, light=None, points=None)
+    views = _MirroredViews(model.views, triangles, order)
+    known = model.search_filter
+    mirrored = None if known is None else np.ascontiguousarray(known[:, ::-1] * np.array([-1, 1], np.float32))
+    return replace(model, views=views, triangles=triangles, light=None, points=None, search_filter=mirrored)
+
+
+class _MirroredViews(Mapping[str, View]):
+    """Views that are mirrored when they are first needed, since this takes a quarter of the time of reading a file."""
+
+    def __init__(self, views: Mapping[str, View], triangles: np.ndarray, order: np.ndarray) -> None:
+        self.views, self.triangles, self.order, self.made = views, triangles, order, dict[str, View]()
+
+    def __getitem__(self, name: str) -> View:
+        if name not in self.made:
+            self.made[name] = _view(name, self.views[name], self.triangles, self.order)
+        return self.made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.views)
+
+    def __len__(self) -> int:
+        return len(self.views)
 
 
 def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> View:

@@ -25,6 +25,7 @@ from liaam.photometry.encoding import Encoding, as_colour
 from liaam.photometry.features import Encoder
 from liaam.training.entries import Entry
 from liaam.training.options import Blurs
+from liaam.training.search_filter import FilterLearner
 from liaam.training.steps import Steps
 
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
@@ -77,10 +78,13 @@ def sample_all(
     steps: Steps,
     copied: Copies,
     encoder: Encoder | None = None,
+    filters: FilterLearner | None = None,
 ) -> Sampled:
     """Sample the textures of all entries and their copies at the views' levels, for the appearances to learn.
 
     ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user.
+
+    ``filters`` sees all images and copies.
 
     Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
     """
@@ -115,6 +119,8 @@ def sample_all(
     for i, entry in enumerate(entries):
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
+        if filters is not None:
+            filters.add(image, entry.points)
         own = np.flatnonzero(coloured == i)
         for name in view_of:
             for row in [first[i]] if name in COPIED_APPEARANCES else own:
@@ -122,6 +128,8 @@ def sample_all(
         made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
         for row, (copy, points) in enumerate(made, first[i] + 1):
             steps.next(f"a copy of {entry.name}")
+            if filters is not None:
+                filters.add(copy, points)
             for name in copied_names:
                 sample(copy, points, name, row, not grey[i])
     textures = {name: {i: Textures.of(*each) for i, each in by_level.items()} for name, by_level in room.items()}

@@ -25,6 +25,7 @@ from liaam.training.kept import chosen, keep_only, wanted
 from liaam.training.left_out import fitted_of, folds_of, reliability_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
+from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.symmetry import describe_offset, sideways_offset
@@ -177,7 +178,9 @@ def _train_one(
         names[MESH] = [[*each, "features"] for each in names[MESH]]
     with reported("training", progress) as report:
         steps = _steps(model, options, folds, report)
-        sampled = sample_all(checked, grey, model, blurs, names, steps, copied, encoder)
+        filters = FilterLearner(model, blurs[MESH][0])
+        sampled = sample_all(checked, grey, model, blurs, names, steps, copied, encoder, filters)
+        model = replace(model, search_filter=filters.learnt())
         for view in VIEWS:
             levels = []
             for i, blur in enumerate(blurs[view]):
