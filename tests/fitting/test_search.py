@@ -155,14 +155,14 @@ def test_a_place_that_scores_too_little_ends_no_search(finder, monkeypatch):
 def test_weaker_places_are_looked_at_where_the_best_lie_outside(scenes, monkeypatch):
     # A model of the pictures as they are: mirrored copies let the search see a little of the head anywhere.
     finder = Finder(train_on(scenes, diagonal=80.0, copies=0))
-    image, asked, is_inside = photograph(Pose(scale=0.7)).image, [], search._is_inside
+    image, asked, is_inside = photograph(Pose(scale=0.7)).image, [], search.is_inside
     monkeypatch.setattr(search, "WORTH", 1.0)  # a single place, which is the object
 
     def anywhere_but_there(shape, picture):
         asked.append(shape)
         return is_inside(shape, picture) and bool(np.abs(shape - asked[0]).max() > 5)
 
-    monkeypatch.setattr(search, "_is_inside", anywhere_but_there)
+    monkeypatch.setattr(search, "is_inside", anywhere_but_there)
     (found,) = finder.find(image)
     assert len(asked) > 1
     assert 0 < found.score < DOUBTFUL

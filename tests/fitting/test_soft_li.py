@@ -7,6 +7,7 @@ import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
 from liaam.fitting.levels import prepare_level, solve_levels
+from liaam.fitting.solution import residual_at, solution_at
 from liaam.model import MESH, SURROUNDINGS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
 from liaam.photometry.encoding import BRIGHTNESS
@@ -138,7 +139,7 @@ def test_a_fit_that_explains_nothing_is_doubtful(fine_model, rng):
 def test_its_residual_is_a_picture_of_the_surrounded_frame(fine_model, lit_scene):
     fitter = Fitter(fine_model)
     result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
-    residual, usable = fitter.residual(lit_scene.image, result)
+    residual, usable = residual_at(fitter, lit_scene.image, result)
     picture = fine_model.views[SURROUNDINGS].warp.frame.picture(residual)
     assert picture.shape[2] == 3
     assert picture.any()
@@ -157,4 +158,4 @@ def test_soft_li_fits_with_shapes_of_its_own(model, lit_scene):
     np.testing.assert_array_equal(soft.landmark_covariances, alone.landmark_covariances)
     np.testing.assert_array_equal(plain.landmarks, Fitter(model, "li").fit(lit_scene.image, start).landmarks)
     # What one method has found another can look at.
-    assert np.isfinite(Fitter(both, "li").solution_at(lit_scene.image, soft)["lam"]).all()
+    assert np.isfinite(solution_at(Fitter(both, "li"), lit_scene.image, soft)["lam"]).all()

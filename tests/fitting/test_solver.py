@@ -11,6 +11,7 @@ from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
 from liaam.fitting.levels import prepare_level
 from liaam.fitting.objective import Objective
 from liaam.fitting.reference import Problem
+from liaam.fitting.solution import residual_at
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 from setups import disturb, finest_objective, make_level, model_pixels
@@ -131,7 +132,7 @@ def test_the_result_describes_itself(model, lit_scene):
     fitter = Fitter(model, "li")
     result = fitter.fit(lit_scene.image, disturb(lit_scene.landmarks))
     np.testing.assert_allclose(result.pose(model.shape_model.shape(result.p)), result.landmarks)
-    residual, usable = fitter.residual(lit_scene.image, result)
+    residual, usable = residual_at(fitter, lit_scene.image, result)
     assert residual.shape == (model.n_pixels, 1) and usable.shape == (model.n_pixels,)
     assert not residual[usable == 0].any()
     values = np.linalg.eigvalsh(result.covariance)
@@ -231,7 +232,7 @@ def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     assert model_pixels(fine_model, few.landmarks, all_of_them.landmarks) < 0.2
     n_pixels = fine_model.views[SURROUNDINGS].warp.frame.n_pixels
     for each, result in ((fitter, few), (dense, all_of_them)):
-        assert each.residual(lit_scene.image, result)[0].shape == (n_pixels, 3)
+        assert residual_at(each, lit_scene.image, result)[0].shape == (n_pixels, 3)
 
 
 def test_directions_are_looked_at_everywhere(fine_model):
@@ -244,7 +245,7 @@ def test_directions_are_looked_at_everywhere(fine_model):
 def test_the_residual_is_that_of_the_cost(fine_model, same_light_scene, method):
     image, fitter = (0.6 * same_light_scene.image).astype(np.float32), Fitter(fine_model, method)
     result = fitter.fit(image, disturb(same_light_scene.landmarks))
-    residual, usable = fitter.residual(image, result)
+    residual, usable = residual_at(fitter, image, result)
     appearance = fine_model.levels[-1].appearances[get_method(method).appearance]
     weights = np.repeat((appearance.usable * usable)[:, None], residual.shape[1], axis=1)
     mean = float(np.average(np.square(residual), weights=weights))

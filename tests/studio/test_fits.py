@@ -16,6 +16,7 @@ from PIL import Image
 
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.solution import residual_at
 from liaam.io import Landmarks, decode_image, read_landmarks, write_image, write_landmarks
 from liaam.model import AAM, SURROUNDINGS
 from liaam.model.shape import diagonal_of
@@ -281,7 +282,7 @@ class TestLayers:
 
     def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
         seen = fitted.residual
-        residual, _ = fitted.fitter.residual(fits.pictures.pixels(fitted.source), fitted.result)
+        residual, _ = residual_at(fitted.fitter, fits.pictures.pixels(fitted.source), fitted.result)
         power = np.square(residual).sum(axis=0)
         assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
         whole = fitted.model.views[SURROUNDINGS].warp.frame.picture(residual[:, int(power.argmax())])

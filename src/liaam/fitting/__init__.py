@@ -1,10 +1,11 @@
 """Fitting: the table of methods, the objective and the solver that all methods use."""
 
+from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.many import fit_each, fit_many
 from liaam.fitting.methods import METHODS, Method, features_method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
-from liaam.fitting.search import Detection, Finder, find
+from liaam.fitting.search import Finder, find
 from liaam.fitting.single import fit, fit_all
 from liaam.fitting.solver import SolverOptions
 

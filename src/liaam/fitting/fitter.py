@@ -1,41 +1,30 @@
 """Fitting a model to an image: preparation, start, solution, and status."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.angles import best_image_angle
-from liaam.fitting.level_image import MARGIN, NEAR, LevelImage
+from liaam.fitting.detection import DOUBTFUL, Detection, are_apart
+from liaam.fitting.level_image import MARGIN, NEAR
 from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
-from liaam.fitting.objective import Objective, State, make_objectives
-from liaam.fitting.picture import load_picture
+from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.picture import load_picture, path_of
 from liaam.fitting.restarts import other_starts
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, Iteration, trace
-from liaam.fitting.search import DOUBTFUL, LARGE, Detection, Finder, are_apart
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, explained, odds_of, trace, with_prior
+from liaam.fitting.search import LARGE, Finder
 from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, part_of_start, start_shape
+from liaam.fitting.status import status_of
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
 from liaam.model import AAM, Level, Reliability, View
-from liaam.model.mesh import folded_share
-from liaam.model.sampling import within
-from liaam.model.shape import ShapeModel, align, diagonal_of
-from liaam.photometry import CameraModel, exposure_faults, is_grey
+from liaam.model.shape import ShapeModel, diagonal_of
+from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
-
-FOLD_LIMIT = 0.3
-"""Fraction of the mesh's area flipped beyond which a fit has diverged."""
-
-SHAPE_LIMIT = 5.0
-"""Standard deviations of a shape mode beyond which a fit has diverged, plus half a model pixel, since a few training
-images underestimate the variance."""
 
 AROUND_BOX, LEAST_REGION = 0.3, 16
 """Margin searched around a box given as a start, as a fraction of its sides, and the smallest width in pixels. A box,
@@ -59,9 +48,6 @@ distance between the eyes off: errors as with all levels, within 0.1 %."""
 MAPPED_TOLERANCE = 1.0
 """``SolverOptions.early_tolerance`` of these fits, unless it is set: a start of known precision needs fewer steps. On
 the spot protocol two steps instead of three, and the same errors within 0.1 %."""
-
-USABLE_LIMIT = 0.25
-"""Fraction of the object's pixels that must be usable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,10 +143,11 @@ class Fitter:
         list of Detection
             Starts for :meth:`fit`, the best first.
         """
-        return self.finder.find_in(self._linear(load_picture(image, name)[0]), limit=limit, least=least)
+        return self.finder.find_in(self.linear(load_picture(image, name)[0]), limit=limit, least=least)
 
-    def _linear(self, image: np.ndarray) -> LinearImage:
-        return LinearImage(self._camera.flatten(image), self._camera.response)
+    def linear(self, image: np.ndarray) -> LinearImage:
+        """Return an image in linear light, without the vignetting of its camera."""
+        return LinearImage(self.image_camera.flatten(image), self.image_camera.response)
 
     def find_all(self, image, name: str = "image") -> list[Detection]:
         """Find all objects in an image, without uncertain detections.
@@ -205,7 +192,7 @@ class Fitter:
         ImageError, StartError
             For invalid input.
         """
-        path = _path_of(image)
+        path = path_of(image)
         parts = self._parts_for(init, name)
         if len(parts) > 1:
             image, name = load_picture(image, name)  # once for all
@@ -214,11 +201,11 @@ class Fitter:
             target, found = part.target(image, init, name)
             firsts.append((part._fit_from(target), part, target, found))
         results = []
-        for first, part, target, found in sorted(firsts, key=lambda each: _explained(each[0]), reverse=True):
+        for first, part, target, found in sorted(firsts, key=lambda each: explained(each[0]), reverse=True):
             results.append(replace(part._completed(first, target, found, init), part=self.parts.index(part)))
             if results[-1].status.ok:
                 break
-        result = max(results, key=lambda each: (each.status.ok, np.nan_to_num(each.quality), _explained(each)))
+        result = max(results, key=lambda each: (each.status.ok, np.nan_to_num(each.quality), explained(each)))
         return replace(result, image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
@@ -229,7 +216,7 @@ class Fitter:
         ImageError, StartError
             For invalid input, and if no object is found.
         """
-        path = _path_of(image)
+        path = path_of(image)
         image, name = load_picture(image, name)
         return [replace(self.fit(image, found, name), image=path) for found in self.find_all(image, name)]
 
@@ -259,9 +246,9 @@ class Fitter:
         prior, region = 1.0, self._region(init, target.image)
         if region is not None and self._has_quality(result):
             result, prior, target, found = self._likeliest(target, result, found, region)
-        if self.restarts and self._falls_short(_with_prior(result, prior)):
+        if self.restarts and self._falls_short(with_prior(result, prior)):
             result = self._fit_again(target, result)
-        result, model, known = _with_prior(result, prior), self.model, self.reliability
+        result, model, known = with_prior(result, prior), self.model, self.reliability
         if known is not None and (found is None or not found.doubtful):
             likely = {"quality": known.with_prior(result.quality), "least_quality": known.with_prior(LEAST_QUALITY)}
             result = replace(result, **likely)
@@ -340,14 +327,14 @@ class Fitter:
         def prior(result: FitResult) -> float:
             return (diagonal_of(result.landmarks) / large) ** 2 if result.quality > 0 else 0.0
 
-        if not _with_prior(first, min(prior(first), 1.0)).quality >= self._low:
+        if not with_prior(first, min(prior(first), 1.0)).quality >= self._low:
             brief = replace(self.options, max_iterations=BRIEF)
             for other in self.finder.others_in(target.linear.crop(low, high)):
                 there = target._replace(start=other.landmarks + low)
                 tried.append((self._fit_from(there, brief), there, found and replace(other, others=found.others)))
         unfinished = {i for i, (each, *_) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
         while True:
-            odds = [prior(each) * _odds(each.quality) for each, *_ in tried]
+            odds = [prior(each) * odds_of(each.quality) for each, *_ in tried]
             at = int(np.argmax(odds))
             best, its_target, its_start = tried[at]
             if at not in unfinished:
@@ -373,14 +360,14 @@ class Fitter:
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Detection | None]:
         """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""
         image, name = load_picture(image, name)
-        refuse_unscaled(image, name, self._camera.response)
+        refuse_unscaled(image, name, self.image_camera.response)
         # An image of one value (black, white) is not refused: the status of its fit is more specific.
         if self._method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(
                 f"{name}: the image is grey (three equal channels), but method {self._method.name} "
                 "compares colours; use method 'soft-li' or 'grey'"
             )
-        camera, linear = self._camera, self._linear(image)
+        camera, linear = self.image_camera, self.linear(image)
         init = self.finder.find_in(linear)[0] if init is None else init
         found = init if isinstance(init, Detection) else None
         given = init if found is None else found.landmarks
@@ -397,72 +384,6 @@ class Fitter:
     def _pull(self) -> np.ndarray | None:
         """Precision of the parameters of landmarks that are mapped from another landmarker's points, (n_p, n_p)."""
         return None if self.model.points is None else self.model.points.precision(self.shapes)
-
-    def solution_at(self, image, result: FitResult) -> dict[str, Any]:
-        """Evaluate a result at all pixels of the sharpest level, with the best lambda there.
-
-        Parameters
-        ----------
-        image : (h, w, 3) array or path
-            The fitted image.
-        result : FitResult
-            Result of this or another method.
-
-        Returns
-        -------
-        dict
-            Arrays of :meth:`liaam.fitting.reference.Problem.arrays` at the shape and angles of ``result``.
-        """
-        if self.model.others:
-            return self.part_for(result).solution_at(image, result)
-        objective, encoded, state = self._end_of(result, image)
-        if self._method.free_angles == "image" and not np.isfinite(result.theta):
-            state = state._replace(angles=np.array([state.angles[0], best_image_angle(objective, encoded, state)]))
-        weigh = 0 if not self._method.reweighs else 1 if self._method.loss == "squares" else 3
-        return objective.evaluate(encoded, state, weigh=weigh, solves=True)
-
-    def residual(self, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the residual (paper eq 10) in the method's encoding, at all pixels of the sharpest level.
-
-        Parameters
-        ----------
-        image : (h, w, 3) array or path
-            The fitted image.
-        result : FitResult
-            Result of this fitter.
-
-        Returns
-        -------
-        residual : (n_pixels, k) float32
-            Image minus model, in the raster order of the frame of :attr:`view`; 0 at unusable pixels. Of a model of
-            several shapes, :meth:`part_for` gives the fitter with that view.
-        usable : (n_pixels,) float32
-            1 at usable pixels, else 0.
-        """
-        if self.model.others:
-            return self.part_for(result).residual(image, result)
-        kept, k = self.view.warp.every(0.0), self._method.n_rows
-        residual, usable = np.zeros((len(kept), k), np.float32), np.zeros(len(kept), np.float32)
-        if np.isfinite(result.landmarks).all():
-            objective, encoded, state = self._end_of(result, image)
-            if len(result.lam) == objective.n_lambda:  # else the fit did not reach the sharpest level
-                state = state._replace(lam=result.lam)
-            seen = objective.evaluate(encoded, state, weigh=int(self._method.normalise))
-            usable[kept] = seen["usable"]
-            residual[kept] = np.where(seen["usable"][:, None] > 0, seen["residual"].reshape(-1, k), 0.0)
-        return residual, usable
-
-    def _end_of(self, result: FitResult, image) -> tuple[Objective, LevelImage, State]:
-        """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
-        linear = self._linear(load_picture(image, "image")[0])
-        objective, blur, noise = self.objectives[-1].of_all_pixels, self._levels[-1].blur, self._camera.noise
-        about = self._method, linear.response, blur, noise, MARGIN, objective.density
-        encoded = LevelImage.at(linear.image, result.landmarks, result.pose, *about)
-        # From the shape, because p refers to the shape model of the fit's method, which may be another one.
-        state = objective.start(self.shapes.parameters(result.pose.inverse()(result.landmarks)))
-        if self._method.has_angles and np.isfinite(result.theta):
-            state = state._replace(angles=np.array([result.theta_model, result.theta]))
-        return objective, encoded, state
 
     @property
     def _levels(self) -> tuple[Level, ...]:
@@ -484,7 +405,8 @@ class Fitter:
         return self.view.reliability if self._method == METHODS[DEFAULT_METHOD] else None
 
     @property
-    def _camera(self) -> CameraModel:
+    def image_camera(self) -> CameraModel:
+        """The camera of the images: :attr:`camera`, or else that of the training images."""
         return self.model.camera if self.camera is None else self.camera
 
     def result_of(self, target: Target, stages: Sequence[FittedLevel]) -> FitResult:
@@ -495,7 +417,10 @@ class Fitter:
         spread = covariance(stage, self.options.shape_prior / solution.prior_scale, target.pull)
         spread = spread if known is None else known.variance_factor * spread
         seen = quality_features(stage)
-        status, unit = self._status(target.image, history, stage), stage.objective.noise_variance(solution)
+        status, unit = (
+            status_of(target.image, history, stage, self.model, self.shapes),
+            stage.objective.noise_variance(solution),
+        )
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # A fit that explains nothing is doubtful, also without calibration.
         explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)
@@ -519,70 +444,3 @@ class Fitter:
             quality=quality,
             method=self._method,
         )
-
-    def _status(self, image: np.ndarray, history: tuple[Iteration, ...], stage: FittedLevel) -> FitStatus:
-        shape, objective, solution = history[-1].landmarks, stage.objective, stage.solution
-        usable, sane = solution.usable, is_sane(shape, history[0].landmarks)
-        if not usable.all() and np.isfinite(shape).all():  # some pixels are outside the image, dark or saturated
-            points = stage.pose(objective.warp.points(solution.p))
-            inside = within(points, image)
-            if sane and inside.mean() < 0.5:
-                return FitStatus.LEFT_IMAGE
-            # Few usable pixels are a better reason than the size that a fit to them happens to reach. Pixels beyond the
-            # patch do not count: they are not usable, whatever their exposure.
-            on_patch, (height, width) = stage.to_patch(points), stage.patch_size
-            inside &= np.asarray(((on_patch >= 0) & (on_patch <= (width - 1, height - 1))).all(axis=1))
-            if inside.any() and usable[inside].mean() < USABLE_LIMIT:
-                return self._why_unusable(image, points[inside])
-        if (
-            not sane
-            or folded_share(shape, self.model.triangles) > FOLD_LIMIT
-            or self._largest_mode(shape) > SHAPE_LIMIT
-        ):
-            return FitStatus.DIVERGED
-        if solution.flat:
-            return FitStatus.NO_TEXTURE
-        if not solution.converged:
-            return FitStatus.MAX_ITERATIONS
-        return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
-
-    def _largest_mode(self, shape: np.ndarray) -> float:
-        """Return the largest shape mode in standard deviations, after alignment to the mean shape."""
-        shape_model = self.shapes
-        upright = align(shape, shape_model.mean)(shape)
-        # Modes are orthonormal over all landmarks: half a pixel at each is sqrt(n) / 2.
-        allowed = np.sqrt(shape_model.eigenvalues) + 0.5 * np.sqrt(shape_model.n_points) / SHAPE_LIMIT
-        return float((np.abs(shape_model.parameters(upright)[:-4]) / allowed).max(initial=0.0))
-
-    def _why_unusable(self, image: np.ndarray, points: np.ndarray) -> FitStatus:
-        """Return whether most unusable pixels are without values, dark or saturated."""
-        x, y = np.rint(points).astype(int).T
-        pixels = image[y, x]
-        valid = np.isfinite(pixels).all(axis=1)
-        dark, clipped = exposure_faults(pixels[valid]) if valid.any() else (0.0, 0.0)
-        if 1.0 - valid.mean() >= max(dark, clipped) * valid.mean():
-            return FitStatus.NO_TEXTURE
-        return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED
-
-
-def _explained(result: FitResult) -> float:
-    """Return the fraction of the image that a fit explains, by which fits of different shapes are compared."""
-    return -np.inf if result.status.lost else float(np.nan_to_num(result.evidence[0], nan=-np.inf))
-
-
-def _odds(probability: float) -> float:
-    return probability / max(1.0 - probability, 1e-9)
-
-
-def _path_of(image) -> Path | None:
-    return Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None
-
-
-def _with_prior(result: FitResult, prior: float) -> FitResult:
-    """Return a result whose odds of being right are multiplied by the prior odds of its place, at most 1."""
-    if prior == 1.0:
-        return result
-    odds = prior * _odds(result.quality)
-    quality = odds / (1.0 + odds)
-    doubtful = result.status.ok and quality < LEAST_QUALITY
-    return replace(result, quality=quality, status=FitStatus.DOUBTFUL if doubtful else result.status)

@@ -10,10 +10,10 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError, MethodError, StartError
+from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
-from liaam.fitting.search import Detection
 from liaam.io.files import count_of
 from liaam.model import AAM
 from liaam.progress import progress_bar

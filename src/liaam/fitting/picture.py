@@ -27,3 +27,8 @@ def described(given: object) -> str:
         return f"an array of shape {given.shape}"
     text = repr(given)
     return text if len(text) < 100 and "\n" not in text else f"an object of type {type(given).__name__}"
+
+
+def path_of(image) -> Path | None:
+    """Return the absolute path of an image that is given by its path, or None."""
+    return Path(image).absolute() if isinstance(image, (str, os.PathLike)) else None

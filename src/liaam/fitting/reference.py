@@ -330,3 +330,11 @@ def loss_weights(loss: int, u: np.ndarray) -> np.ndarray:
         lambda: np.exp(-0.5 * np.square(u)),  # learnt
     )
     return of_each[loss]()
+
+
+def contrast(problem: Problem, sqrt_weights: np.ndarray, shown: int) -> np.ndarray:
+    """Sum weights, weighted samples and their squares, and weighted squares of the residual, per row, (shown, 4)."""
+    weights = problem.usable[:, None] * np.square(sqrt_weights[:, :shown])
+    samples, left = problem.gain * problem.samples[:, :shown], problem.residual[:, :shown]
+    parts = weights, weights * samples, weights * np.square(samples), weights * np.square(left)
+    return np.stack([part.sum(axis=0) for part in parts], axis=1)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.fitting.reference import GRADIENT_ROWS, Problem
+from liaam.fitting.reference import GRADIENT_ROWS, Problem, contrast
 
 THRESHOLDS: dict[str, float] = {
     "DAMPING_LIMIT": 1e7,  # the loop gives up
@@ -447,11 +447,3 @@ def collect(loop: Loop, trace: Trace) -> LevelFit:
         samples=problem.samples,
         residual=problem.residual,
     )
-
-
-def contrast(problem: Problem, sqrt_weights: np.ndarray, shown: int) -> np.ndarray:
-    """Sum weights, weighted samples and their squares, and weighted squares of the residual, per row, (shown, 4)."""
-    weights = problem.usable[:, None] * np.square(sqrt_weights[:, :shown])
-    samples, left = problem.gain * problem.samples[:, :shown], problem.residual[:, :shown]
-    parts = weights, weights * samples, weights * np.square(samples), weights * np.square(left)
-    return np.stack([part.sum(axis=0) for part in parts], axis=1)

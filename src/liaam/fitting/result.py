@@ -1,7 +1,7 @@
 """The result of a fit. A fit that fails is a result too, with a status and a message."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,10 +11,10 @@ import numpy as np
 from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
 from liaam.evaluation import Contours, finite_list, short_repr
+from liaam.fitting.detection import Detection, are_beside
 from liaam.fitting.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
-from liaam.fitting.search import Detection, are_beside
 from liaam.io.files import count_of
 from liaam.io.tables import Columns, landmark_columns, to_dataframe
 from liaam.model.shape import Similarity
@@ -368,3 +368,23 @@ class FitResult:
         self.plot(pixels, ax=ax)
         zoom_to(ax, self.landmarks, (pixels.shape[1], pixels.shape[0]))
         return png_bytes(figure)
+
+
+def explained(result: FitResult) -> float:
+    """Return the fraction of the image that a fit explains, by which fits of different shapes are compared."""
+    return -np.inf if result.status.lost else float(np.nan_to_num(result.evidence[0], nan=-np.inf))
+
+
+def odds_of(probability: float) -> float:
+    """Return the odds of a probability."""
+    return probability / max(1.0 - probability, 1e-9)
+
+
+def with_prior(result: FitResult, prior: float) -> FitResult:
+    """Return a result whose odds of being right are multiplied by the prior odds of its place, at most 1."""
+    if prior == 1.0:
+        return result
+    odds = prior * odds_of(result.quality)
+    quality = odds / (1.0 + odds)
+    doubtful = result.status.ok and quality < LEAST_QUALITY
+    return replace(result, quality=quality, status=FitStatus.DOUBTFUL if doubtful else result.status)

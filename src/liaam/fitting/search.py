@@ -5,7 +5,6 @@ many sizes. The best places are fitted with the reduced model by method ``igo``,
 orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import zip_longest
@@ -13,7 +12,7 @@ from itertools import zip_longest
 import numpy as np
 
 from liaam.errors import MethodError, ModelFileError
-from liaam.evaluation import point_error, short_repr
+from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
 from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, solve_levels
 from liaam.fitting.methods import get_method
 from liaam.fitting.objective import THINNING, Objective, make_objectives
@@ -23,7 +22,6 @@ from liaam.fitting.responses import Bank
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
 from liaam.model import AAM
-from liaam.model.sampling import within
 from liaam.model.shape import Similarity, align, diagonal_of, rotation
 from liaam.photometry import Response
 from liaam.workers import in_threads
@@ -57,11 +55,6 @@ SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)
 SHAPE_PENALTY = 0.05
 """Penalty on the score per unit of the mean squared shape mode, in standard deviations."""
 
-DOUBTFUL = 0.52
-"""Score below which a detection is uncertain. With generic models of three sets of faces, each of 252 faces scores
-more, and so do generated ones under hard light from the side (0.55). Of images of cats, owls, rocks and balls one in
-four scores more, nearly all under the model trained on strongly turned heads."""
-
 SURE = 1.25
 """Sum of score and response at which the search for one object stops. Seven of ten correct places have more, and no
 wrong place has more than 1.18. Scores alone reach 0.67 at wrong places. Measured with generic models of three sets of
@@ -94,12 +87,6 @@ face in forty of photographs in the wild falls behind the first six places."""
 SIZE_WORTH = 0.05
 """Bonus on the score per unit of log size: there are more wrong places of small sizes. 0.1 gives the same results."""
 
-APART = 0.1
-"""Mean distance of two shapes' landmarks, as a fraction of their size, beyond which they are different places."""
-
-OVERLAP = 0.3
-"""Fraction of an object's box that may lie in another's."""
-
 FILLING = (0.95, 1.1)
 """Diagonals of objects that fill the frame, as fractions of its shorter side."""
 
@@ -108,38 +95,6 @@ VISITED = 0.25
 
 GROWTH = (0.5, 2.0)
 """Limits on the change of size in the fit of a place; beyond them it has diverged."""
-
-
-@dataclass(frozen=True, eq=False)
-class Detection:
-    """A possible place of the object.
-
-    Attributes
-    ----------
-    landmarks : (n, 2) float64
-        Landmarks of a coarse fit, image pixels.
-    score : float
-        How well the model explains the gradient orientations there, 0 to 1; see :attr:`doubtful`.
-    rotation : float
-        Rotation of the mean shape, radians, clockwise in the image.
-    scale : float
-        Image pixels per pixel of the model's reference frame.
-    others : tuple of Detection
-        Further objects that the search for one object found with certainty, among those at least half as large.
-    """
-
-    landmarks: np.ndarray
-    score: float
-    rotation: float
-    scale: float
-    others: tuple["Detection", ...] = ()
-
-    __repr__ = short_repr
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether the detection is uncertain: the score is below 0.52."""
-        return self.score < DOUBTFUL
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,11 +174,11 @@ class Finder:
         most = MOST if limit is None else min(limit, MOST)
         if self.model.others:
             found = [detection for part in self.parts for detection in part.find_in(linear, limit=limit, least=least)]
-            return _chosen(sorted(found, key=lambda detection: -detection.score), are_beside, most)
+            return choose(sorted(found, key=lambda detection: -detection.score), are_beside, most)
         search = _Search(self, linear, 6 + 4 * most, self.templates)
         seen = search.for_one(least) if most == 1 else search.for_all()
         seen = seen or [self._in_the_middle(linear.image)]
-        chosen = _chosen(sorted(seen, key=lambda detection: -detection.score), are_beside, most)
+        chosen = choose(sorted(seen, key=lambda detection: -detection.score), are_beside, most)
         if most == 1:
             chosen = [replace(chosen[0], others=search.beside(chosen[0]))]
         return [detection for detection in chosen if detection.score >= least]
@@ -248,8 +203,8 @@ class Finder:
         if self.model.search_filter is not None:
             ranks.append(_Search(self, linear, LOOKED * most, self.filters).ranked(RESPONSE_WORTH))
         best = [place for places in zip_longest(*ranks) for place in places if place is not None]
-        mean, places = self.model.shape_model.mean, _chosen(best, are_apart, most) + search.filling()
-        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in _chosen(places, are_apart)]
+        mean, places = self.model.shape_model.mean, choose(best, are_apart, most) + search.filling()
+        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in choose(places, are_apart)]
 
     def __getstate__(self) -> dict:
         """Leave out what the core holds."""
@@ -351,7 +306,7 @@ class _Search:
         self.found = []
         peaks = self._peaks(self.sizes)
         seen = zip(map(self._fitted, peaks.places()), peaks.responses.tolist(), strict=True)
-        return [(detection, each) for detection, each in seen if _is_inside(detection.landmarks, self.image)]
+        return [(detection, each) for detection, each in seen if is_inside(detection.landmarks, self.image)]
 
     def beside(self, best: Detection) -> tuple[Detection, ...]:
         """Return further certain objects, from the responses that the search for one object has seen."""
@@ -365,7 +320,7 @@ class _Search:
             (self._fitted(place), strength) for place, strength in zip(clear.places(), clear.responses, strict=True)
         ]
         sure = [each for each, strength in seen if each.score + strength >= SURE_BESIDE]
-        return tuple(_chosen([best, *sorted(sure, key=lambda each: -each.score)], are_beside)[1:])
+        return tuple(choose([best, *sorted(sure, key=lambda each: -each.score)], are_beside)[1:])
 
     def filling(self) -> list[Detection]:
         """Fit objects in the middle that fill the frame, as in images cropped around an object.
@@ -401,7 +356,7 @@ class _Search:
             if strength < WORTH * peaks.responses[0]:
                 break
             detection = self._fitted(place)
-            if not _is_inside(detection.landmarks, self.image):
+            if not is_inside(detection.landmarks, self.image):
                 continue
             seen.append(detection)
             if detection.score >= max(least, DOUBTFUL) and detection.score + strength >= SURE:
@@ -455,31 +410,3 @@ def search_sizes(shorter_side: int) -> np.ndarray:
     if low >= high:
         return np.array([high])
     return low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
-
-
-def _is_inside(shape: np.ndarray, image: np.ndarray) -> bool:
-    """Return whether at least half of the landmarks lie in the image."""
-    return bool(within(shape, image).mean() >= 0.5)
-
-
-def _chosen(
-    detections: list[Detection], differ: Callable[[np.ndarray, np.ndarray], bool], most: int | None = None
-) -> list[Detection]:
-    """Return the first detections whose shapes differ from those chosen before them, at most ``most``."""
-    chosen: list[Detection] = []
-    for detection in detections:
-        if len(chosen) != most and all(differ(detection.landmarks, other.landmarks) for other in chosen):
-            chosen.append(detection)
-    return chosen
-
-
-def are_apart(shape: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two shapes (n, 2) are different places."""
-    return point_error(other, shape) > APART * diagonal_of(shape)
-
-
-def are_beside(shape: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether less than the fraction :data:`OVERLAP` of the smaller of two shapes' boxes lies in the other."""
-    sides = np.minimum(shape.max(axis=0), other.max(axis=0)) - np.maximum(shape.min(axis=0), other.min(axis=0))
-    smaller = min(float(np.prod(np.ptp(shape, axis=0))), float(np.prod(np.ptp(other, axis=0))))
-    return float(np.prod(np.maximum(sides, 0.0))) / max(smaller, 1e-9) < OVERLAP

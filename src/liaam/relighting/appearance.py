@@ -10,6 +10,7 @@ from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.level_image import correlated_pixels
 from liaam.fitting.picture import load_picture
+from liaam.fitting.solution import solution_at
 from liaam.model import MESH
 from liaam.photometry.encoding import refuse_grey
 
@@ -77,7 +78,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
         image, name = load_picture(image, "image")
         refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
         fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
-    seen, known = fitter.solution_at(image, result), fitter.view.levels[-1].appearances["log"]
+    seen, known = solution_at(fitter, image, result), fitter.view.levels[-1].appearances["log"]
     n, eigenvalues = known.n_modes, known.eigenvalues
     if not seen["weight"] > 0:  # no pixel is usable: return the prior
         return ShadowFree(known.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))

@@ -19,11 +19,11 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, point_error
+from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
-from liaam.fitting.search import Detection
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb

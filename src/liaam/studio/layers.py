@@ -11,6 +11,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.solution import residual_at
 from liaam.model import AAM
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import Similarity
@@ -60,7 +61,7 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residua
     """Return the channel of a fit's residual with the largest mean square."""
     fitter = fitter.part_for(result)
     method, model = result.method, fitter.model
-    residual, usable = fitter.residual(image, result)
+    residual, usable = residual_at(fitter, image, result)
     row = int(np.nan_to_num(np.square(residual, dtype=np.float64).mean(axis=0)).argmax())
     values = np.stack([residual[:, row], usable], axis=1)
     sizes = np.abs(values[values[:, 1] > 0, 0])

@@ -13,9 +13,10 @@ import numpy as np
 
 from liaam.evaluation import outline_errors
 from liaam.fitting import Fitter
+from liaam.fitting.detection import Detection
 from liaam.fitting.levels import LinearImage
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS
-from liaam.fitting.search import Detection, Finder
+from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import is_searchable
 from liaam.fitting.uncertainty import fitted_covariances
