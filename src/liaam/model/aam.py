@@ -9,7 +9,8 @@ import numpy as np
 
 from liaam.errors import ModelFileError
 from liaam.io.files import count_of
-from liaam.model.file import file_bytes, read_fields
+from liaam.model.file import read_fields
+from liaam.model.file_bytes import file_bytes
 from liaam.model.light import LightBasis
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.mirror import mirrored_model

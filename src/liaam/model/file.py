@@ -1,6 +1,5 @@
 """The model file: safetensors with a JSON header, validated when it is read. No code in it is executed."""
 
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -11,18 +10,27 @@ import numpy as np
 from liaam.errors import LiaamError, ModelFileError
 from liaam.io.files import json_object, writable
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel, spread, strongest_modes
+from liaam.model.file_checks import (
+    UNIT,
+    are_unit,
+    check_variances,
+    checked_tensor,
+    finite,
+    half_or_single,
+    optional_tensor,
+    symmetric,
+)
 from liaam.model.light import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
-from liaam.model.mirror import mirrored_model
 from liaam.model.point_map import LEAST_NOISE, PointMap
-from liaam.model.rounding import decoded, encoded
-from liaam.model.shape import ShapeModel, diagonal_of, mirror_order, similarity_modes
+from liaam.model.rounding import decoded
+from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
-from liaam.photometry import CameraModel, camera_from, describe_response, parse_response
+from liaam.photometry import CameraModel, camera_from, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
 
 if TYPE_CHECKING:
-    from liaam.model.aam import AAM
+    pass
 
 
 SCHEMA_VERSION, OF_SHAPES, OF_MIRRORED = 5, 6, 7
@@ -46,9 +54,6 @@ MAX_POINTS = 4000
 
 ROOMY = 4.0
 """Largest ratio of a mesh's area to its number of pixels. It exceeds 1 because borders matter in small frames."""
-
-UNIT = 0.1
-"""Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors."""
 
 LONGEST_NAME = 1000
 """Largest number of characters of a model's name, its credit and the name of a landmark."""
@@ -82,37 +87,7 @@ FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"
 """Formats in the headers of model files and of lamp files."""
 
 
-def file_bytes(model: "AAM") -> bytes:
-    """Return the content of a model file."""
-    from safetensors.numpy import save
-
-    header, tensors = _header(model), _tensors(model)
-    if model.others:
-        header |= {"schema": OF_SHAPES, "others": []}
-    for i, other in enumerate(model.others):
-        own, order = _tensors(other), _mirror(model, i)
-        if order is None:
-            header["others"].append(_header(other))
-            tensors |= {f"{_prefix(i)}{key}": value for key, value in own.items()}
-        else:
-            header |= {"schema": OF_MIRRORED}
-            header["others"].append({MIRRORED: order.tolist()})
-    return save(tensors, {"liaam": json.dumps(header)})
-
-
-def _mirror(model: "AAM", i: int) -> np.ndarray | None:
-    """Return the order of landmarks that makes the i-th other shape the mirror image of the one before, or None."""
-    before, other = model.others[i - 1], model.others[i]
-    order = mirror_order(model.shape_model.mean) if i and before.n_pixels == other.n_pixels else None
-    if order is None or before.features is not None:
-        return None
-    mirrored = mirrored_model(before, order)
-    own, theirs = _tensors(mirrored), _tensors(other)
-    same = own.keys() == theirs.keys() and all(np.array_equal(own[key], theirs[key]) for key in own)
-    return order if same and _header(mirrored) == _header(other) else None
-
-
-def _prefix(i: int) -> str:
+def prefix_of(i: int) -> str:
     """Start of the names of the tensors of the i-th of the other shapes."""
     return f"others/{i}/"
 
@@ -139,102 +114,6 @@ def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str,
         raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
 
 
-def _header(model: "AAM") -> dict:
-    return {
-        "format": FORMAT,
-        "schema": SCHEMA_VERSION,
-        "theta": model.theta,
-        "response": describe_response(model.response),
-        "camera": model.camera.describe(),
-        "views": {
-            name: {
-                "blurs": [level.blur for level in view.levels],
-                "n_pixels": view.warp.frame.n_pixels,
-                **({"freedom": view.shape_model.freedom} if np.isfinite(view.shape_model.freedom) else {}),
-            }
-            for name, view in model.views.items()
-        },
-        "n_images": model.n_images,
-        "n_textures": model.n_textures,
-        "n_lamps": model.n_lamps,
-        "colour": model.is_colour,
-        "contours": [[list(indices), closed] for indices, closed in model.contours],
-        "landmark_names": list(model.landmark_names),
-        "name": model.name,
-        **({"credit": model.credit} if model.credit else {}),
-        **({} if model.features is None else {"features": model.features.name}),
-    }
-
-
-def _tensors(model: "AAM") -> dict[str, np.ndarray]:
-    tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
-    if model.search_filter is not None:
-        tensors["search_filter"] = _half_if_exact(model.search_filter)
-    parts = [(part, getattr(model, part), part) for part in ("light", "points", "features")]
-    for name, view in model.views.items():
-        parts += [
-            (f"{name}/shape", view.shape_model, "shape"),
-            (f"{name}/reliability", view.reliability, "reliability"),
-        ]
-        for i, level in enumerate(view.levels):
-            for kind, appearance in level.appearances.items():
-                tensors |= {f"{name}/{i}/{kind}.{k}": v for k, v in _appearance_tensors(appearance).items()}
-    for prefix, owner, kind in parts:
-        if owner is not None:
-            tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in STORED[kind]}
-    if model.light is not None:
-        tensors |= {f"light.{key}": value for key, value in _light_tensors(model.light.modes).items()}
-    return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
-
-
-def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | None]:
-    """Return the tensors that hold an appearance exactly, as few and as narrow as that is possible."""
-    known = appearance.known
-    if known.sum() < LEAST_SHARE * len(known):
-        known = np.ones(len(known), bool)
-    errors = appearance.unexplained
-    return {
-        "known": None if known.all() else np.packbits(known),
-        "mean": _half_if_exact(appearance.mean[known]),
-        **_mode_tensors(appearance.modes[:, known]),
-        "eigenvalues": appearance.eigenvalues,
-        "usable": _half_if_exact(appearance.usable[known]),
-        "unexplained": None if errors is None else _half_if_exact(_upper(errors[known])),
-    }
-
-
-def _light_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the tensors of the modes of light (k, side, side, 3), which are 0 far from the object."""
-    known = modes.any(axis=(0, 3))
-    return {"known": np.packbits(known), **_mode_tensors(modes[:, known])}
-
-
-def _mode_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return modes rounded to 8 bits as codes and steps, and others in 16 bits if that is exact, or as they are."""
-    found = encoded(modes)
-    return {"modes": _half_if_exact(modes)} if found is None else dict(zip(("modes", "steps"), found, strict=True))
-
-
-def _half_if_exact(values: np.ndarray) -> np.ndarray:
-    with np.errstate(over="ignore"):
-        half = values.astype(np.float16)
-    return half if np.array_equal(half, values) else values
-
-
-def _upper(matrices: np.ndarray) -> np.ndarray:
-    """Return the upper triangles (n, c (c + 1) / 2), row by row, of symmetric matrices (n, c, c)."""
-    rows, columns = np.triu_indices(matrices.shape[1])
-    return matrices[:, rows, columns]
-
-
-def _symmetric(upper: np.ndarray, c: int) -> np.ndarray:
-    """Return the symmetric matrices (n, c, c) of upper triangles."""
-    rows, columns = np.triu_indices(c)
-    matrices = np.empty((len(upper), c, c), upper.dtype)
-    matrices[:, rows, columns] = matrices[:, columns, rows] = upper
-    return matrices
-
-
 def _checked_header(path: Path, text: str) -> dict:
     header = json_object(text) or {}
     if header.get("format") == LAMPS_FORMAT:
@@ -254,9 +133,9 @@ def _checked_header(path: Path, text: str) -> dict:
 
 
 def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
-    mean = _tensor(tensors, "mean", np.float64, (None, 2))
+    mean = checked_tensor(tensors, "mean", np.float64, (None, 2))
     n = len(mean)
-    triangles = _tensor(tensors, "triangles", np.int32, (None, 3))
+    triangles = checked_tensor(tensors, "triangles", np.int32, (None, 3))
     if n > MAX_POINTS:
         raise ValueError(f"it has {n} landmarks; the maximum is {MAX_POINTS}")
     if n < 3 or not len(triangles) or triangles.min() < 0 or triangles.max() >= n:
@@ -307,7 +186,7 @@ def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict
         if i and MIRRORED in about:
             made.append(_order(about[MIRRORED], len(tensors["mean"])))
             continue
-        own = {key.removeprefix(_prefix(i)): value for key, value in tensors.items() if key.startswith(_prefix(i))}
+        own = {key.removeprefix(prefix_of(i)): value for key, value in tensors.items() if key.startswith(prefix_of(i))}
         if own["mean"].shape != tensors["mean"].shape:
             raise ValueError("the shapes do not have the same number of landmarks")
         made.append(_fields(about, own))
@@ -325,7 +204,7 @@ def _order(indices: list, n: int) -> np.ndarray:
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
-    mean = _tensor(tensors, "light.mean", np.float64, (n, 2))
+    mean = checked_tensor(tensors, "light.mean", np.float64, (n, 2))
     known = _known(tensors, "light", SIDE * SIDE)
     square = (SIDE, SIDE) if known is None else (int(known.sum()),)
     modes = _modes(tensors, "light", (None, *square, 3))
@@ -333,8 +212,8 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
         raise ValueError(f"light.modes has shape {modes.shape}")
     if known is not None:
         modes = spread(modes, known, axis=1).reshape(-1, SIDE, SIDE, 3)
-    remainder = _tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
-    levels = _optional(tensors, "light.levels", np.float16, (None,))
+    remainder = checked_tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
+    levels = optional_tensor(tensors, "light.levels", np.float16, (None,))
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
@@ -345,7 +224,7 @@ def _search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
     """Filter of the search, (h, w, 2)."""
     if "search_filter" not in tensors:
         return None
-    found = _half_or_single(tensors, "search_filter", (None, None, 2))
+    found = half_or_single(tensors, "search_filter", (None, None, 2))
     if not 1 <= min(found.shape[:2]) <= max(found.shape[:2]) <= LARGEST_FILTER:
         raise ValueError(f"search_filter has shape {found.shape}")
     return found
@@ -355,10 +234,10 @@ def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:
     """What is known of the user's function."""
     if "features" not in header:
         return None
-    mean = _tensor(tensors, "features.mean", np.float64, (None,))
-    projection = _tensor(tensors, "features.projection", np.float64, (len(mean), None))
+    mean = checked_tensor(tensors, "features.mean", np.float64, (None,))
+    projection = checked_tensor(tensors, "features.projection", np.float64, (len(mean), None))
     name, width = str(header["features"]), projection.shape[1]
-    if not name.isidentifier() or not 1 <= width <= WIDEST or not _are_unit(projection.T):
+    if not name.isidentifier() or not 1 <= width <= WIDEST or not are_unit(projection.T):
         raise ValueError("features.projection is not a projection")
     if np.abs(mean).max(initial=0.0) > LARGEST:
         raise ValueError("features.mean is out of range")
@@ -369,9 +248,9 @@ def _point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
     """The map from another landmarker's points."""
     if "points.weights" not in tensors:
         return None
-    weights = _tensor(tensors, "points.weights", np.float64, (n, None))
-    errors = _tensor(tensors, "points.errors", np.float64, (None, 2 * n))
-    noise = float(_tensor(tensors, "points.noise", np.float64, (1,))[0])
+    weights = checked_tensor(tensors, "points.weights", np.float64, (n, None))
+    errors = checked_tensor(tensors, "points.errors", np.float64, (None, 2 * n))
+    noise = float(checked_tensor(tensors, "points.noise", np.float64, (1,))[0])
     if not 3 <= weights.shape[1] <= MAX_POINTS or weights.shape[1] == n or np.abs(weights).max() > MOST_WEIGHT:
         raise ValueError("points.weights do not map another landmarker's points")
     if np.abs(errors).max(initial=0.0) > MAX_DIAGONAL or not LEAST_NOISE <= noise <= MAX_DIAGONAL**2:
@@ -393,7 +272,7 @@ def _view(
     if not isinstance(about, dict):
         raise ValueError(f"view {name} is described by {about!r}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
-    blurs, n, n_pixels = [_finite(blur) for blur in about["blurs"]], len(mean), about["n_pixels"]
+    blurs, n, n_pixels = [finite(blur) for blur in about["blurs"]], len(mean), about["n_pixels"]
     if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
         raise ValueError(f"blurs {blurs}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     if not isinstance(n_pixels, int) or n_pixels < 1:
@@ -419,16 +298,16 @@ def _view(
 
 def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
     n = len(mean)
-    modes = _tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
+    modes = checked_tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
     if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
         raise ValueError(f"{len(modes)} shape modes are too many for {n} landmarks")
     basis = np.concatenate([modes, similarity_modes(mean)])
     products = np.einsum("id,jd->ij", modes, basis)  # threads of BLAS would wait longer than this takes
-    if not _are_unit(modes) or np.abs(products - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
+    if not are_unit(modes) or np.abs(products - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
         raise ValueError("shape.modes are not orthonormal")
-    eigenvalues = _tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
-    unexplained = _optional(tensors, "shape.unexplained", np.float64, (n, 2, 2))
-    freedom = _finite(about["freedom"]) if "freedom" in about else np.inf
+    eigenvalues = checked_tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
+    unexplained = optional_tensor(tensors, "shape.unexplained", np.float64, (n, 2, 2))
+    freedom = finite(about["freedom"]) if "freedom" in about else np.inf
     if not freedom > 0:
         raise ValueError(f"freedom {freedom:g} is not positive")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
@@ -439,16 +318,18 @@ def _camera(header: dict) -> CameraModel:
         raise ValueError(f"camera {header['camera']!r} is not an object")
     known = camera_from(header["camera"])
     # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
-    return replace(known, theta=_finite(header["theta"]), response=parse_response(header["response"]))
+    return replace(known, theta=finite(header["theta"]), response=parse_response(header["response"]))
 
 
 def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
     if "reliability.weights" not in tensors:
         return None
-    landmarks, bias = (_tensor(tensors, f"reliability.{name}", np.float64, (n, 2, 2)) for name in ("landmarks", "bias"))
+    landmarks, bias = (
+        checked_tensor(tensors, f"reliability.{name}", np.float64, (n, 2, 2)) for name in ("landmarks", "bias")
+    )
     tensors = {"reliability.prior": np.ones(1), **tensors}  # older files have none
     unit, factor, typical, prior = (
-        float(_tensor(tensors, f"reliability.{name}", np.float64, (1,))[0])
+        float(checked_tensor(tensors, f"reliability.{name}", np.float64, (1,))[0])
         for name in ("unit", "variance_factor", "typical", "prior")
     )
     if not (unit > 0.0 and prior > 0.0):
@@ -457,7 +338,7 @@ def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
         raise ValueError("reliability.variance_factor is below 1")
     if not 0.0 <= typical <= 1.0:
         raise ValueError("reliability.typical is not a probability")
-    weights = _tensor(tensors, "reliability.weights", np.float64, (3,))
+    weights = checked_tensor(tensors, "reliability.weights", np.float64, (3,))
     return Reliability(landmarks, bias, unit, weights, factor, typical, prior)
 
 
@@ -471,13 +352,13 @@ def _appearance(
     most = min(n_pixels * channels, n_textures)
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
-    if not _are_unit(modes.reshape(len(modes), n * channels), at_most=known is not None):
+    if not are_unit(modes.reshape(len(modes), n * channels), at_most=known is not None):
         raise ValueError(f"{prefix}.modes are not of unit length")
     appearance = AppearanceModel(
-        mean=_half_or_single(tensors, f"{prefix}.mean", (n, channels)),
+        mean=half_or_single(tensors, f"{prefix}.mean", (n, channels)),
         modes=modes,
-        eigenvalues=_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
-        usable=_half_or_single(tensors, f"{prefix}.usable", (n,)),
+        eigenvalues=checked_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
+        usable=half_or_single(tensors, f"{prefix}.usable", (n,)),
         unexplained=_unexplained(tensors, f"{prefix}.unexplained", n, channels),
     )
     return appearance if known is None else appearance.spread(known)
@@ -487,7 +368,7 @@ def _known(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.nda
     """Mask of the pixels that are stored, (n_pixels,) bool; None if all are."""
     if f"{prefix}.known" not in tensors:
         return None
-    bits = _tensor(tensors, f"{prefix}.known", np.uint8, (-(-n_pixels // 8),))
+    bits = checked_tensor(tensors, f"{prefix}.known", np.uint8, (-(-n_pixels // 8),))
     known = np.unpackbits(bits, count=n_pixels).astype(bool)
     if known.sum() < LEAST_SHARE * n_pixels:
         raise ValueError(f"{prefix} has {known.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
@@ -499,10 +380,10 @@ def _unexplained(tensors: dict[str, np.ndarray], key: str, n: int, c: int) -> np
     if key not in tensors:
         return None
     if tensors[key].ndim == 3:
-        found = _half_or_single(tensors, key, (n, c, c))
+        found = half_or_single(tensors, key, (n, c, c))
     else:
-        found = _symmetric(_half_or_single(tensors, key, (n, c * (c + 1) // 2)), c)
-    _check_variances(key, found)
+        found = symmetric(half_or_single(tensors, key, (n, c * (c + 1) // 2)), c)
+    check_variances(key, found)
     return found
 
 
@@ -510,59 +391,12 @@ def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple) -> np.ndar
     """Modes in single precision; they are stored as codes and steps, or in 16 or 32 bits."""
     key = f"{prefix}.modes"
     if tensors[key].dtype != np.int8:
-        return _half_or_single(tensors, key, shape)
-    codes = _tensor(tensors, key, np.int8, shape)
-    steps = _tensor(tensors, f"{prefix}.steps", np.float32, (len(codes),))
+        return half_or_single(tensors, key, shape)
+    codes = checked_tensor(tensors, key, np.int8, shape)
+    steps = checked_tensor(tensors, f"{prefix}.steps", np.float32, (len(codes),))
     if (steps < 0).any() or steps.max(initial=0.0) > 1.0:
         raise ValueError(f"{prefix}.steps has values out of range")
     return decoded(codes, steps)
-
-
-def _half_or_single(tensors: dict[str, np.ndarray], key: str, shape: tuple) -> np.ndarray:
-    """A tensor in 16 or 32 bits, in single precision."""
-    dtype = np.float16 if tensors[key].dtype == np.float16 else np.float32
-    return _tensor(tensors, key, dtype, shape).astype(np.float32, copy=False)
-
-
-def _optional(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray | None:
-    return _tensor(tensors, key, dtype, shape) if key in tensors else None
-
-
-def _tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
-    tensor = tensors[key]
-    fits = tensor.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
-    )
-    if tensor.dtype != dtype or not fits:
-        raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
-    if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
-        raise ValueError(f"{key} has values that are not finite")
-    if (key.endswith(("eigenvalues", "usable")) and (tensor < 0).any()) or (
-        key.endswith("usable") and (tensor > 1).any()
-    ):
-        raise ValueError(f"{key} has values out of range")
-    if key.endswith(("shape.unexplained", "landmarks", "bias")):
-        _check_variances(key, tensor)
-    return tensor
-
-
-def _check_variances(key: str, matrices: np.ndarray) -> None:
-    if (np.diagonal(matrices, axis1=1, axis2=2) < 0).any():
-        raise ValueError(f"{key} has negative variances")
-
-
-def _are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
-    """Whether modes (m, d) have unit length, or at most that if a part of them is not stored."""
-    if max(modes.max(initial=0.0), -modes.min(initial=0.0)) > 2.0:  # the squares might overflow
-        return False
-    beyond = np.einsum("md,md->m", modes, modes) - 1.0
-    return bool(((beyond if at_most else np.abs(beyond)) < UNIT).all())
-
-
-def _finite(value: float) -> float:
-    if not np.isfinite(value):
-        raise ValueError(f"{value} is not a finite number")
-    return float(value)
 
 
 def _names(names: list, n: int) -> tuple[str, ...]:
