@@ -18,7 +18,7 @@ from liaam.relighting.one_call import lamps_of
 from liaam.relighting.painting import eight_bits, log_light
 from liaam.relighting.region import Region
 from liaam.relighting.relief import normals_of
-from liaam.relighting.shading import without_marks
+from liaam.relighting.shading import without_marks, without_pairs
 from scenes import Head
 
 SIZE = (240, 180)
@@ -95,6 +95,21 @@ def test_painted_marks_keep_their_contrast():
     before, after = (log_light(each, "srgb").mean(axis=2) for each in (image, relighter.flat()))
     contrast = [each[beside].mean() - each[mark > 0].mean() for each in (before, after)]
     assert contrast[1] > 0.85 * contrast[0]
+
+
+def test_what_both_halves_share_is_no_light_from_a_side():
+    """A beard is the object's own, a shadow on one cheek is not, and under light from above it is less certain."""
+    model = liaam.load_model("face")
+    x, y = (model.frame.pixels[:, ::-1] + model.frame.origin).T / model.diagonal
+    beard, cheek = (y > 0.2) & (np.abs(x) < 0.12), (y > 0.0) & (y < 0.15) & (x > 0.1)
+
+    def left_for_light(region, light):
+        left = np.repeat(np.where(region, np.float32(-0.6), np.float32(0.0))[:, None], 3, axis=1)
+        return without_pairs(model, left, light)[region].mean() / -0.6
+
+    assert left_for_light(beard, 2.0 * x) < 0.7
+    assert left_for_light(cheek, 2.0 * x) > 0.95
+    assert left_for_light(beard, np.where(beard, -1.2, 0.0)) > 0.85
 
 
 def test_a_picture_in_the_training_light_stays_as_it_is(head):

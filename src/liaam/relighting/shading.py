@@ -4,15 +4,18 @@ In logarithms, a fitted image is the object's appearance under the training ligh
 not know: a beard, glasses, a mole, and errors of landmarks. Modes of light (:mod:`liaam.relighting.basis`) cannot
 explain any of these. What they leave is light mostly where light varies, as along the edge of a shadow, and it is not
 light where its colour is not that of light: where it changes the invariant (paper eq 7), or colour temperature more
-than brightness. Elsewhere it stays in the picture.
+than brightness; nor where both halves of a symmetric object share it, under light that they do not share. Elsewhere it
+stays in the picture.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from liaam.evaluation import short_repr
 from liaam.model import AAM
+from liaam.model.shape import mirror_order
 from liaam.photometry.invariant import invariant_row, temperature_direction
 from liaam.relighting.basis import UNEXPLAINED, light_on_frame
 from liaam.relighting.seen import NOISE_FACTOR, Seen, angle_of, errors_of_the_model
@@ -33,6 +36,11 @@ INVARIANT, TEMPERATURE = 0.06, 0.15
 MARK, CONTRAST = 0.08, 0.2
 """Width of marks, such as moles, rims of glasses and letters, that are never light, as a fraction of the frame's
 diagonal, and difference of log brightness from the median of their surroundings from which they are such."""
+
+SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
+"""What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
+brightness (second) from its surroundings (first, standard deviation as a fraction of the frame's diagonal), unless the
+light itself is as bright on both halves (third, standard deviation of what its halves share)."""
 
 STEPS = 64.0
 """Steps of log light per unit in the median filter, which has 256 in all."""
@@ -73,6 +81,7 @@ def find_shading(
     left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
     if model.light is not None:  # without lamps, the modes leave cast shadows too
         left = without_marks(model, smoothed(model, left, 0.5 * SMOOTHNESS))
+        left = without_pairs(model, left, lit.mean(axis=1))
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
     prior = WRONG**2 * np.maximum(varying, 0.0) + (UNEXPLAINED**2 if model.light is None else 0.0)
@@ -108,6 +117,42 @@ def without_marks(model: AAM, left: np.ndarray) -> np.ndarray:
     median = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)[tuple(frame.pixels.T)] / np.float32(STEPS) - 2.0
     apart = (left - median).mean(axis=1, keepdims=True) / CONTRAST
     return (median + np.exp(-0.5 * np.square(apart)) * (left - median)).astype(np.float32)
+
+
+def without_pairs(model: AAM, left: np.ndarray, bright: np.ndarray) -> np.ndarray:
+    """Take what is dark on both halves of a symmetric object from what the modes leave, (n_pixels, 3).
+
+    Light from a side does not fall on both halves alike: they share what is the object's own, such as a beard. How far
+    the light here is alike on both is seen in the brightness of its modes, (n_pixels,).
+    """
+    mirrored = mirrored_places(model)
+    if mirrored is None:
+        return left
+    shared = np.minimum(shared_by_halves(model, left.mean(axis=1), mirrored) + DARKER, 0.0)
+    of_light = smoothed(model, np.square(shared_by_halves(model, bright, mirrored)), WINDOW)
+    return left - (shared * ALIKE**2 / (ALIKE**2 + of_light))[:, None].astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def mirrored_places(model: AAM) -> np.ndarray | None:
+    """Return where the pixels of the frame have their mirror images, (n_pixels, 2); None without symmetry."""
+    order, frame = mirror_order(model.shape_model.mean), model.frame
+    if order is None:
+        return None
+    corners = frame.points[order[frame.vertices]] - frame.origin
+    return np.einsum("nv,nvc->nc", frame.weights, corners).astype(np.float32)
+
+
+def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
+    """Return the smaller of values (n_pixels,) and their mirror images, less their surroundings; 0 if signs differ."""
+    import cv2
+
+    values = smoothed(model, values, 2.0 * SMOOTHNESS)
+    values = (values - smoothed(model, values, SURROUNDINGS)).astype(np.float32)
+    picture = model.frame.picture(values[:, None])
+    x, y = mirrored[:, :1], mirrored[:, 1:]
+    other = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
+    return np.where(values * other > 0, np.sign(values) * np.minimum(np.abs(values), np.abs(other)), 0.0)
 
 
 def not_light(model: AAM, left: np.ndarray, noise: np.ndarray) -> np.ndarray:
