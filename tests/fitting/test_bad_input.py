@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import CameraError, ImageError, LiaamError, MethodError, ModelFileError, StartError
-from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, status
 from liaam.fitting.search import find
 from liaam.fitting.solution import residual_at
 from liaam.photometry import CameraModel
@@ -105,7 +105,7 @@ def test_an_overexposed_picture_is_saturated(model, lit_scene, start, gain):
 
 def test_a_fit_that_grows_beyond_its_patch_says_nothing_about_exposure(model, lit_scene, rng, monkeypatch):
     """The surroundings of the patch are not unusable, however far a fit gets."""
-    monkeypatch.setattr(Fitter, "_why_unusable", lambda *_: pytest.fail("all pixels are usable"))
+    monkeypatch.setattr(status, "_why_unusable", lambda *_: pytest.fail("all pixels are usable"))
     image = np.full((720, 960, 3), 0.4, np.float32)
     image += 0.05 * cv2.GaussianBlur(rng.normal(size=image.shape), (0, 0), 6.0).astype(np.float32) * 20
     image[240:480, 380:560] = lit_scene.image
