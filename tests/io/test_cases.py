@@ -103,7 +103,7 @@ SHIFTED = [
     ("31-coco-exif-unrotated", Reading(), 10, (80.05, 158.51), "turned along: img00.jpg"),
     ("32-tps-exif-unrotated", Reading(), 10, (158.51, 118.95), "nothing says whether.*--stored-orientation"),
     ("32-tps-exif-unrotated", Reading(stored=True), 10, (80.05, 158.51), "turned along: img00.jpg"),
-    ("53-ljson-two-groups", Reading(group="PTS"), 10, (158.51, 78.95), ""),
+    ("53-ljson-two-groups", Reading(category="PTS"), 10, (158.51, 78.95), ""),
     ("19-dlib-natural-order", Reading(), 10, (20, 30), ""),
     ("E1-coco-images-enlarged", Reading(), 10, (317.52, 158.40), "another size of the image, and are scaled along"),
 ]
@@ -125,7 +125,7 @@ def test_specimens_of_an_image_are_named_by_their_ids(cases: Path) -> None:
 def test_categories_and_groups_are_chosen(cases: Path) -> None:
     bars = load_folder(cases / "28-coco-scale-bar-category", reading=Reading(category="scale"))
     assert {len(sample.landmarks) for sample in bars} == {2}
-    pupils = load_folder(cases / "53-ljson-two-groups", reading=Reading(group="pupils"))
+    pupils = load_folder(cases / "53-ljson-two-groups", reading=Reading(category="pupils"))
     assert {len(sample.landmarks) for sample in pupils} == {2}
     with pytest.raises(LandmarkError, match=r"\(PTS, pupils\): choose one of them with --category"):
         load_folder(cases / "53-ljson-two-groups")

@@ -105,6 +105,13 @@ def test_a_first_file_that_is_no_image_is_the_model(files, model):
     assert images == files[len(files) - len(images) :] and images
 
 
+def test_a_model_file_is_no_pattern_and_no_camera_whatever_its_name(tmp_path):
+    for name in ("m[1].liaam", "0"):
+        path = tmp_path / name
+        path.touch()
+        assert model_and_inputs([path, Path("a.jpg")], "fit") == (path, [Path("a.jpg")])
+
+
 def test_a_model_without_images_is_refused(run):
     for command in ("fit", "relight"):
         code, _, err = run(command, "face")

@@ -57,7 +57,7 @@ def check(
     """
     from liaam.datasets.point_outliers import LEAST_POINTS
 
-    data = read_folder(folder, images, recursive, Reading(strict, category, category, y_down, stored_orientation))
+    data = read_folder(folder, images, recursive, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):

@@ -96,7 +96,7 @@ def evaluate(
 
     model_file, folder = model_and_folder(sources, folds, init)
     model = None if model_file is None else load_model(model_file)
-    reading = Reading(strict, category, category, y_down, stored_orientation)
+    reading = Reading(strict, category, y_down, stored_orientation)
     data = read_folder(folder, images, recursive, reading)
     check_outputs(output, folder)
     paths = [sample.image for sample in data if isinstance(sample.image, Path)]

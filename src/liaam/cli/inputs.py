@@ -238,5 +238,8 @@ def model_and_inputs(
 
 def is_input(name: str) -> bool:
     """Return whether a name is that of a folder, image, video or camera, or a pattern, or - for standard input."""
-    suffixes = (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES, *VIDEO_SUFFIXES)
-    return name == "-" or name.isdigit() or has_magic(name) or Path(name).is_dir() or name.lower().endswith(suffixes)
+    if name.lower().endswith((*PICTURE_SUFFIXES, *UNREAD_SUFFIXES, *VIDEO_SUFFIXES)):
+        return True
+    if Path(name).exists():  # such as a model whose name has brackets, or is a number
+        return Path(name).is_dir()
+    return name == "-" or name.isdigit() or has_magic(name)

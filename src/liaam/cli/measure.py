@@ -67,7 +67,7 @@ def measure(
     check_output(output)
     if real_path(output).is_relative_to(real_path(results)):
         raise LiaamError(f"{output} is the input, or a file in it; give a name elsewhere with -o")
-    reading = Reading(strict, category, category)
+    reading = Reading(strict, category)
     specimens = morphometry.read_specimens(results, complain, reading, replicates is not None)
     specimens = specimens if resample is None else morphometry.with_even_curves(specimens, resample)
     specimens, left_out = morphometry.alike(specimens)

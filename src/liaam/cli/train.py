@@ -142,7 +142,7 @@ def train(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
             "folder with --lamps, or leave --training-lamp out"
         )
-    reading = Reading(strict, category, category, y_down, stored_orientation)
+    reading = Reading(strict, category, y_down, stored_orientation)
     data = read_folder(folder, images, recursive, reading)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], given_camera)
     if theta is not None:

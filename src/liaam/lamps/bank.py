@@ -250,7 +250,7 @@ def in_field(points: np.ndarray) -> np.ndarray:
 
 
 def sample_field(field: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Interpolate a field (SIDE, SIDE, ...) float32 at its pixels ``at`` (h, w, 2) float32; constant beyond it."""
+    """Interpolate a field (height, width, ...) float32 at its pixels ``at`` (h, w, 2) float32; constant beyond it."""
     import cv2  # heavy: imported when first needed
 
     return cv2.remap(field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -3,7 +3,7 @@
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,10 +28,6 @@ from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
 from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
 from liaam.photometry import CameraModel, camera_from, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
-
-if TYPE_CHECKING:
-    pass
-
 
 SCHEMA_VERSION, OF_SHAPES, OF_MIRRORED = 5, 6, 7
 """Versions of the format, increased when its meaning changes: of a model, of one of several shapes, and of one with

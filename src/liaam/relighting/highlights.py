@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from liaam.relighting.extrapolation import smoothstep
+from liaam.relighting.painting import mean_of
 from liaam.relighting.region import Region
 
 CLIPPED = math.log(0.95)
@@ -69,13 +70,6 @@ def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Regi
     beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
     whole[at] += region.enlarged(belongs).reshape(some.shape)[at][:, None] * beyond
     return light, whole
-
-
-def mean_of(log_rgb: np.ndarray) -> np.ndarray:
-    """Return the means (h, w) over the channels of logarithms of light (h, w, 3) float32."""
-    import cv2
-
-    return cv2.transform(log_rgb, np.full((1, 3), 1 / 3, np.float32))
 
 
 def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -158,3 +158,10 @@ def box_of(shape: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[sli
     left, top = np.floor(shape.min(axis=0) - margin).astype(int).tolist()
     right, bottom = np.ceil(shape.max(axis=0) + margin).astype(int).tolist()
     return slice(max(top, 0), min(bottom + 1, size[0])), slice(max(left, 0), min(right + 1, size[1]))
+
+
+def mean_of(log_rgb: np.ndarray) -> np.ndarray:
+    """Return the means (h, w) over the channels of logarithms of light (h, w, 3) float32."""
+    import cv2
+
+    return cv2.transform(log_rgb, np.full((1, 3), 1 / 3, np.float32))

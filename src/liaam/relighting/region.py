@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.model.shape import diagonal_of
-from liaam.relighting.painting import REACH
+from liaam.relighting.painting import REACH, mean_of
 
 FINEST = 160.0
 """Largest diagonal of an object, in pixels, at which light is computed. In larger objects it is enlarged."""
@@ -68,7 +68,7 @@ class Region:
 
         if self.size == self.small:
             return light
-        bright = cv2.transform(own, np.full((1, 3), 1 / 3, np.float32))
+        bright = mean_of(own)
         guide = self.reduced(bright)[..., None]
         mean, expected = cv2.blur(guide, (3, 3))[..., None], cv2.blur(light, (3, 3))
         variance = cv2.blur(guide * guide, (3, 3))[..., None] - mean * mean

@@ -18,7 +18,7 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
 from liaam.relighting.basis import light_on_frame, light_on_image, square_around
 from liaam.relighting.extrapolation import around, carried
-from liaam.relighting.highlights import below_white, mean_of, spared
+from liaam.relighting.highlights import below_white, spared
 from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
 from liaam.relighting.painting import (
@@ -27,6 +27,7 @@ from liaam.relighting.painting import (
     box_of,
     eight_bits,
     log_light,
+    mean_of,
     paint,
     seen_triangles,
 )

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.evaluation import short_repr
+from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
 from liaam.photometry.invariant import invariant_row, temperature_direction
@@ -145,13 +146,10 @@ def mirrored_places(model: AAM) -> np.ndarray | None:
 
 def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     """Return the smaller of values (n_pixels,) and their mirror images, less their surroundings; 0 if signs differ."""
-    import cv2
-
     values = smoothed(model, values, 2.0 * SMOOTHNESS)
     values = (values - smoothed(model, values, SURROUNDINGS)).astype(np.float32)
     picture = model.frame.picture(values[:, None])
-    x, y = mirrored[:, :1], mirrored[:, 1:]
-    other = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
+    other = sample_field(picture, mirrored[:, None]).ravel()
     return np.where(values * other > 0, np.sign(values) * np.minimum(np.abs(values), np.abs(other)), 0.0)
 
 

@@ -19,7 +19,7 @@ _Mask = tuple[str, list[int]]
 
 def parse(source: Source) -> Landmarks:
     """Parse the group of an image."""
-    group = _group(source.json, source.reading.group)
+    group = _group(source.json, source.reading.category)
     edges = [(start, end) for start, end in group["landmarks"].get("connectivity") or ()]
     masks = [(str(label["label"]), list(label["mask"])) for label in group.get("labels") or ()]
     pairs = [(x, y) for y, x in group["landmarks"]["points"]]

@@ -37,9 +37,8 @@ class Reading:
     strict : bool
         Whether to refuse a file for one bad record, instead of leaving the record out.
     category : str, optional
-        Name or number of the COCO category, or the label of CVAT's skeletons or dlib's boxes, that is the object.
-    group : str, optional
-        Group of landmarks of a menpo ``.ljson``.
+        Name or number of the COCO category, label of CVAT's skeletons or dlib's boxes, or group of a menpo ``.ljson``
+        that is the object.
     y_down : bool
         Whether ``.tps`` and ``.nts`` count y from the top, as some programs write them.
     stored : bool
@@ -48,7 +47,6 @@ class Reading:
 
     strict: bool = False
     category: str | None = None
-    group: str | None = None
     y_down: bool = False
     stored: bool = False
 
