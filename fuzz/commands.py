@@ -93,57 +93,46 @@ _OUTPUTS = (
     ),
     *("[/x].csv", "dangling.png", "loop.png"),
 )
-_COMMANDS: dict[str, tuple[str, ...]] = {
-    "fit": ("--init", "--camera", "--response", "--method", "--rotations", "--iterations", "--scheme", "--all", "-o"),
-    "show": ("--image", "-o"),
-    "compact": ("--methods", "-o"),
-    "check": ("--images", "--recursive"),
-    "evaluate": ("--folds", "--init", "--normalise", "--limit", "--method", "--rotations", "-o"),
-    "batch": ("--init", "--camera", "--response", "--list", "--method", "--jobs", "-o"),
-    "train": (
-        "--camera",
-        "--theta",
-        "--response",
-        "--variance",
-        "--prior",
-        "--lamps",
-        "--training-lamp",
-        "--copies",
-        "--methods",
-        "--shapes",
-        "-o",
-    ),
-    "track": ("--init", "--camera", "--response", "-o"),
-    "camera invariant": ("--camera", "--theta", "--response", "-o"),
-    "measure": ("--scale", "--replicates", "--resample", "--slide", "-o"),
-    "lamps": ("--training-lamp", "--recursive", "-o"),
-    "camera register": ("--camera", "--response", "-o"),
-    "relight": ("--init", "--camera", "--like", "-o"),
-    "camera scene": ("--camera", "--response", "-o"),
-    "camera response": ("--camera", "--patches", "-o"),
-    "camera noise": ("--camera", "-o"),
-    "nonsense": (),
-}
+_LEFT_OUT = ("studio", "demo", "--scheduler", "--help")  # they serve, take long, or wait for a network
 _SOUND = ("show", "--version", "fit --help", "camera invariant x.png -o out.png")
-_FLAGS = ("--all", "--recursive")
-_FILED = ("--init", "--camera", "--list", "--image", "--lamps", "--like", "--patches")
+_FILED = ("--init", "--camera", "--image", "--lamps", "--light", "--patches", "--points")
 
 
 def make(rng: Random) -> list[str]:
     """Return the arguments of a command."""
     if rng.random() < 0.2:
         return one_of(rng, _SOUND).split()
-    command = one_of(rng, list(_COMMANDS))
+    command = one_of(rng, list(_commands()))
     arguments = command.split()
     arguments += [one_of(rng, _INPUTS) for _ in range(int(rng.integers(0, 4)))]
-    for option in _COMMANDS[command]:
-        if rng.random() < (0.7 if option == "-o" else 0.3):
-            arguments += [option] if option in _FLAGS else [option, _value(rng, option)]
+    for option, is_flag in _commands()[command].items():
+        if rng.random() < (0.7 if option == "--output" else 0.2):
+            arguments += [option] if is_flag else [option, _value(rng, option)]
     return [text.replace("\0", "") for text in arguments]
 
 
+@cache
+def _commands() -> dict[str, dict[str, bool]]:
+    """Return the options of each command, and whether they are flags."""
+    from typer.main import get_command
+
+    from liaam.cli.main import app
+
+    found: dict[str, dict[str, bool]] = {"nonsense": {}}
+    below = [("", get_command(app))]
+    for name, command in below:
+        if inner := getattr(command, "commands", None):
+            below += [(f"{name} {word}".strip(), each) for word, each in inner.items() if word not in _LEFT_OUT]
+            continue
+        options = [
+            each for each in command.params if each.param_type_name == "option" and each.opts[0] not in _LEFT_OUT
+        ]
+        found[name] = {option.opts[0]: bool(getattr(option, "is_flag", False)) for option in options}
+    return found
+
+
 def _value(rng: Random, option: str) -> str:
-    if option == "-o":
+    if option == "--output":
         return one_of(rng, _OUTPUTS)
     if option in _FILED and rng.random() < 0.7:
         return one_of(rng, _INPUTS)
@@ -157,6 +146,8 @@ def _value(rng: Random, option: str) -> str:
             "all",
             "image",
             "bending",
+            "linear",
+            "2:4",
             "a" * 300,
         ),
     )

@@ -71,12 +71,12 @@ COMMANDS = {
     "train": ("train {pictures} -o {out}/m.liaam --diagonal 40 --no-leave-out --copies 0", "m.liaam"),
     "fit": ("fit {model} {picture} -m grey --init {start} -o {out}", "face0_fit.png"),
     "batch": ("batch {model} {pictures} -m grey --init {start} --jobs 1 -o {out}/r.csv --restart", "r.csv"),
-    "track csv": ("track {model} {clip} -m grey --init {start} --frames 4 -o {out}/t.csv", "t.csv"),
-    "track npz": ("track {model} {clip} -m grey --init {start} --frames 4 -o {out}/t.npz", None),
-    "track mp4": ("track {model} {clip} -m grey --init {start} --frames 4 --video {out}/t.mp4", None),
+    "track csv": ("track {model} {clip} -m grey --init {start} --frames :4 -o {out}/t.csv", "t.csv"),
+    "track npz": ("track {model} {clip} -m grey --init {start} --frames :4 -o {out}/t.npz", None),
+    "track mp4": ("track {model} {clip} -m grey --init {start} --frames :4 --video {out}/t.mp4", None),
     "show": ("show {model} -o {out}/m.png", "m.png"),
     "relight": ("relight {model} {picture} --init {start} -o {out}/lit.png", None),
-    "invariant": ("camera invariant {picture} --theta 122 -o {out}", "face0_invariant.png"),
+    "invariant": ("camera invariant {picture} --camera 122 -o {out}", "face0_invariant.png"),
     "register": ("camera register {picture} {other} -o {out}/same.png", "same.png"),
     "lamps": ("lamps {lamps} --training-lamp 0 -o {out}/x.lamps", "x.lamps"),
 }
@@ -349,7 +349,7 @@ def test_a_video_that_cannot_be_finished_is_not_there(world, clip, run, tmp_path
     """What an encoder still holds comes last: a disk that is full by then is no success."""
     target = tmp_path / "t.mp4"
     table = tmp_path_factory.mktemp("track") / "t.csv"
-    options = ("-m", "grey", "--init", world.start, "--frames", 4, "-o", table, "--video", target)
+    options = ("-m", "grey", "--init", world.start, "--frames", ":4", "-o", table, "--video", target)
     line = ("track", world.model, clip, *options)
     assert run(*line)[0] == 0
     whole = target.read_bytes()

@@ -621,10 +621,9 @@ def test_says_which_extra_is_missing(world, tmp_path, monkeypatch):
 
 def test_the_command(run, world, expected, tmp_path, monkeypatch):
     names = [os.fsencode(row["path"]) for row in expected]
-    (tmp_path / "list.txt").write_bytes(b"\n".join(names[:3]))
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(b"\n".join(names[3:]))))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(b"\n".join(names))))
     options = ["-m", "grey", "--init", world.settings.init, "--jobs", 1, "-o", tmp_path / "r.csv"]
-    code, out, err = run("batch", world.model, "-", "--list", tmp_path / "list.txt", *options)
+    code, out, err = run("batch", world.model, "-", *options)
     assert code == 0
     assert "13 images done" in out
     assert "13 rows: 9 converged, 4 error" in out
@@ -640,8 +639,6 @@ def test_the_command(run, world, expected, tmp_path, monkeypatch):
     assert (code, "give the images, too, as in 'liaam batch MODEL IMAGE...'" in err) == (1, True)
     code, _, err = run("batch", *options)
     assert (code, "no images: give" in err) == (1, True)
-    code, _, err = run("batch", world.model, "--list", tmp_path / "none.txt", *options)
-    assert (code, "none.txt does not exist" in err) == (1, True)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from liaam.cli.inputs import unique_stems
-from liaam.cli.train import parse_contour, parse_prior
+from liaam.cli.train import parse_contour
 from liaam.errors import LiaamError
 from liaam.io import read_image, read_landmarks, write_image, write_landmarks
 from scenes import Head, lateral, make_set, render
@@ -58,7 +58,7 @@ def box_around(points):
 
 def test_train_and_show(run, portraits, tmp_path):
     model = tmp_path / "m.safetensors"
-    code, out, err = run("train", portraits[0], "-o", model, "--images", "face[0-4]*", "--diagonal", 80, "--name", "me")
+    code, out, err = run("train", portraits[0] / "face[0-4]*", "-o", model, "--diagonal", 80, "--name", "me")
     assert (code, err) == (0, "")
     assert "5 samples" in out
     assert "trained on 5 images and 5 mirrored copies; shape modes: " in out
@@ -106,7 +106,7 @@ def test_training_that_is_stopped_leaves_one_line_and_no_file(run, portraits, tm
         raise KeyboardInterrupt
 
     monkeypatch.setattr("liaam.training.textures.train_appearance_model", stop)
-    code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--images", "face[0-4]*", "--diagonal", 40)
+    code, _, err = run("train", portraits[0] / "face[0-4]*", "-o", tmp_path / "m.liaam", "--diagonal", 40)
     assert (code, err) == (130, "stopped\n")
     assert not list(tmp_path.iterdir())
 
@@ -137,22 +137,9 @@ def test_ctrl_c_while_a_line_is_printed_is_reported(run, portraits, tmp_path, mo
         raise KeyboardInterrupt
 
     monkeypatch.setattr("liaam.training.textures.train_appearance_model", stop)
-    code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--images", "face[0-4]*", "--diagonal", 40)
+    code, _, err = run("train", portraits[0] / "face[0-4]*", "-o", tmp_path / "m.liaam", "--diagonal", 40)
     error_console._exit_buffer()
     assert (code, err) == (130, "stopped\n")
-
-
-@pytest.mark.parametrize(
-    ("given", "priors"),
-    [
-        ([], None),
-        (["smooth"], {"mesh": "smooth", "surroundings": "smooth"}),
-        (["surroundings=sample"], {"surroundings": "sample"}),
-        (["shrunk", "mesh=sample"], {"mesh": "sample", "surroundings": "shrunk"}),
-    ],
-)
-def test_priors_are_for_all_views_or_for_one(given, priors):
-    assert parse_prior(given) == priors
 
 
 def test_contours_are_given_by_numbers_from_1():
@@ -161,12 +148,6 @@ def test_contours_are_given_by_numbers_from_1():
     for text in ("", "0-3", "a-b", "1-2-3"):
         with pytest.raises(LiaamError, match="numbers of landmarks from 1"):
             parse_contour(text)
-
-
-def test_a_prior_of_no_view_is_refused(run, portraits, tmp_path):
-    code, _, err = run("train", portraits[0], "-o", tmp_path / "m.liaam", "--prior", "ears=smooth")
-    assert code == 1
-    assert "unknown view 'ears'; choose from mesh, surroundings" in err
 
 
 def test_fit_writes_landmarks_and_overlay(run, portraits, model_file, tmp_path):
@@ -290,13 +271,13 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("train", "{missing}", "-o", "m"), "missing"),
         (("train", "{empty}", "-o", "m"), "no image"),
         (("train", "{portraits}", "-o", "{empty}/no/m"), "does not exist"),
-        (("train", "{portraits}", "-o", "m", "--variance", "lots"), "give a fraction such as 0.98"),
-        (("train", "{portraits}", "-o", "m", "--prior", "rough"), "choose from sample, shrunk, smooth"),
         (("train", "{portraits}", "-o", "m", "--camera", "film"), "srgb, linear, or a gamma"),
         (("train", "{portraits}", "-o", "m", "--diagonal", "3"), "16 to 2000"),
-        (("train", "{portraits}", "-o", "m", "--theta", "nan"), "in degrees"),
-        (("train", "{portraits}", "-o", "m", "--theta", "2.13"), "in degrees"),
-        (("train", "{portraits}", "-o", "m", "--images", "face0*"), "too few"),
+        (("train", "{portraits}", "-o", "m", "--camera", "nan"), "in degrees"),
+        (("train", "{portraits}", "-o", "m", "--camera", "40"), "in degrees"),
+        (("train", "{portraits}/face0*", "-o", "m"), "too few"),
+        (("train", "{portraits}/nose*", "-o", "m"), "matches nose*; they are face0"),
+        (("train", "{portraits}/*/a/face*", "-o", "m"), "a pattern is for images' names"),
         (("train", "{portraits}", "-o", "m.png"), "a model ends in .liaam, not in .png; give a name such as m.liaam"),
         (("train", "{portraits}", "-o", "m.tps"), "a model ends in .liaam"),
         (("train", "{portraits}", "-o", "m", "--training-lamp", "07"), "give that folder with --lamps, or leave"),
@@ -541,12 +522,6 @@ def test_an_image_without_texture_gets_no_advice_on_the_search(run, model_file, 
     code, out, err = run("fit", model_file, tmp_path / "black.png", "-o", tmp_path / "fits")
     assert code == 1 and "no texture" in out
     assert "black.png: no texture: " in err and "the search" not in err
-
-
-def test_a_rigid_shape_is_announced(run, portraits, tmp_path):
-    options = ("--diagonal", 40, "--no-leave-out", "--prior", "sample", "--variance", 0)
-    code, out, _ = run("train", portraits[0], "-o", tmp_path / "m.liaam", *options)
-    assert code == 0 and "the shape is rigid" in out
 
 
 def test_tables_that_go_to_a_file_are_not_cut(capsys):

@@ -40,6 +40,7 @@ def folder(tmp_path_factory):
     for i, kelvin in enumerate((3200, 6500)):
         light = even_light(reflectance.shape[:2], kelvin)
         write_image(folder / f"chart{i + 1}.png", photograph(reflectance, light, CAMERA))
+    (folder / "other.json").write_text("{}")
     write_image(folder / "grey.png", np.full((*SIZE, 3), 120, np.uint8))
     for i, exposure in enumerate((0.2, 0.4, 0.8)):
         write_image(folder / f"e{i}.png", photograph(sheet, even_light(SIZE), CAMERA, exposure=exposure, seed=i))
@@ -60,8 +61,7 @@ def theta_of(path):
     [
         (("scene", "a.png", "b.png"), 0.5),
         (("scene", "a.png", "c.png"), 1.0),
-        (("scene", "a.png", "b.png", "--no-align"), 0.5),
-        (("chart", "chart1.png", "chart2.png", "--corners", CHART), 0.5),
+        (("chart", "chart1.png", "chart2.png", "--patches", CHART), 0.5),
     ],
 )
 def test_calibrate_writes_a_camera_and_a_picture_to_check_it_by(run, folder, tmp_path, arguments, limit):
@@ -76,12 +76,12 @@ def test_calibrate_writes_a_camera_and_a_picture_to_check_it_by(run, folder, tmp
 
 
 def test_spectral(run, tmp_path):
-    code, _, err = run("camera", "spectral", "--peaks", "610,540,450", "-o", tmp_path / "camera.json")
+    code, _, err = run("camera", "spectral", "610,540,450", "-o", tmp_path / "camera.json")
     assert (code, err) == (0, "")
     assert theta_of(tmp_path / "camera.json") == pytest.approx(122.43, abs=0.1)
     curves = ["wavelength_nm,R,G,B", *(sensitivities(w) for w in range(400, 701, 2))]
     (tmp_path / "curves.csv").write_text("\n".join(curves))
-    assert run("camera", "spectral", "--curves", tmp_path / "curves.csv", "-o", tmp_path / "other.json")[0] == 0
+    assert run("camera", "spectral", tmp_path / "curves.csv", "-o", tmp_path / "other.json")[0] == 0
     assert theta_of(tmp_path / "other.json") == pytest.approx(122.43, abs=1.5)
 
 
@@ -92,8 +92,8 @@ def sensitivities(wavelength):
 def test_calibrations_add_up_in_one_file(run, folder, tmp_path):
     path = tmp_path / "camera.json"
     assert run("camera", "noise", folder / "a.png", folder / "again.png", "-o", path)[0] == 0
-    assert run("camera", "vignetting", folder / "flat.png", "--camera", path, "-o", path)[0] == 0
-    code, _out, _ = run("camera", "scene", folder / "a.png", folder / "b.png", "--camera", path, "-o", path)
+    assert run("camera", "vignetting", folder / "flat.png", "-o", path)[0] == 0
+    code, _out, _ = run("camera", "scene", folder / "a.png", folder / "b.png", "-o", path)
     assert code == 0
     camera = load_camera(path)
     assert camera.noise is not None and len(camera.history) == 3
@@ -105,15 +105,24 @@ def test_calibrate_response_from_exposures(run, folder, tmp_path):
     from liaam.photometry import to_linear
 
     files = [folder / f"e{i}.png" for i in range(3)]
-    code, _out, err = run(
-        "camera", "response", *files, "--exposures", "1,2,4", "--no-align", "-o", tmp_path / "camera.json"
-    )
+    code, _out, err = run("camera", "response", *files, "--exposures", "1,2,4", "-o", tmp_path / "camera.json")
     assert (code, err) == (0, "")
     stored = np.linspace(0.1, 0.9, 30)
     logs = [np.log(to_linear(stored, r)) for r in (load_camera(tmp_path / "camera.json").response, "srgb")]
     difference = logs[0] - logs[1]
     assert np.std(difference) < 0.03
     assert read_image(tmp_path / "camera_check.png").shape[2] == 3
+
+
+def test_a_known_response_begins_a_camera_file_and_a_later_one_takes_off_what_hung_on_it(run, folder, tmp_path):
+    path = tmp_path / "camera.json"
+    assert run("camera", "response", "linear", "-o", path)[0] == 0
+    assert run("camera", "noise", folder / "a.png", folder / "again.png", "-o", path)[0] == 0
+    camera = load_camera(path)
+    assert camera.response == "linear" and camera.noise is not None and len(camera.history) == 2
+    _, out, _ = run("camera", "response", "2.2", "-o", path)
+    assert "estimated with another response" in out
+    assert load_camera(path).response == 2.2 and load_camera(path).noise is None
 
 
 def test_what_cannot_be_told_is_not_written(run, folder, tmp_path):
@@ -154,7 +163,7 @@ def test_faces_pool_their_angles(run, tmp_path):
 def test_invariant_writes_a_picture_and_numbers(run, folder, tmp_path):
     out = tmp_path / "out"
     files = folder / "a.png", folder / "b.png"
-    code, text, err = run("camera", "invariant", *files, "--theta", "122.4", "--sweep", "--compare", "-o", out)
+    code, text, err = run("camera", "invariant", *files, "--camera", "122.4", "--sweep", "--compare", "-o", out)
     assert (code, err) == (0, "")
     values, tiff = np.load(out / "a_invariant.npy"), read_image(out / "a_invariant.tif")
     assert values.dtype == np.float32 and values.shape == SIZE
@@ -180,23 +189,24 @@ def test_register_writes_the_picture_the_homography_and_a_check(run, folder, tmp
     ("arguments", "fault"),
     [
         ("camera scene none.png b.png", "none.png"),
-        ("camera scene a.png grey.png --no-align", "grey"),
-        ("camera scene a.png chart1.png --no-align", "one size"),
+        ("camera scene a.png grey.png", "grey"),
         ("camera scene a.png", "give 2 or more"),
-        ("camera chart chart1.png chart2.png", "--corners"),
-        ("camera chart chart1.png chart2.png --corners 1,2,3", "8 numbers"),
-        ("camera chart chart1.png chart2.png --corners 0,0,500,0,500,100,0,100", "outside the image"),
+        ("camera chart chart1.png chart2.png", "--patches"),
+        ("camera chart chart1.png chart2.png --patches 1,2,3", "8 numbers"),
+        ("camera chart chart1.png chart2.png --patches 0,0,500,0,500,100,0,100", "outside the image"),
         ("camera chart chart1.png chart2.png --patches none.csv", "none.csv"),
-        ("camera spectral", "--peaks"),
-        ("camera spectral --peaks 610,540", "3 numbers"),
-        ("camera spectral --curves none.csv", "none.csv"),
+        ("camera spectral", "PEAKS"),
+        ("camera spectral 610,540", "3 numbers"),
+        ("camera spectral none.csv", "none.csv"),
+        ("camera response film", "neither an image nor a response"),
         ("camera noise a.png b.png c.png", "--flat"),
         ("camera scene a.png b.png -o none/camera.json", "does not exist"),
-        ("camera scene a.png b.png --camera a.png", "not a camera file"),
-        ("camera scene a.png b.png --camera film", "film"),
+        ("camera register a.png b.png --camera a.png", "not a camera file"),
+        ("camera register a.png b.png --camera film", "film"),
+        ("camera scene a.png b.png -o other.json", "not a camera file"),
         ("camera image grey.png", "grey"),
         ("camera invariant grey.png", "grey"),
-        ("camera invariant a.png --theta 1000", "--theta"),
+        ("camera invariant a.png --camera 1000", "the angle theta"),
         ("camera invariant a.png --compare", "two or more"),
         ("camera invariant a.png grey.png --compare -o compared", "grey.png: the image is grey"),
         ("camera register a.png none.png", "none.png"),

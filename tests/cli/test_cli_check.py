@@ -141,7 +141,7 @@ def test_names_are_printed_as_they_are(run, scenes, order, tmp_path):
 
 
 def test_check_needs_some_pictures(run, good, tmp_path):
-    code, _, err = run("check", good, "--images", "face[0-3]*")
+    code, _, err = run("check", good / "face[0-3]*")
     assert code == 1
     assert "too few landmarked images to find unusual landmarks (4)" in err
     assert "does not exist" in run("check", tmp_path / "none")[2]

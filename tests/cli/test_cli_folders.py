@@ -73,11 +73,13 @@ def test_files_that_do_not_match_are_listed(run, folder, tmp_path, command):
 
 
 @pytest.mark.parametrize("command", ["train", "check"])
-def test_subfolders_offer_recursive(run, folder, command):
+def test_subfolders_are_offered(run, folder, command):
     options = ("-o", folder.parent / "m.liaam") if command == "train" else ()
     code, _, err = run(command, folder.parent, *options)
     assert code == 1
-    assert "images in its subfolders only (faces/face0.png" in err and "add --recursive" in err
+    assert "images in its subfolders only (faces/face0.png" in err and "/**" in err
+    code, out, _ = run("check", folder.parent / "**")
+    assert "samples" in out
 
 
 def test_an_unknown_format_names_those_that_can_be_read(run, folder, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from liaam.cli import video as cli_video
 from liaam.evaluation import ranges_of
 from liaam.io import VideoReader, video_writer, write_image, write_landmarks
-from liaam.tracking import Tracker, TrackingOptions
+from liaam.tracking import Tracker
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def frames_of(path):
 def test_all_outputs(run, model_file, clip, moving, tmp_path):
     names = {name: tmp_path / name for name in ("track.csv", "drawn.mp4", "fresh.mp4")}
     options = ("-o", names["track.csv"], "--video", names["drawn.mp4"], "--shading-free", names["fresh.mp4"])
-    code, out, err = run("track", model_file, clip, *options, "--ellipses", "--frames", 6)
+    code, out, err = run("track", model_file, clip, *options, "--ellipses", "--frames", ":6")
     assert (code, err) == (0, "")
     assert all(str(path) in out for path in names.values())
     rows = rows_of(names["track.csv"])
@@ -51,13 +51,13 @@ def test_all_outputs(run, model_file, clip, moving, tmp_path):
 
 
 def test_a_name_is_made_up_where_none_is_given(run, model_file, clip, tmp_path):
-    code, out, _ = run("track", model_file, clip, "--start", 3, "--end", 6, "--no-smooth")
+    code, out, _ = run("track", model_file, clip, "--frames", "3:6", "--no-smooth")
     assert code == 0
     assert "talk_track.csv" in out
     rows = rows_of(tmp_path / "talk_track.csv")
     assert [row["frame"] for row in rows] == ["3", "4", "5"]
     assert all(row["x5"] == row["raw_x5"] for row in rows)
-    assert run("track", model_file, clip, "--frames", 1)[0] == 0  # a track may be written over
+    assert run("track", model_file, clip, "--frames", ":1")[0] == 0  # a track may be written over
 
 
 def test_a_folder_of_frames_is_tracked(run, model_file, moving, tmp_path):
@@ -88,25 +88,10 @@ def test_starts_of_all_kinds(run, model_file, clip, moving, tmp_path):
     write_landmarks(tmp_path / "start.pts", moving[2].landmarks)
     low, high = moving[2].landmarks.min(0), moving[2].landmarks.max(0)
     for init in (tmp_path / "start.pts", ",".join(f"{v:.0f}" for v in (*low, *high))):
-        options = ("-o", tmp_path / "t.npz", "--start", 2, "--frames", 2, "--init", init, "-m", "li")
+        options = ("-o", tmp_path / "t.npz", "--frames", "2:4", "--init", init, "-m", "li")
         assert run("track", model_file, clip, *options)[0] == 0
     with np.load(tmp_path / "t.npz", allow_pickle=False) as track:
         assert np.isfinite(track["theta"]).all()
-
-
-def test_reviews_are_as_often_as_asked_for(run, model_file, clip, tmp_path, monkeypatch):
-    asked = []
-
-    class Told(Tracker):
-        def __init__(self, model, method, camera, options):
-            asked.append(options.review)
-            super().__init__(model, method, camera, options)
-
-    monkeypatch.setattr("liaam.tracking.Tracker", Told)
-    for options in ((), ("--review", 12), ("--review", 0)):
-        assert run("track", model_file, clip, "-o", tmp_path / "t.csv", "--frames", 1, *options)[0] == 0
-    assert asked == [TrackingOptions().review, 12, 0]
-    assert run("track", model_file, clip, "-o", tmp_path / "t.csv", "--review", -1)[0] == 2
 
 
 def test_frames_without_the_object_are_told(run, model_file, moving, tmp_path):
@@ -177,7 +162,7 @@ def test_a_video_of_uneven_times_keeps_them(run, model_file, moving, tmp_path):
         for time, scene in zip(times, moving, strict=False):
             writer.write(scene.image, time)
     outputs = tmp_path / "v.mp4", tmp_path / "s.mp4"
-    options = ("--video", outputs[0], "--shading-free", outputs[1], "--start", 1)
+    options = ("--video", outputs[0], "--shading-free", outputs[1], "--frames", "1:")
     assert run("track", model_file, tmp_path / "slow.mp4", *options)[0] == 0
     for path in outputs:
         with VideoReader(path) as video:
@@ -186,7 +171,7 @@ def test_a_video_of_uneven_times_keeps_them(run, model_file, moving, tmp_path):
 
 def test_a_video_may_be_written_over(run, model_file, clip, tmp_path):
     for _ in range(2):
-        assert run("track", model_file, clip, "--video", tmp_path / "v.mp4", "--frames", 1)[0] == 0
+        assert run("track", model_file, clip, "--video", tmp_path / "v.mp4", "--frames", ":1")[0] == 0
     assert len(rows_of(tmp_path / "talk_track.csv")) == 1  # there is a table in any case
 
 
@@ -230,9 +215,10 @@ def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatc
         (("{none}",), "none.mp4 does not exist"),
         (("{model}",), "is not a video"),
         (("97",), "camera 97 cannot be opened"),
-        (("{clip}", "--end", "5", "--frames", "3"), "give one of them"),
-        (("{clip}", "--start", "5", "--end", "5"), "not after --start"),
-        (("{clip}", "--start", "500"), "has only 24 frames"),
+        (("{clip}", "--frames", "5"), "--frames 5: give the first frame"),
+        (("{clip}", "--frames", "a:5"), "--frames a:5: give the first frame"),
+        (("{clip}", "--frames", "5:5"), "5 is not after 5"),
+        (("{clip}", "--frames", "500:"), "has only 24 frames"),
         (("{clip}", "-o", "t.json"), "ends in .csv or .npz"),
         (("{clip}", "--video", "t.gif"), "a video's name ends in"),
         (("{clip}", "--video", "{clip}"), "is the input video"),
@@ -245,7 +231,7 @@ def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatc
         (("{clip}", "-m", "magic"), "unknown method 'magic'"),
         (("{clip}", "--init", "nowhere.pts"), "there is no such file"),
         (("{clip}", "--init", "9000,9000,9100,9100"), "outside the image"),
-        (("{clip}", "--init", "9000,9000,9100,9100", "--start", "2"), "talk.mp4, frame 2"),
+        (("{clip}", "--init", "9000,9000,9100,9100", "--frames", "2:"), "talk.mp4, frame 2"),
     ],
 )
 def test_errors_name_fault_and_remedy(run, model_file, clip, tmp_path, monkeypatch, arguments, complaint):

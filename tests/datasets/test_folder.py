@@ -287,9 +287,7 @@ def test_other_files_are_not_named_if_every_image_has_landmarks(tmp_path: Path) 
 def test_images_in_subfolders_only_offer_recursive(tmp_path: Path) -> None:
     for stem in ("a", "b"):
         add_pair(tmp_path / "one", stem)
-    with pytest.raises(
-        ImageError, match=r"subfolders only \(one/a\.png, one/b\.png\): add --recursive .*recursive=True"
-    ):
+    with pytest.raises(ImageError, match=r"subfolders only \(one/a\.png, one/b\.png\): give .*recursive=True"):
         load_folder(tmp_path)
     assert len(load_folder(tmp_path, recursive=True)) == 2
 

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ import typer
 from liaam.cli.inputs import TURNED, CameraOption, RotationsOption, camera_in, model_and_inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import LiaamError
-from liaam.io.files import count_of, existing_file
+from liaam.io.files import count_of
 
 
 def batch(
@@ -21,14 +20,13 @@ def batch(
         typer.Argument(
             metavar="[MODEL] IMAGE...",
             help="Model file of 'liaam train', or a name that 'liaam show' lists, by default 'face'; then folders, "
-            "quoted patterns such as 'images/**', files, or - to read paths from standard input.",
+            "quoted patterns such as 'images/**', files, or - for a list of paths from standard input, one per line.",
         ),
     ] = None,
     *,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Table to write: .parquet, .csv or .jsonl. Only landmarks: .tps.")
     ],
-    listed: Annotated[Path | None, typer.Option("--list", help="File with one image path per line.")] = None,
     init: Annotated[
         str | None,
         typer.Option(
@@ -43,7 +41,6 @@ def batch(
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     rotations: RotationsOption = "upright",
     given_camera: CameraOption = None,
-    covariance: Annotated[bool, typer.Option(help="Write the covariance of each landmark.")] = True,
     jobs: Annotated[int | None, typer.Option(help="Number of threads. By default one per core.", min=1)] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a Dask scheduler; its workers then fit the images.")
@@ -62,15 +59,13 @@ def batch(
     from liaam.fitting import FitStatus
 
     camera, response = camera_in(given_camera)
-    settings = Settings(
-        method, init, camera=camera, response=response, covariance=covariance, rotations=rotations, every=every
-    )
-    model_file, pictures = model_and_inputs(sources or [], "batch", some=listed is None)
+    settings = Settings(method, init, camera=camera, response=response, rotations=rotations, every=every)
+    model_file, pictures = model_and_inputs(sources or [], "batch")
     closed: list[str] = []
-    with ExitStack() as files, progress_bar() as progress:
+    with progress_bar() as progress:
         summary = run_batch(
             model_file,
-            input_paths(pictures, listed, files, closed.append),
+            input_paths(pictures, closed.append),
             output,
             settings,
             jobs=jobs,
@@ -95,19 +90,13 @@ def batch(
         raise typer.Exit(1)
 
 
-def input_paths(
-    sources: list[str], listed: Path | None, files: ExitStack, on_closed: Callable[[str], object]
-) -> Iterator[str]:
-    """Iterate over the image paths of all arguments and lists."""
+def input_paths(sources: list[str], on_closed: Callable[[str], object]) -> Iterator[str]:
+    """Iterate over the image paths of all arguments."""
     from liaam.batch import find_pictures, listed_pictures
 
-    if not sources and listed is None:
-        raise LiaamError("no images: give a folder, a pattern such as 'images/**', files, or --list FILE")
-    named = [
+    if not sources:
+        raise LiaamError("no images: give a folder, a pattern such as 'images/**', files, or - for a list of paths")
+    return chain.from_iterable(
         listed_pictures(sys.stdin.buffer) if source == "-" else find_pictures(source, on_closed=on_closed)
         for source in sources
-    ]
-    if listed is not None:
-        path = existing_file(listed, LiaamError, "list of images")
-        named.append(listed_pictures(files.enter_context(path.open("rb"))))
-    return chain(*named)
+    )

@@ -10,13 +10,12 @@ import typer
 from liaam.cli.inputs import (
     AUTO,
     CategoryOption,
-    ImagesOption,
     LandmarkedFolder,
-    RecursiveOption,
     ShapesOption,
     StoredOption,
     StrictOption,
     YDownOption,
+    folder_of,
     parse_shapes,
     read_folder,
 )
@@ -36,8 +35,6 @@ MAX_WARNINGS = 3
 
 def check(
     folder: LandmarkedFolder,
-    images: ImagesOption = None,
-    recursive: RecursiveOption = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -57,7 +54,7 @@ def check(
     """
     from liaam.datasets.point_outliers import LEAST_POINTS
 
-    data = read_folder(folder, images, recursive, Reading(strict, category, y_down, stored_orientation))
+    data = read_folder(folder, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
     complete = complete_samples(data)
     if len(complete) < len(data):
@@ -150,7 +147,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     """Write an overlay of each sample with faults, and its landmarks in the corrected order."""
     from liaam.plotting import overlay_of_faults
 
-    if real_path(output).is_relative_to(real_path(folder)):
+    if real_path(output).is_relative_to(real_path(folder_of(folder)[0])):
         raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
     reordered = 0
     for sample, own in faults:

@@ -8,13 +8,11 @@ import typer
 from liaam.cli.inputs import (
     CameraOption,
     CategoryOption,
-    ImagesOption,
-    RecursiveOption,
-    RotationsOption,
     StoredOption,
     StrictOption,
     YDownOption,
     camera_for,
+    folder_of,
     read_folder,
 )
 from liaam.cli.terminal import cell, say, show_table, table_of
@@ -77,10 +75,7 @@ def evaluate(
         ),
     ] = None,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
-    rotations: RotationsOption = "upright",
     given_camera: CameraOption = None,
-    images: ImagesOption = None,
-    recursive: RecursiveOption = False,
     strict: StrictOption = False,
     category: CategoryOption = None,
     y_down: YDownOption = False,
@@ -97,11 +92,11 @@ def evaluate(
     model_file, folder = model_and_folder(sources, folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
-    data = read_folder(folder, images, recursive, reading)
+    data = read_folder(folder, reading)
     check_outputs(output, folder)
     paths = [sample.image for sample in data if isinstance(sample.image, Path)]
     camera = camera_for(paths, given_camera, None if model is None else model.camera)
-    options: dict[str, Any] = {"method": method, "normalise": normalise, "rotations": rotations, "camera": camera}
+    options: dict[str, Any] = {"method": method, "normalise": normalise, "camera": camera}
     options["limit"] = None if limit is None else limit / 100
     if model is None:
         if together := describe_objects([sample.name for sample in data]):
@@ -130,7 +125,7 @@ def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -
 
 def check_outputs(output: Path, folder: Path) -> None:
     """Raise, before any work, if the output cannot be written, or would be read as landmarks later."""
-    if real_path(output).is_relative_to(real_path(folder)):
+    if real_path(output).is_relative_to(real_path(folder_of(folder)[0])):
         raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
     if output.suffix.lower() == ".csv":
         check_output(output)

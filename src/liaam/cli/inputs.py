@@ -1,8 +1,10 @@
 """Options and checks that several commands share."""
 
+import math
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from glob import has_magic
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import numpy as np
@@ -12,7 +14,7 @@ from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, ImageError, LiaamError
 from liaam.io import Landmarks, is_raw, read_image, read_start
-from liaam.io.files import existing_file, real_path, some_names
+from liaam.io.files import existing_file, is_number, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks.formats import KNOWN_FILES
 from liaam.io.landmarks.reading import USUAL, Reading
@@ -36,7 +38,8 @@ LandmarkedFolder = Annotated[
     typer.Argument(
         metavar="FOLDER",
         readable=False,
-        help=f"Folder of images with landmarks beside them, in a file for each image or for many: {KNOWN_FILES}.",
+        help=f"Folder of images with landmarks beside them, in a file for each image or for many: {KNOWN_FILES}. Or a "
+        "quoted pattern: 'faces/07-*' for some of its images, 'faces/**' with its subfolders.",
     ),
 ]
 """Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
@@ -61,11 +64,6 @@ ModelFile = Annotated[
         help="Model file of 'liaam train', or a name that 'liaam show' lists.",
     ),
 ]
-ImagesOption = Annotated[
-    list[str] | None,
-    typer.Option("--images", help="Use only images whose name matches, such as '07-[12346]*'; may be repeated."),
-]
-RecursiveOption = Annotated[bool, typer.Option("--recursive", help="Include subfolders.")]
 StrictOption = Annotated[
     bool, typer.Option("--strict", help="Refuse landmarks with a fault, instead of leaving these out with a line.")
 ]
@@ -87,8 +85,8 @@ CameraOption = Annotated[
     str | None,
     typer.Option(
         "--camera",
-        help="If this is not the camera of the training images: a file of 'liaam camera', or the response alone: "
-        "srgb, linear, or a gamma such as 2.2.",
+        help="If this is not the camera of the training images: a file of 'liaam camera'; or the response alone: srgb, "
+        "linear, or a gamma such as 2.2; or the angle theta alone, in degrees from 60 to 180.",
     ),
 ]
 EllipsesOption = Annotated[bool, typer.Option("--ellipses", help="Draw the 95 % confidence ellipse of each landmark.")]
@@ -99,6 +97,9 @@ RotationsOption = Annotated[
     ),
 ]
 
+
+LEAST_ANGLE = 60
+"""Angle theta in degrees from which a number of --camera is an angle; smaller numbers are a gamma."""
 
 AUTO = "auto"
 """Value of options that liaam chooses itself."""
@@ -118,12 +119,36 @@ def parse_shapes(text: str) -> int | str:
     return int(text) if text.isdecimal() else text
 
 
-def read_folder(folder: Path, images: Sequence[str] | None, recursive: bool, reading: Reading = USUAL) -> Dataset:
-    """Read a folder of landmarked images and print a summary."""
+def read_folder(source: Path, reading: Reading = USUAL) -> Dataset:
+    """Read a folder of landmarked images, or those that a pattern names, and print a summary."""
+    folder, recursive, pattern = folder_of(source)
     data = load_folder(folder, recursive=recursive, reading=reading)
-    data = data.select(images) if images else data
+    if pattern is not None:
+        if not any(matches(sample, pattern) for sample in data):
+            names = some_names([sample.name for sample in data])
+            raise LiaamError(f"{source}: no landmarked image of {folder} matches {pattern}; they are {names}")
+        data = data.select(lambda sample: matches(sample, pattern))
     say(data.report())
     return data
+
+
+def folder_of(source: Path) -> tuple[Path, bool, str | None]:
+    """Split a pattern such as ``faces/**/07-*``: its folder, whether subfolders count, and the pattern of names."""
+    if source.exists() or not has_magic(str(source)):
+        return source, False, None
+    first = next(i for i, part in enumerate(source.parts) if has_magic(part))
+    folder, (*between, name) = Path(*source.parts[:first]), source.parts[first:]
+    if set(between) - {"**"}:
+        raise LiaamError(
+            f"{source}: a pattern is for images' names, in a folder ('faces/07-*') or also below it ('faces/**/07-*')"
+        )
+    return folder, "**" in (*between, name), None if name == "**" else name
+
+
+def matches(sample: Sample, pattern: str) -> bool:
+    """Return whether an image's name, with its suffix or without, matches a pattern."""
+    names = [PurePath(sample.name).name, *([sample.image.name] if isinstance(sample.image, Path) else [])]
+    return any(fnmatchcase(name, pattern) for name in names)
 
 
 def read_sample(image: Path) -> Sample:
@@ -171,17 +196,20 @@ def camera_for(paths: Sequence[Path], known: str | None, otherwise: "CameraModel
 
 def camera_in(known: str | None) -> "tuple[CameraModel | None, str | None]":
     """Return the camera or the response that the text of --camera stands for."""
-    from liaam.photometry import load_camera, parse_response
+    from liaam.photometry import CameraModel, load_camera, parse_response
 
     if known is None:
         return None, None
     if Path(known).suffix.lower() == ".json" or Path(known).exists():
         return load_camera(known), None
+    if is_number(known) and LEAST_ANGLE <= float(known) <= 180:
+        return CameraModel(theta=math.radians(float(known))), None
     try:
         parse_response(known)
     except ImageError:
         raise CameraError(
-            f"--camera {known}: give a file of 'liaam camera', or a response: srgb, linear, or a gamma from 0.2 to 5"
+            f"--camera {known}: give a file of 'liaam camera'; a response: srgb, linear, or a gamma from 0.2 to 5; or "
+            f"the angle theta in degrees, from {LEAST_ANGLE} to 180"
         ) from None
     return None, known
 
@@ -218,19 +246,14 @@ def names_of(paths: Sequence[Path]) -> str:
 Given = TypeVar("Given", str, Path)
 
 
-def model_and_inputs(
-    files: Sequence[Given], command: str, inputs: str = "IMAGE...", *, some: bool = True
-) -> tuple[Path, list[Given]]:
-    """Split the files of a command: the first is the model, unless its name is that of an input (:func:`is_input`).
-
-    There have to be inputs, unless not ``some``.
-    """
+def model_and_inputs(files: Sequence[Given], command: str, inputs: str = "IMAGE...") -> tuple[Path, list[Given]]:
+    """Split the files of a command: the first is the model, unless its name is that of an input (:func:`is_input`)."""
     if not files or is_input(str(files[0])):
         paths = [Path(file) for file in files]
         if late := next((path for path in paths if path.suffix.lower() in MODEL_SUFFIXES or path.name in MODELS), None):
             raise LiaamError(f"{late}: a model comes first, as in 'liaam {command} {late.name} {paths[0].name}'")
         return Path(FACE), list(files)
-    if some and len(files) == 1:
+    if len(files) == 1:
         what = "images" if inputs.endswith("...") else inputs.lower()
         raise LiaamError(f"{files[0]}: give the {what}, too, as in 'liaam {command} MODEL {inputs}'")
     return Path(files[0]), list(files[1:])

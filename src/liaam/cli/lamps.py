@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from liaam.cli.inputs import RecursiveOption, read_folder
+from liaam.cli.inputs import read_folder
 from liaam.cli.terminal import progress_bar, say
 from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
@@ -34,7 +34,6 @@ def lamps(
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help=f"File to write, such as faces{LAMPS_SUFFIX}.")],
     training_lamp: TrainingLampOption = None,
-    recursive: RecursiveOption = False,
 ) -> None:
     """Learn the effect of lamps from a few objects, for 'liaam train --lamps'. The file stores no image.
 
@@ -43,20 +42,18 @@ def lamps(
     check_output(output)
     if output.suffix.lower() != LAMPS_SUFFIX:
         raise LiaamError(f"{output}: a lamp file ends in {LAMPS_SUFFIX}, such as {output.stem}{LAMPS_SUFFIX}")
-    learnt = read_lamps(folder, training_lamp, recursive)
+    learnt = read_lamps(folder, training_lamp)
     learnt.save(output)
     say(f"{output}: {len(learnt)} lamps for objects with {len(learnt.mean)} landmarks")
     say(f"draw them with 'liaam show {output} -o lamps.png'")
 
 
-def read_lamps(
-    source: Path, training_lamp: str | None = None, recursive: bool = False, response: "Response" = "srgb"
-) -> "Lamps":
+def read_lamps(source: Path, training_lamp: str | None = None, response: "Response" = "srgb") -> "Lamps":
     """Load lamps from a file, or learn them from a folder."""
     from liaam.lamps import learn_lamps, load_lamps
 
-    if not source.is_dir():
+    if source.is_file():
         return load_lamps(source)
-    data = read_folder(source, None, recursive)
+    data = read_folder(source)
     with progress_bar() as progress:
         return learn_lamps(data, training_lamp, response=response, progress=progress)

@@ -11,6 +11,7 @@ from liaam.cli.check import check
 from liaam.cli.demo import demo
 from liaam.cli.evaluate import evaluate
 from liaam.cli.fit import FitCommand, fit
+from liaam.cli.invariant import invariant, register
 from liaam.cli.lamps import lamps
 from liaam.cli.measure import measure
 from liaam.cli.models import show
@@ -24,6 +25,8 @@ app = make_app(help="Fit deformable models of faces and other objects to colour 
 for command in (train, evaluate, batch, measure, track, relight, studio, check, lamps, show, compact, demo):
     app.command()(command)
 app.command(cls=FitCommand)(fit)
+for command in (invariant, register):
+    camera.command()(command)
 app.add_typer(camera, name="camera")
 
 

@@ -21,32 +21,30 @@ from liaam.cli.inputs import (
     unique_stems,
 )
 from liaam.cli.terminal import complain, progress_bar, say
-from liaam.errors import LiaamError
-from liaam.io import IMAGE_SUFFIXES, make_folder, write_image
+from liaam.errors import CameraError, ImageError, LiaamError
+from liaam.io import IMAGE_SUFFIXES, make_folder, read_image, write_image
 from liaam.io.atomic import check_output
+from liaam.io.files import existing_file
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
 
+FLAT = "flat"
+"""Value of --light for the training light, and the ending of such images' names."""
+
 
 def relight(
     files: ModelAndImages,
-    flat: Annotated[
-        bool, typer.Option("--flat", help="Show the object under the training light, without shading (default).")
-    ] = False,
     light: Annotated[
-        str | None,
+        str,
         typer.Option(
-            metavar="X,Y,Z",
-            help="Show it under a lamp in this direction: x right, y down, z towards the viewer; 0,0,1 is frontal.",
+            metavar="flat|X,Y,Z|IMAGE",
+            help="Light to show the objects under: flat, that of the training images, without shading; a lamp in "
+            "direction x,y,z (right, down, towards the viewer), such as -1,0,1 for one from the left; or that of "
+            "another image of such an object.",
         ),
-    ] = None,
-    like: Annotated[
-        Path | None, typer.Option(metavar="OTHER", help="Show it under the light of another image of such an object.")
-    ] = None,
-    ambient: Annotated[
-        float | None, typer.Option(help="With --light: fraction of ambient light, 0 to 1. By default 0.25.")
-    ] = None,
+    ] = FLAT,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -62,7 +60,6 @@ def relight(
             "folder of them. By default the object is searched for."
         ),
     ] = None,
-    like_init: Annotated[str | None, typer.Option("--like-init", help="As --init, for OTHER.")] = None,
     method: Annotated[
         str, typer.Option("--method", "-m", help="Fitting method: soft-li, or one on log-RGB such as li.")
     ] = "soft-li",
@@ -79,8 +76,8 @@ def relight(
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
     model_file, images = model_and_inputs(files, "relight")
-    direction = check_lights(flat, light, like, ambient, like_init)
-    outputs = output_paths(images, output, "relit" if light or like else "flat")
+    direction, like = light_of(light)
+    outputs = output_paths(images, output, FLAT if light == FLAT else "relit")
     maps = [map_of(path) for path in outputs] if certainty else []
     inputs = [*images, *([] if like is None else [like])]
     refuse_inputs([*outputs, *maps], inputs)
@@ -88,12 +85,10 @@ def relight(
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.relighting import Lamp
-    from liaam.relighting.lamp import AMBIENT, check_ambient
+    from liaam.relighting.lamp import AMBIENT
     from liaam.relighting.one_call import UNCERTAIN, check_colour, relit, separated, uncertainty_of
 
-    ambient = AMBIENT if ambient is None else ambient
     lamps = None if direction is None else [Lamp(direction)]  # raises before any work
-    check_ambient(ambient)
     model = load_model(model_file)
     check_colour(model, str(model_file))
     fitter = Fitter(model, method, camera=camera_for(inputs, given_camera, model.camera))
@@ -103,13 +98,13 @@ def relight(
     with progress_bar() as progress:
         progress(0, len(inputs), inputs[-1].name)
         if like is not None:
-            other, result = separated(fitter, *read_with_start(like, like_init), str(like))
+            other, result = separated(fitter, read_image(like), None, str(like))
             failed = add_advice(advice, like, result, "its light was used although the fit may be wrong")
         for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(inputs) - len(images)):
             progress(i, len(inputs), image.name)
             try:
                 pixels, start = read_with_start(image, init)
-                picture, result, relighter = relit(fitter, pixels, start, lamps, other, ambient, str(image))
+                picture, result, relighter = relit(fitter, pixels, start, lamps, other, AMBIENT, str(image))
                 uncertain = relighter.certain < UNCERTAIN
                 written_here = not (strict and (uncertain or not result.status.ok))
                 if written_here:
@@ -136,18 +131,18 @@ def relight(
         raise typer.Exit(1)
 
 
-def check_lights(
-    flat: bool, light: str | None, like: Path | None, ambient: float | None, like_init: str | None
-) -> "tuple[float, ...] | None":
-    """Return the direction of the lamp, if any. Raise if options contradict each other."""
-    given = [name for name, is_given in (("--flat", flat), ("--light", light), ("--like", like)) if is_given]
-    if len(given) > 1:
-        raise LiaamError(f"{' and '.join(given)} cannot be combined; give one of them")
-    if ambient is not None and light is None:
-        raise LiaamError("--ambient needs a lamp; add its direction with --light, or leave --ambient out")
-    if like_init is not None and like is None:
-        raise LiaamError("--like-init needs --like OTHER; add it, or leave --like-init out")
-    return None if light is None else tuple(numbers_in(light, 3, "--light"))
+def light_of(text: str) -> tuple[tuple[float, ...] | None, Path | None]:
+    """Return the direction of the lamp, or the image whose light is meant; neither for the training light."""
+    if text == FLAT:
+        return None, None
+    if Path(text).exists() or text.lower().endswith((*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
+        return None, existing_file(text, ImageError, "image")
+    try:
+        return tuple(numbers_in(text, 3, "--light")), None
+    except CameraError:
+        raise LiaamError(
+            f"--light {text}: give flat, the direction of a lamp as x,y,z, such as -1,0,1, or an image under that light"
+        ) from None
 
 
 def output_paths(images: list[Path], output: Path | None, ending: str) -> list[Path]:

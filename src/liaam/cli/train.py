@@ -1,9 +1,7 @@
 """The command ``liaam train``."""
 
-import math
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,15 +9,14 @@ from liaam.cli.check import warn_of_faults
 from liaam.cli.inputs import (
     AUTO,
     CategoryOption,
-    ImagesOption,
     LandmarkedFolder,
     ModelFile,
-    RecursiveOption,
     ShapesOption,
     StoredOption,
     StrictOption,
     YDownOption,
     camera_for,
+    folder_of,
     parse_shapes,
     read_folder,
 )
@@ -55,35 +52,15 @@ MethodsOption = Annotated[
 def train(
     folder: LandmarkedFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
-    images: ImagesOption = None,
-    recursive: RecursiveOption = False,
-    variance: Annotated[
-        str,
-        typer.Option(
-            help="Fraction of the shape variance to keep (0.98), a number of modes (12), or 'auto' to maximise the "
-            "likelihood of left-out images."
-        ),
-    ] = "0.98",
-    prior: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Estimator of the shape covariance: sample; smooth (adds smooth deformations); or shrunk (eigenvalues "
-            "from left-out shapes). Prefix a view to set it alone: surroundings=sample (for soft-li) or mesh=smooth "
-            "(for other methods). May be repeated. By default sample, and smooth for soft-li unless all variance is "
-            "kept or there are more than 200 landmarks."
-        ),
-    ] = None,
     diagonal: Annotated[float, typer.Option(help="Diagonal of the object's box in the model, in pixels.")] = 150.0,
     given_camera: Annotated[
         str | None,
         typer.Option(
             "--camera",
-            help="Camera of the images: a file of 'liaam camera' (angle, response, vignetting, noise), or the response "
-            "alone: srgb (default), linear, or a gamma such as 2.2.",
+            help="Camera of the images: a file of 'liaam camera' (angle, response, vignetting, noise); or the response "
+            "alone: srgb (default), linear, or a gamma such as 2.2; or the angle theta alone, in degrees from 60 to "
+            "180 (122 for an unknown camera).",
         ),
-    ] = None,
-    theta: Annotated[
-        float | None, typer.Option(help="Angle of the training camera in degrees; 122 for an unknown camera.")
     ] = None,
     lamps: Annotated[
         Path,
@@ -133,22 +110,17 @@ def train(
     from liaam.training import train as train_model
     from liaam.training.left_out import describe_objects
 
-    if theta is not None and not 60 <= theta <= 180:
-        raise LiaamError(f"--theta {theta:g}: give the camera angle in degrees, usually between 90 and 135")
-    options: dict[str, Any] = {"variance": parse_variance(variance)}
     check_model_name(output, folder)
-    if training_lamp is not None and not lamps.is_dir():
+    if training_lamp is not None and not folder_of(lamps)[0].is_dir():
         raise LiaamError(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
             "folder with --lamps, or leave --training-lamp out"
         )
     reading = Reading(strict, category, y_down, stored_orientation)
-    data = read_folder(folder, images, recursive, reading)
+    data = read_folder(folder, reading)
     camera = camera_for([s.image for s in data if isinstance(s.image, Path)], given_camera)
-    if theta is not None:
-        camera = replace(camera, theta=math.radians(theta), theta_deviation=None)
     contours = [parse_contour(text) for text in contour or ()]
-    light = parse_lamps(lamps, training_lamp, recursive, camera)
+    light = parse_lamps(lamps, training_lamp, camera)
     warn_of_faults(data, folder, parse_shapes(shapes))
     if leave_out and (together := describe_objects([sample.name for sample in data])):
         say(together)
@@ -156,7 +128,6 @@ def train(
         model = train_model(
             data,
             camera=camera,
-            prior=parse_prior(prior or []),
             diagonal=diagonal,
             lamps=light,
             copies=copies,
@@ -164,11 +135,10 @@ def train(
             contours=contours or None,
             methods=parse_methods(methods),
             shapes=parse_shapes(shapes),
-            name=name or folder.name,
+            name=name or folder_of(folder)[0].name,
             leave_out=leave_out,
             strict=strict,
             progress=progress,
-            **options,
         )
     model.save(output)
     report(model, output, light, leave_out)
@@ -227,15 +197,13 @@ def check_model_name(output: Path, folder: Path) -> None:
         )
 
 
-def parse_lamps(
-    lamps: Path, training_lamp: str | None, recursive: bool, camera: "CameraModel"
-) -> "Lamps | Literal['auto'] | None":
+def parse_lamps(lamps: Path, training_lamp: str | None, camera: "CameraModel") -> "Lamps | Literal['auto'] | None":
     """Return the lamps that --lamps names or, if it is a folder, those learnt from its images."""
     if str(lamps) in LAMP_WORDS:
         return LAMP_WORDS[str(lamps)]
-    if not lamps.exists():
+    if not folder_of(lamps)[0].exists():
         raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
-    return read_lamps(lamps, training_lamp, recursive, camera.response)
+    return read_lamps(lamps, training_lamp, camera.response)
 
 
 def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", leave_out: bool) -> None:
@@ -266,24 +234,3 @@ def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", 
         say("the quality and the ellipses of fits are not calibrated (--no-leave-out)")
     elif not model.calibrated:
         complain("fits have no calibrated quality: too few fits to left-out images were right; train on more images")
-
-
-def parse_prior(given: list[str]) -> dict[str, str] | None:
-    """Parse priors of views: ``smooth`` for all views, ``mesh=smooth`` for one. Return None if there are none."""
-    from liaam.model import VIEWS
-
-    priors = {}
-    for text in given:
-        view, _, prior = text.rpartition("=")
-        priors |= {view: prior} if view else dict.fromkeys(VIEWS, prior)
-    return priors or None
-
-
-def parse_variance(text: str) -> float | int | Literal["auto"]:
-    """Parse a fraction (with a point: 0.98, 1.0), a count (without: 12), or ``auto``."""
-    if text.strip() == "auto":
-        return "auto"
-    try:
-        return int(text) if text.strip().isdigit() else float(text)
-    except ValueError:
-        raise LiaamError(f"variance {text!r}: give a fraction such as 0.98, a number of modes, or 'auto'") from None

@@ -58,19 +58,14 @@ def track(
             "or a landmark file. By default the object is searched for."
         ),
     ] = None,
-    start: Annotated[int, typer.Option(help="First frame, counted from 0.", min=0)] = 0,
-    end: Annotated[int | None, typer.Option(help="Stop before this frame.", min=1)] = None,
-    frames: Annotated[int | None, typer.Option(help="Maximum number of frames; instead of --end.", min=1)] = None,
+    frames: Annotated[
+        str,
+        typer.Option(
+            metavar="FIRST:END", help="Frames to track, from 0 and without END: 100:200, 100: or :50. By default all."
+        ),
+    ] = ":",
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
     smooth: Annotated[bool, typer.Option(help="Smooth the landmarks over time, weighted by their covariance.")] = True,
-    review: Annotated[
-        int | None,
-        typer.Option(
-            help="Refit from the mean shape every so many frames, to correct a track that has drifted. Fewer frames "
-            "are slower; 0 for never. By default 48.",
-            min=0,
-        ),
-    ] = None,
     ellipses: EllipsesOption = False,
     given_camera: CameraOption = None,
 ) -> None:
@@ -85,13 +80,12 @@ def track(
     model_file, videos = model_and_inputs(sources, "track", "VIDEO")
     if len(videos) != 1:
         raise VideoError(f"{len(videos)} videos are given; give one, after the model, as in 'liaam track MODEL VIDEO'")
-    source, stop = source_of(videos[0]), stop_of(start, end, frames)
+    source, (start, stop) = source_of(videos[0]), frames_in(frames)
     output = output or default_output(source)
     check_outputs(output, annotated, shading_free, source)
     model = load_model(model_file)
     camera = camera_for([], given_camera, model.camera)
-    options = TrackingOptions(smooth=smooth) if review is None else TrackingOptions(smooth=smooth, review=review)
-    tracker = Tracker(model, method, camera, options)
+    tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
     counts, reader = Counts(), VideoReader(source, start, stop)
     tracker.name = reader.name
     with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
@@ -155,13 +149,15 @@ def source_of(video: str) -> Path | int:
     return int(video) if video.isascii() and video.isdigit() and not Path(video).exists() else Path(video)
 
 
-def stop_of(start: int, end: int | None, frames: int | None) -> int | None:
-    """Return the frame to stop before, if any."""
-    if end is not None and frames is not None:
-        raise VideoError("--end and --frames both set the last frame; give one of them")
-    if end is not None and end <= start:
-        raise VideoError(f"--end {end} is not after --start {start}; frames count from 0")
-    return start + frames if frames is not None else end
+def frames_in(text: str) -> tuple[int, int | None]:
+    """Parse the first frame and the frame to stop before, if any: ``100:200``, ``100:`` or ``:200``."""
+    first, colon, end = (part.strip() for part in text.partition(":"))
+    if not colon or any(part and not part.isdecimal() for part in (first, end)):
+        raise VideoError(f"--frames {text}: give the first frame and the one to stop before, such as 100:200 or :50")
+    start, stop = int(first or 0), int(end) if end else None
+    if stop is not None and stop <= start:
+        raise VideoError(f"--frames {text}: {stop} is not after {start}; frames count from 0")
+    return start, stop
 
 
 def default_output(source: Path | int) -> Path:

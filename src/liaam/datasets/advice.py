@@ -66,7 +66,7 @@ def no_images(root: Path, files: Sequence[Path], pattern: str | None, recursive:
     below = [] if recursive else _below(root, PICTURE_SUFFIXES)
     if below:
         return (
-            f"{root} contains images in its subfolders only ({some_names(below, 3)}): add --recursive (in Python, "
+            f"{root} contains images in its subfolders only ({some_names(below, 3)}): give '{root}/**' (in Python, "
             "recursive=True) to include them."
         )
     others = Counter(file.suffix.lower() for file in files if file.suffix)
