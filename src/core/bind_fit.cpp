@@ -74,7 +74,7 @@ std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& pictur
     Signals signals;
     std::vector<LevelResult> results;
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         results = fit_levels(prepared.levels, prepared.shapes, picture, target, own, EncodingConstants{}, room(),
                              std::ref(signals));
     }

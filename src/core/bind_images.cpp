@@ -26,7 +26,7 @@ nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, d
     check_blocks(image.shape(0), image.shape(1), blocks);
     std::vector<float> means;
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         stored_means(stored(image), {{table.data(), table.size()}}, blocks, means);
     }
     return owned(std::move(means), {std::size_t(rows), std::size_t(columns), 4});
@@ -38,7 +38,7 @@ nb::object average_values(const Array<float, 3>& values, double x, double y, dou
     check_blocks(values.shape(0), values.shape(1), blocks);
     std::vector<float> means;
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         value_means(values.data(), values.shape(0), values.shape(1), values.shape(2), blocks, means);
     }
     return owned(std::move(means), {std::size_t(rows), std::size_t(columns), values.shape(2)});
@@ -48,7 +48,7 @@ nb::object average_area(const Array<float, 2>& image, std::size_t rows, std::siz
     require(image.size() > 0 && rows <= image.shape(0) && columns <= image.shape(1), "blocks are at least a pixel large");
     std::vector<float> means(rows * columns);
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         area_means(image.data(), image.shape(0), image.shape(1), rows, columns, means.data());
     }
     return owned(std::move(means), {rows, columns});
@@ -61,7 +61,7 @@ nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
     std::vector<float> out(image.shape(0) * image.shape(1));
     const Rows<const float> rows = rows_of(tables);
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         stored_luminance(stored(image), {rows[0], rows[1], rows[2]}, out.data());
     }
     return owned(std::move(out), {image.shape(0), image.shape(1)});
@@ -90,7 +90,7 @@ nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<
     EncodingOptions options{static_cast<Encoding>(encoding), floor, blur, pixel, turn};
     Channels channels;
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         encode(means, options, EncodingConstants{}, channels);
     }
     return owned(std::move(channels.pixels), {light.shape(0), light.shape(1), kChannels});
@@ -127,7 +127,7 @@ auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) 
             "points are (n, 2), and the image is at least 2 by 2 pixels");
     std::vector<float> values(n * (depth - 1)), usable(n);
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         sample_channels({channels.data(), channels.shape(0) * channels.shape(1), depth}, channels.shape(1), rows_of(points),
                         values.data(), usable.data());
     }
@@ -140,7 +140,7 @@ void correlate_spectra(const Array<float, 3>& left, const Array<float, 3>& right
     require(left.shape(0) == 2 && right.shape(0) == 2 && left.size() == 2 * product.size() && left.shape(2) == width &&
                 right.size() == left.size() && right.shape(2) == width && product.size() > 0,
             "the spectra differ in size");
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     correlate(left.data(), right.data(), height, width, product.data());
 }
 
@@ -149,7 +149,7 @@ auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& imag
     require(image.stride(1) == 1 && reach >= 0 && image.size() > 0, "the pixels of a row are contiguous");
     std::vector<Peak> peaks;
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         peaks = best_peaks(image.data(), image.shape(0), image.shape(1), image.stride(0), count, least, reach);
     }
     std::vector<std::int64_t> places;
@@ -186,7 +186,7 @@ auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangle
     std::vector<float> image(height * width * attributes.shape(1), 0.0f);
     std::vector<double> nearness(height * width, farthest);
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         draw_triangles(rows_of(points), rows_of(triangles), rows_of(attributes), {nearness.data(), height, width}, image.data());
     }
     return std::make_pair(owned(std::move(image), {height, width, attributes.shape(1)}),
@@ -199,7 +199,7 @@ void filter(nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> layer
     require(layers.size() > 0 && across.shape(0) == height && across.shape(1) + 1 == width && down.shape(0) + 1 == height &&
                 down.shape(1) == width,
             "there is a feedback between each pair of neighbours");
-    nb::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     filter_rows(layers.data(), height, width, depth, across.data());
     filter_columns(layers.data(), height, width, depth, down.data());
 }

@@ -274,7 +274,7 @@ LevelFit solve_one(const HeldObjective& held, const HeldImage& image, const Arra
     Signals signals;
     LevelFit fit;
     {
-        nb::gil_scoped_release unlocked;
+        const Unlocked unlocked;
         fit = solve_level(held.objective, image.image, start, own, blur, evaluate_last, room().work, std::ref(signals));
     }
     signals.rethrow();

@@ -9,13 +9,14 @@
 
 liaam::FitRoom& room();
 
-// Asks Python, at most every 50 ms, whether a signal such as Ctrl-C has arrived.
+// Asks Python, at most every 50 ms, whether a signal such as Ctrl-C has arrived. Also true while Python ends.
 class Signals {
   public:
     bool operator()() {
         const auto now = std::chrono::steady_clock::now();
         if (now - last_ < std::chrono::milliseconds(50)) return raised_;
         last_ = now;
+        if (Unlocked::ending()) return true;
         nb::gil_scoped_acquire locked;
         return raised_ = raised_ || PyErr_CheckSignals() != 0;
     }

@@ -27,6 +27,21 @@ using Array = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 template <class T>
 using Image = nb::ndarray<const T, nb::shape<-1, -1, 3>, nb::device::cpu>;  // of any strides
 
+// Releases Python's lock while it lives. Python ends a thread that asks for the lock while Python itself ends, and in
+// the midst of C++ that aborts the process (before Python 3.14). So such a thread waits for the end, without the lock.
+class Unlocked {
+  public:
+    Unlocked();
+    ~Unlocked();
+    Unlocked(const Unlocked&) = delete;
+    Unlocked& operator=(const Unlocked&) = delete;
+    static bool ending();  // whether Python ends, so that no other thread may ask for the lock any more
+    static void end();     // for atexit: waits for the threads that run without the lock
+
+  private:
+    PyThreadState* state_;
+};
+
 inline void require(bool holds, const char* fault) {
     if (!holds) throw std::invalid_argument(fault);
 }

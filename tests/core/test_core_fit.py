@@ -183,3 +183,24 @@ def test_a_core_can_be_required():
     code = "import liaam._core"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert ran.returncode and "without its compiled core" in ran.stderr
+
+
+def test_threads_that_are_still_at_work_do_not_abort_the_end_of_python():
+    code = """
+import threading, time
+import numpy as np
+from liaam import _core
+
+image = np.zeros((1500, 1500), np.float32)
+
+def work():
+    while True:
+        _core.area_means(image, 700, 700)
+
+for _ in range(3):
+    threading.Thread(target=work, daemon=True).start()
+time.sleep(0.1)
+"""
+    for _ in range(2):
+        ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+        assert (ran.returncode, ran.stderr) == (0, "")
