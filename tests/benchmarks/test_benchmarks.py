@@ -21,6 +21,7 @@ def test_the_benchmark_of_an_iteration_runs(monkeypatch, capsys):
 
 def test_the_benchmark_of_the_search_runs(monkeypatch, capsys):
     monkeypatch.setattr(search, "N_HEADS", 3)
+    monkeypatch.setattr(search, "SIZE", SMALL)
     search.main()
     assert "search_found_percent" in capsys.readouterr().out
 

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from experiments import reproduce as module
+from experiments import reconstruct, reproduce as module
 from experiments.claims import CLAIMS
 from experiments.reproduce import VARIANTS, Size, plan, reproduce
 from liaam.errors import LiaamError
@@ -18,6 +18,8 @@ def tiny():
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(module.SIZES, "tiny", Size(1, 1, 1, 1, (0.0, 4.0), (0.0, 5.0)))
         patch.setattr(module, "VARIANTS", VARIANTS[-1:])
+        patch.setattr(reconstruct, "CAMERAS", ("narrow",))
+        patch.setattr(reconstruct, "N_TRAINING", 6)
         yield
 
 
@@ -88,6 +90,6 @@ def persons_of_two(tmp_path_factory):
     from setups import write_person
 
     folder = tmp_path_factory.mktemp("persons")
-    write_person(folder, 3)
-    write_person(folder, 4)
+    for person in (3, 4):
+        write_person(folder, person)
     return folder
