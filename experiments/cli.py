@@ -30,9 +30,9 @@ HELP = {
     "methods": "Methods, separated by commas; 'liaam fit --help' lists them.",
     "trials": "Draws for each value, image or person, such as of start and shadow.",
     "seed": "Seed of everything that is drawn.",
-    "solver": "liaam: as 'liaam fit' does; liaam-smooth: so, trained with the prior smooth; liaam-sample: with the prior "
-    "sample; paper: pure Gauss-Newton, one level, as the paper writes it; paper-90, paper-100px, paper-theta1: as "
-    "paper, but for one choice.",
+    "solver": "liaam: as 'liaam fit' does; liaam-smooth: so, trained with the prior smooth; liaam-sample: with the "
+    "prior sample; paper: pure Gauss-Newton, one level, as the paper writes it; paper-90, paper-100px, paper-theta1: "
+    "as paper, but for one choice.",
     "strength": "Depth of the simulated shadow: change of log light; -1.2 leaves 0.3 of it, -1.8 0.17.",
     "test": "Folder of the images to fit: other objects, each under several lights.",
     "first": "Train on this many images of --data, and fit the others.",

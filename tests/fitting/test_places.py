@@ -22,8 +22,8 @@ def place(calibrated, lit_scene, monkeypatch):
 
     The qualities are for equal odds.
     """
-    known = calibrated.views[SURROUNDINGS].reliability
-    calibrated = calibrated.with_view(SURROUNDINGS, reliability=replace(known, prior=1.0))
+    known = calibrated.views[SURROUNDINGS].reliabilities["soft-li"]
+    calibrated = calibrated.with_view(SURROUNDINGS, reliabilities={"soft-li": replace(known, prior=1.0)})
     image, right = lit_scene.image, Fitter(calibrated).fit(lit_scene.image, lit_scene.landmarks)
 
     def call(*places: tuple[float, float]):

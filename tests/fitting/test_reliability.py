@@ -9,8 +9,9 @@ from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, Detection, FitStatus, Fitter
-from liaam.model import SURROUNDINGS, load_model
+from liaam.model import MESH, SURROUNDINGS, load_model
 from liaam.model.shape import diagonal_of
+from liaam.training import train
 from liaam.training.covariances import (
     LARGEST_FACTOR,
     Alike,
@@ -23,6 +24,16 @@ from liaam.training.reliability import _logistic, _weights
 from setups import disturb
 
 SCATTERED = Alike.of(np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]), ())
+
+
+def known_by(model):
+    """Calibration of the default method."""
+    return model.views[SURROUNDINGS].reliabilities["soft-li"]
+
+
+def changed(model, **changes):
+    """Model whose calibration of the default method is changed."""
+    return model.with_view(SURROUNDINGS, reliabilities={"soft-li": replace(known_by(model), **changes)})
 
 
 def test_it_tells_right_fits_from_wrong_ones(calibrated, lit_scene, same_light_scene):
@@ -55,6 +66,19 @@ def test_what_is_lost_by_its_status_has_no_chance_to_be_right(calibrated, value)
     assert result.quality == 0.0
 
 
+def test_a_method_that_training_was_asked_for_is_calibrated_too(scenes, same_light_scene, tmp_path):
+    pairs = [(scene.image, scene.landmarks) for scene in scenes]
+    train(pairs, diagonal=60.0, lamps=None, methods=["li", "li-lit"]).save(tmp_path / "m.liaam")
+    model = load_model(tmp_path / "m.liaam")
+    assert list(model.views[SURROUNDINGS].reliabilities) == ["soft-li"]
+    assert list(model.views[MESH].reliabilities) == ["li"]  # what li-lit fits is not learnt again without images
+    image, start = same_light_scene.image, disturb(same_light_scene.landmarks)
+    right, wrong = (Fitter(model, "li").fit(image, shape) for shape in (start, 0.5 * start))
+    assert right.calibrated and right.status.ok
+    assert wrong.quality < 0.5 < right.quality
+    assert np.isnan(Fitter(model, "li-lit").fit(image, start).quality)
+
+
 def test_other_methods_have_no_quality(calibrated, lit_scene):
     result = Fitter(calibrated, "li").fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert np.isnan(result.quality)
@@ -62,7 +86,7 @@ def test_other_methods_have_no_quality(calibrated, lit_scene):
 
 
 def test_model_and_results_say_whether_they_are_calibrated(calibrated, lit_scene):
-    plain = calibrated.with_view(SURROUNDINGS, reliability=None)
+    plain = calibrated.with_view(SURROUNDINGS, reliabilities={})
     assert calibrated.calibrated and not plain.calibrated
     for model in (calibrated, plain):
         result = Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks))
@@ -73,15 +97,15 @@ def test_model_and_results_say_whether_they_are_calibrated(calibrated, lit_scene
 
 def test_it_is_kept_in_the_model_file(calibrated, tmp_path):
     calibrated.save(tmp_path / "m.liaam")
-    loaded = load_model(tmp_path / "m.liaam").views[SURROUNDINGS].reliability
+    loaded = known_by(load_model(tmp_path / "m.liaam"))
     assert loaded is not None
-    np.testing.assert_array_equal(loaded.landmarks, calibrated.views[SURROUNDINGS].reliability.landmarks)
-    np.testing.assert_array_equal(loaded.bias, calibrated.views[SURROUNDINGS].reliability.bias)
-    assert loaded.unit == calibrated.views[SURROUNDINGS].reliability.unit
-    np.testing.assert_array_equal(loaded.weights, calibrated.views[SURROUNDINGS].reliability.weights)
-    assert loaded.variance_factor == calibrated.views[SURROUNDINGS].reliability.variance_factor
-    assert loaded.prior == calibrated.views[SURROUNDINGS].reliability.prior
-    assert loaded.typical == calibrated.views[SURROUNDINGS].reliability.typical
+    np.testing.assert_array_equal(loaded.landmarks, known_by(calibrated).landmarks)
+    np.testing.assert_array_equal(loaded.bias, known_by(calibrated).bias)
+    assert loaded.unit == known_by(calibrated).unit
+    np.testing.assert_array_equal(loaded.weights, known_by(calibrated).weights)
+    assert loaded.variance_factor == known_by(calibrated).variance_factor
+    assert loaded.prior == known_by(calibrated).prior
+    assert loaded.typical == known_by(calibrated).typical
     assert 0.5 < loaded.low < loaded.typical < 1.0
 
 
@@ -110,9 +134,9 @@ def test_another_row_on_the_same_view_has_no_quality(calibrated, lit_scene):
 
 
 def test_the_quality_is_for_the_rate_of_right_fits_and_the_status_for_equal_odds(calibrated, lit_scene):
-    known, start = calibrated.views[SURROUNDINGS].reliability, disturb(lit_scene.landmarks)
+    known, start = known_by(calibrated), disturb(lit_scene.landmarks)
     assert known.prior > 3.0  # of right to wrong fits of left-out images
-    models = (calibrated.with_view(SURROUNDINGS, reliability=replace(known, prior=prior)) for prior in (1.0, 9.0))
+    models = (changed(calibrated, prior=prior) for prior in (1.0, 9.0))
     equal, likely = (Fitter(model) for model in models)
     one, other = equal.fit(lit_scene.image, start), likely.fit(lit_scene.image, start)
     assert (one.least_quality, other.least_quality) == (0.5, pytest.approx(0.9))
@@ -124,9 +148,7 @@ def test_the_quality_is_for_the_rate_of_right_fits_and_the_status_for_equal_odds
 
 
 def test_a_file_without_a_prior_is_for_equal_odds(calibrated, tmp_path):
-    assert (
-        load_model(rewritten(calibrated, tmp_path / "m.liaam", prior=None)).views[SURROUNDINGS].reliability.prior == 1.0
-    )
+    assert known_by(load_model(rewritten(calibrated, tmp_path / "m.liaam", prior=None))).prior == 1.0
     for prior in (0.0, -1.0, np.nan):
         with pytest.raises(ModelFileError):
             load_model(rewritten(calibrated, tmp_path / "m.liaam", prior=np.array([prior])))
@@ -145,18 +167,20 @@ def test_a_typical_quality_that_is_no_probability_is_refused(calibrated, tmp_pat
 
 @pytest.mark.parametrize(("typical", "low"), [(0.5, 0.5), (0.9, 0.8123), (0.99, 0.9554), (0.0, 0.0), (1.0, 1.0)])
 def test_low_is_two_thirds_of_the_log_odds(calibrated, typical, low):
-    assert replace(calibrated.views[SURROUNDINGS].reliability, typical=typical).low == pytest.approx(low, abs=1e-3)
+    assert replace(known_by(calibrated), typical=typical).low == pytest.approx(low, abs=1e-3)
 
 
 def test_nearly_all_right_fits_are_typical(calibrated, scenes):
-    fits, known = [Fitter(calibrated).fit(scene.image, disturb(scene.landmarks)) for scene in scenes], calibrated.views
-    least = known[SURROUNDINGS].reliability.with_prior(known[SURROUNDINGS].reliability.typical)
+    fits, known = (
+        [Fitter(calibrated).fit(scene.image, disturb(scene.landmarks)) for scene in scenes],
+        known_by(calibrated),
+    )
+    least = known.with_prior(known.typical)
     assert np.mean([fit.quality >= least for fit in fits]) >= 0.8
 
 
 def test_variances_grow_by_what_fits_understate(calibrated, lit_scene):
-    known = calibrated.views[SURROUNDINGS].reliability
-    models = (calibrated.with_view(SURROUNDINGS, reliability=replace(known, variance_factor=k)) for k in (1.0, 2.0))
+    models = (changed(calibrated, variance_factor=k) for k in (1.0, 2.0))
     one, two = (Fitter(model).fit(lit_scene.image, disturb(lit_scene.landmarks)) for model in models)
     np.testing.assert_allclose(two.covariance, 2 * one.covariance)
     grown = np.linalg.eigvalsh(two.landmark_covariances - one.landmark_covariances)
@@ -191,10 +215,10 @@ def test_the_covariance_of_landmarks_makes_up_for_what_fits_do_not_state(rng):
 
 
 def test_what_an_image_leaves_unexplained_widens_its_covariances(calibrated, same_light_scene):
-    known, start = calibrated.views[SURROUNDINGS].reliability, disturb(same_light_scene.landmarks)
+    known, start = known_by(calibrated), disturb(same_light_scene.landmarks)
     fit = Fitter(calibrated).fit(same_light_scene.image, start)
     assert fit.residual_variance > 0
-    harder = calibrated.with_view(SURROUNDINGS, reliability=replace(known, unit=known.unit / 3))
+    harder = changed(calibrated, unit=known.unit / 3)
     grown = Fitter(harder).fit(same_light_scene.image, start).landmark_covariances - fit.landmark_covariances
     scale = fit.pose.scale**2 * fit.residual_variance / known.unit
     assert np.trace(grown, axis1=1, axis2=2) == pytest.approx(2 * scale * np.trace(known.bias, axis1=1, axis2=2))

@@ -83,8 +83,8 @@ def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(calibrat
     [(0.3, 10, True), (0.3, 40, True), (0.7, 40, True), (0.7, 10, False), (0.85, 40, False), (np.nan, 40, False)],
 )
 def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(calibrated, lit_scene, quality, steps, again):
-    own = replace(calibrated.views[SURROUNDINGS].reliability, typical=0.9)  # 0.81 is little then
-    ours = Fitter(calibrated.with_view(SURROUNDINGS, reliability=own))
+    own = replace(calibrated.views[SURROUNDINGS].reliabilities["soft-li"], typical=0.9)  # 0.81 is little then
+    ours = Fitter(calibrated.with_view(SURROUNDINGS, reliabilities={"soft-li": own}))
     made = Fitter(calibrated, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
     assert ours._falls_short(replace(made, quality=quality, n_iterations=steps)) is again
     few = replace(ours, options=SolverOptions(max_iterations=SLOW))

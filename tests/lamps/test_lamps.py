@@ -266,7 +266,7 @@ def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monk
 
     monkeypatch.setattr(left_out, "_without", spied(left_out._without, known, -1))
     monkeypatch.setattr(Copies, "relit", spied(Copies.relit, shown, -1))
-    monkeypatch.setattr(left_out, "calibrate", lambda _model, pictures: deque(pictures, 0) or None)
+    monkeypatch.setattr(left_out, "calibrate", lambda _model, pictures, _methods: deque(pictures, 0) or {})
     data = [photographed(head, head, {"day": DIFFUSE})[0] for head in (4, 5, 6)]
     model = train(data, lamps=lamps, diagonal=40.0, blurs=(1.0,), copies=4)
     assert not model.calibrated

@@ -827,10 +827,10 @@ def trusted(path: Path, **changes) -> tuple[dict, dict[str, np.ndarray]]:
 
 def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
     first = load_model(forge(tmp_path / "first.liaam", *trusted(tiny_file)))
-    assert first.views[MESH].reliability is None
+    assert first.views[MESH].reliabilities == {}
     first.save(tmp_path / "second.liaam")
     for path in ("first.liaam", "second.liaam"):
-        known = load_model(tmp_path / path).views[SURROUNDINGS].reliability
+        known = load_model(tmp_path / path).views[SURROUNDINGS].reliabilities["soft-li"]
         assert known is not None
         np.testing.assert_array_equal(known.landmarks, RELIABILITY["landmarks"])
         np.testing.assert_array_equal(known.bias, RELIABILITY["bias"])

@@ -192,7 +192,7 @@ def test_of_a_first_training_that_is_stopped_the_quick_model_stays_as_such(setti
     again, store = Project(project.root), ModelStore()
     load_studio_model(again, store)
     for current in (models.current, store.current):
-        assert current.model.views[SURROUNDINGS].reliability is None
+        assert current.model.views[SURROUNDINGS].reliabilities == {}
         told_of = shown(current, again)
         assert (told_of["careful"], told_of["stale"]) == (False, 4)
     assert not (project.root / STATE / "model.liaam").exists()

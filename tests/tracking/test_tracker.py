@@ -112,7 +112,7 @@ def test_searches_become_rare(head_model, moving, monkeypatch):
         return [Detection(moving[0].landmarks, 0.0, 0.0, 1.0)]
 
     monkeypatch.setattr(Finder, "find_in", find)
-    tracker = Tracker(head_model.with_view(SURROUNDINGS, reliability=None), options=TrackingOptions(longest_wait=8))
+    tracker = Tracker(head_model.with_view(SURROUNDINGS, reliabilities={}), options=TrackingOptions(longest_wait=8))
     for frame in range(40):  # noqa: B007 (``find`` reads it)
         assert not tracker.update(blank(moving[0])).ok
     assert searched == [0, 1, 3, 7, 15, 23, 31, 39]

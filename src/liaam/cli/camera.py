@@ -360,8 +360,9 @@ def finish_angle(estimate: "AngleEstimate", camera: "CameraModel", source: str, 
 def write_camera(camera: "CameraModel", output: Path, sentence: str) -> "CameraModel":
     """Add a sentence to the camera's history and write it."""
     camera = replace(camera, history=(*camera.history, sentence))
+    done = "added" if output.exists() else "written"
     camera.save(output)
-    say(f"written to {output}")
+    say(f"{done} to {output}")
     return camera
 
 

@@ -401,8 +401,9 @@ class Fitter:
 
     @property
     def reliability(self) -> Reliability | None:
-        """Calibration of quality and covariances; None unless the method is the one that training calibrates."""
-        return self.view.reliability if self._method == METHODS[DEFAULT_METHOD] else None
+        """Calibration of quality and covariances; None if training has not calibrated the method."""
+        known = self.view.reliabilities
+        return next((each for name, each in known.items() if METHODS.get(name) == self._method), None)
 
     @property
     def image_camera(self) -> CameraModel:

@@ -96,8 +96,8 @@ _MESSAGES = {
 
 
 _NO_QUALITY = (
-    "Its quality is unknown and its ellipses are not calibrated: this takes method 'soft-li', and a model trained by "
-    "leaving images out; check the landmarks."
+    "Its quality is unknown and its ellipses are not calibrated: this takes method 'soft-li', or one that was "
+    "named in training, and a model trained by leaving images out; check the landmarks."
 )
 
 
@@ -180,7 +180,7 @@ class FitResult:
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on left-out training images, with as many right fits as
         among those from starts near the object; for equal odds if an uncertain detection was the start. 0 if the fit
-        has failed. NaN for methods other than ``soft-li`` and for models trained without leaving out.
+        has failed. NaN for methods that training has not calibrated and for models trained without leaving out.
     least_quality : float
         Quality below which a converged fit is doubtful: more likely than not, its image is one of a wrong fit.
     method : Method

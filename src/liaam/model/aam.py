@@ -99,7 +99,7 @@ class AAM:
     @property
     def calibrated(self) -> bool:
         """Whether training has calibrated the quality and covariances of fits on left-out images."""
-        return any(view.reliability is not None for view in self.views.values())
+        return any(view.reliabilities for view in self.views.values())
 
     @property
     def parts(self) -> tuple["AAM", ...]:

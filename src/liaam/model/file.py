@@ -1,6 +1,7 @@
 """The model file: safetensors with a JSON header, validated when it is read. No code in it is executed."""
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,15 @@ MOST_WEIGHT = 1e6
 
 FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"
 """Formats in the headers of model files and of lamp files."""
+
+
+UNNAMED = "soft-li"
+"""Method whose calibration is stored without its name."""
+
+
+def calibration_of(method: str) -> str:
+    """Start of the names of the tensors of a method's calibration."""
+    return "reliability" if method == UNNAMED else f"reliability/{method}"
 
 
 def prefix_of(i: int) -> str:
@@ -286,7 +296,7 @@ def _view(
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    view = make_view(name, _shape_model(about, tensors, mean), triangles, tuple(levels), _reliability(tensors, n))
+    view = make_view(name, _shape_model(about, tensors, mean), triangles, tuple(levels), _reliabilities(tensors, n))
     if n_pixels != view.warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     return view
@@ -317,24 +327,29 @@ def _camera(header: dict) -> CameraModel:
     return replace(known, theta=finite(header["theta"]), response=parse_response(header["response"]))
 
 
-def _reliability(tensors: dict[str, np.ndarray], n: int) -> Reliability | None:
-    if "reliability.weights" not in tensors:
-        return None
-    landmarks, bias = (
-        checked_tensor(tensors, f"reliability.{name}", np.float64, (n, 2, 2)) for name in ("landmarks", "bias")
-    )
-    tensors = {"reliability.prior": np.ones(1), **tensors}  # older files have none
+def _reliabilities(tensors: dict[str, np.ndarray], n: int) -> dict[str, Reliability]:
+    """Return the calibrations of the methods of a view, by their names."""
+    found = {}
+    for key in sorted(tensors):
+        if named := re.fullmatch(r"(reliability(?:/([a-z0-9-]{1,40}))?)\.weights", key):
+            found[named[2] or UNNAMED] = _reliability(tensors, named[1], n)
+    return found
+
+
+def _reliability(tensors: dict[str, np.ndarray], own: str, n: int) -> Reliability:
+    landmarks, bias = (checked_tensor(tensors, f"{own}.{key}", np.float64, (n, 2, 2)) for key in ("landmarks", "bias"))
+    tensors = {f"{own}.prior": np.ones(1), **tensors}  # older files have none
     unit, factor, typical, prior = (
-        float(checked_tensor(tensors, f"reliability.{name}", np.float64, (1,))[0])
+        float(checked_tensor(tensors, f"{own}.{name}", np.float64, (1,))[0])
         for name in ("unit", "variance_factor", "typical", "prior")
     )
     if not (unit > 0.0 and prior > 0.0):
-        raise ValueError(f"reliability.{'prior' if unit > 0.0 else 'unit'} is not positive")
+        raise ValueError(f"{own}.{'prior' if unit > 0.0 else 'unit'} is not positive")
     if factor < 1.0:
-        raise ValueError("reliability.variance_factor is below 1")
+        raise ValueError(f"{own}.variance_factor is below 1")
     if not 0.0 <= typical <= 1.0:
-        raise ValueError("reliability.typical is not a probability")
-    weights = checked_tensor(tensors, "reliability.weights", np.float64, (3,))
+        raise ValueError(f"{own}.typical is not a probability")
+    weights = checked_tensor(tensors, f"{own}.weights", np.float64, (3,))
     return Reliability(landmarks, bias, unit, weights, factor, typical, prior)
 
 

@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from liaam.model.appearance import AppearanceModel
-from liaam.model.file import FORMAT, LEAST_SHARE, MIRRORED, OF_MIRRORED, OF_SHAPES, SCHEMA_VERSION, STORED, prefix_of
+from liaam.model.file import (
+    FORMAT,
+    LEAST_SHARE,
+    MIRRORED,
+    OF_MIRRORED,
+    OF_SHAPES,
+    SCHEMA_VERSION,
+    STORED,
+    calibration_of,
+    prefix_of,
+)
 from liaam.model.mirror import mirrored_model
 from liaam.model.rounding import encoded
 from liaam.model.shape import mirror_order
@@ -81,7 +91,7 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     for name, view in model.views.items():
         parts += [
             (f"{name}/shape", view.shape_model, "shape"),
-            (f"{name}/reliability", view.reliability, "reliability"),
+            *((f"{name}/{calibration_of(m)}", known, "reliability") for m, known in view.reliabilities.items()),
         ]
         for i, level in enumerate(view.levels):
             for kind, appearance in level.appearances.items():

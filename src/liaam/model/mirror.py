@@ -67,8 +67,8 @@ def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> Vi
         Level(level.blur, {kind: _appearance(kind, each, pixels) for kind, each in level.appearances.items()})
         for level in view.levels
     )
-    known = view.reliability
-    return replace(bare, levels=levels, reliability=None if known is None else _reliability(known, order))
+    known = {method: _reliability(each, order) for method, each in view.reliabilities.items()}
+    return replace(bare, levels=levels, reliabilities=known)
 
 
 def _shape_model(model: ShapeModel, order: np.ndarray) -> ShapeModel:

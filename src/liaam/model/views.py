@@ -1,7 +1,7 @@
 """Views of a model, their levels, and the calibration of the quality of their fits."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """Calibration of quality and covariance, learnt from fits of the default method to left-out images.
+    """Calibration of quality and covariance, learnt from fits of a method to left-out images.
 
     Attributes
     ----------
@@ -102,13 +102,13 @@ class View:
         Warp of the mesh, or of the mesh and its surroundings. It contains the shape model.
     levels : tuple of Level
         Appearances from coarse to fine.
-    reliability : Reliability, optional
-        Calibration of the quality of fits, if training has measured it.
+    reliabilities : dict of Reliability
+        Calibrations of the quality of fits, by the name of the method, as far as training has measured them.
     """
 
     warp: PiecewiseAffineWarp
     levels: tuple[Level, ...]
-    reliability: Reliability | None = None
+    reliabilities: Mapping[str, Reliability] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"View({self.warp.frame.n_pixels} pixels, {count_of(len(self.levels), 'level')})"
@@ -124,7 +124,7 @@ def make_view(
     shape_model: ShapeModel,
     triangles: np.ndarray,
     levels: tuple[Level, ...] = (),
-    reliability: Reliability | None = None,
+    reliabilities: Mapping[str, Reliability] | None = None,
 ) -> View:
     """Make a view by its name, a key of :data:`VIEWS`."""
-    return View(VIEWS[name](shape_model, triangles), levels, reliability)
+    return View(VIEWS[name](shape_model, triangles), levels, reliabilities or {})

@@ -1,39 +1,45 @@
 """Fit left-out images to calibrate the quality of fits."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.fitting.held import needed_by
+from liaam.fitting.methods import Method
 from liaam.io.files import some_names
 from liaam.lamps import Copies
-from liaam.model import AAM, Level, Reliability
-from liaam.model.appearance import train_appearance_model
+from liaam.model import AAM, VIEWS, Level
+from liaam.model.appearance import COPIED_APPEARANCES, train_appearance_model
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.reliability import LeftOut, calibrate
 from liaam.training.steps import FITTED, Steps, learning_cost
-from liaam.training.textures import Sampled
+from liaam.training.textures import SOURCES, Sampled
 
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
 """Largest numbers of models to train without a fold, and of left-out images to fit."""
 
 
-def reliability_of(
+Settings = Mapping[str, tuple[Recipe, Variance, Variance]]
+"""Recipe of the shapes, and variances of shapes and appearances to keep, by view."""
+
+
+def calibrated(
     model: AAM,
     entries: list[Entry],
     shapes: np.ndarray,
     sampled: Sampled,
     copied: Copies,
-    learnt: tuple[Recipe, Variance, Variance],
+    settings: Settings,
+    methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
-) -> Reliability | None:
-    """Calibrate the quality of fits on left-out images, original and relit by left-out lamps.
+) -> AAM:
+    """Calibrate the quality of methods' fits on left-out images, original and relit by left-out lamps.
 
     Images of one object, recognised by their names, are left out together. With each fold one half of the lamps is left
     out, because the light of later images differs from all lamps, and more than neighbouring lamps differ.
@@ -46,7 +52,7 @@ def reliability_of(
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
             known = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, sampled, learnt, known)
+            part = _without(model, fold, shapes, sampled, settings, methods, known)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
@@ -54,7 +60,16 @@ def reliability_of(
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOut(part, relit, shapes[j], relit=True)
 
-    return calibrate(model, images())
+    found = calibrate(model, images(), methods)
+    for view in VIEWS:
+        own = {method.name: found[method.name] for method in methods if method.view == view and method.name in found}
+        model = model.with_view(view, reliabilities=own)
+    return model
+
+
+def can_be_calibrated(method: Method) -> bool:
+    """Return whether a method fits appearances that can be learnt again without some images."""
+    return not set(needed_by(method)) & {*SOURCES, "features"}
 
 
 def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
@@ -96,24 +111,30 @@ def _without(
     fold: np.ndarray,
     shapes: np.ndarray,
     sampled: Sampled,
-    learnt: tuple[Recipe, Variance, Variance],
+    settings: Settings,
+    methods: Sequence[Method],
     known: np.ndarray,
 ) -> AAM:
     """Train a model without a fold, on the frame and with the settings of the whole model.
 
-    Of the textures, only the ``known`` are used: those under lamps that are not left out.
-    ``learnt`` holds the settings: the recipe of the shapes, and the variances of shapes and appearances to keep.
+    Of the textures with copies, only the ``known`` are used: those under lamps that are not left out.
     """
-    recipe, variance, appearance_variance = learnt
-    others, name = np.setdiff1d(np.arange(len(shapes)), fold), METHODS[DEFAULT_METHOD].view
-    view, levels = model.views[name], []
-    rows = np.intersect1d(sampled.rows("soft", others), known)
-    for level, textures in zip(view.levels, sampled.textures["soft"].values(), strict=True):
-        whole = level.appearances["soft"]
-        kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
-        part = train_appearance_model(textures, kept, rows, left_out=None)
-        # The error on unseen images is that of the whole model's folds.
-        levels.append(Level(level.blur, {"soft": replace(part, unexplained=whole.unexplained)}))
-    modes = len(view.shape_model.modes) if variance == "auto" else variance
-    part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
-    return model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))
+    others = np.setdiff1d(np.arange(len(shapes)), fold)
+    for name in dict.fromkeys(method.view for method in methods):
+        recipe, variance, appearance_variance = settings[name]
+        view, levels = model.views[name], []
+        needed = set().union(*(needed_by(method) for method in methods if method.view == name))
+        for i, level in enumerate(view.levels):
+            found = {}
+            for kind in needed & level.appearances.keys():
+                whole, rows = level.appearances[kind], sampled.rows(kind, others)
+                rows = np.intersect1d(rows, known) if kind in COPIED_APPEARANCES else rows
+                kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
+                part = train_appearance_model(sampled.textures[kind][i], kept, rows, left_out=None)
+                # The error on unseen images is that of the whole model's folds.
+                found[kind] = replace(part, unexplained=whole.unexplained)
+            levels.append(Level(level.blur, found))
+        modes = len(view.shape_model.modes) if variance == "auto" else variance
+        part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
+        model = model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))
+    return model

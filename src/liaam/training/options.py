@@ -79,7 +79,8 @@ class TrainingOptions:
         other copy is mirrored if the object is symmetric; without lamps there is one mirrored copy. With many
         images there are fewer copies of each. Default: 3, or 0 if all of the variance is kept.
     methods : names or Methods, or "all"
-        Methods to fit with, besides the default ``soft-li``. Each makes training longer and the model file larger.
+        Methods to fit with, besides the default ``soft-li``. Each makes training longer and the model file larger. Fits
+        of those that are named have a quality; ``"all"`` calibrates the default method only.
     shapes : int or "auto"
         Number of kinds of shape, 1 to 4, such as left and right wings. Each has a model of its own
         (:attr:`liaam.AAM.parts`). ``auto``: more than one if this makes left-out shapes clearly more likely.

@@ -15,13 +15,14 @@ from liaam.evaluation import outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.levels import LinearImage
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method
 from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import is_searchable
 from liaam.fitting.uncertainty import fitted_covariances
 from liaam.model import AAM, Reliability
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
+from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened
 
 RIGHT, WRONG = 0.03, 0.06
@@ -84,7 +85,9 @@ class LeftOutFit(NamedTuple):
         return self.error > WRONG
 
 
-def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
+def calibrate(
+    model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method] = (METHODS[DEFAULT_METHOD],)
+) -> dict[str, Reliability]:
     """Learn the quality of fits and the errors of right fits from left-out images.
 
     Parameters
@@ -92,29 +95,37 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut]) -> Reliability | None:
     model : AAM
         Model trained on all images.
     pictures : iterable of LeftOut
+    methods : sequence of Method
+        Methods to calibrate.
 
     Returns
     -------
-    Reliability or None
-        None if there are too few right fits to learn from.
+    dict of Reliability
+        By the names of the methods, without those that have too few right fits to learn from.
     """
-    return learnt_from(model, list(_fits_of(pictures, Finder(model))))
-
-
-def _fits_of(pictures: Iterable[LeftOut], finder: Finder) -> Iterator[LeftOutFit]:
-    """Fit left-out images from near and far starts, and at the wrong place that explains most."""
-    fitter = None
+    finder, fitters = Finder(model), []
+    fits: dict[str, list[LeftOutFit]] = {method.name: [] for method in methods}
     for i, picture in enumerate(pictures):
+        if not fitters or fitters[0].model is not picture.model:
+            fitters = [Fitter(picture.model, method, OPTIONS, restarts=False) for method in methods]
         rng = np.random.default_rng([7, i])
-        if fitter is None or fitter.model is not picture.model:
-            fitter = Fitter(picture.model, DEFAULT_METHOD, OPTIONS, restarts=False)
-        starts = [_near(picture, rng), _far(picture, rng)]
-        yield from (fit for k, start in enumerate(starts) if (fit := _fit(picture, fitter, start, k == 0)))
-        if picture.relit or not is_searchable(finder.model):
-            continue
-        found = finder.others_in(LinearImage(picture.image, fitter.model.response), PLACES)
-        wrong = [fit for place in found if (fit := _fit(picture, fitter, place)) and fit.wrong]
-        yield from sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
+        starts, places = (_near(picture, rng), _far(picture, rng)), []
+        if not picture.relit and is_searchable(model):
+            places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
+        for fitter, method in zip(fitters, methods, strict=True):
+            if not (method.needs_colour and is_grey(picture.image)):
+                fits[method.name] += _fits_of(picture, fitter, starts, places)
+    learnt = {method.name: learnt_from(model, fits[method.name], method.view) for method in methods}
+    return {name: each for name, each in learnt.items() if each is not None}
+
+
+def _fits_of(
+    picture: LeftOut, fitter: Fitter, starts: Iterable[np.ndarray], places: Iterable[Detection]
+) -> Iterator[LeftOutFit]:
+    """Fit a left-out image from a near and a far start, and at the wrong place that explains most."""
+    yield from (fit for k, start in enumerate(starts) if (fit := _fit(picture, fitter, start, k == 0)))
+    wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
+    yield from sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
 
 
 def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
@@ -136,8 +147,8 @@ def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: 
     )
 
 
-def learnt_from(model: AAM, fits: Sequence[LeftOutFit]) -> Reliability | None:
-    """Learn the quality and the errors of a model's fits from fits to left-out images; None if too few are right."""
+def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliability | None:
+    """Learn the quality and the errors of a method's fits from those to left-out images; None if too few are right."""
     judged, known = [fit for fit in fits if fit.right or fit.wrong], [fit for fit in fits if fit.near and not fit.wrong]
     evidence, right = np.array([fit.evidence for fit in judged]), np.array([fit.right for fit in judged], bool)
     if right.sum() < 3 or not known:
@@ -151,7 +162,7 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit]) -> Reliability | None:
         np.array([fit.spreads for fit in known]),
         variance_factor(np.array([fit.surprise for fit in known])),
         np.array([fit.unit for fit in known]),
-        _by_shape(model, alike),
+        _by_shape(model, view, alike),
         alike,
     )
     made = Reliability(weights=weights, **about)
@@ -179,9 +190,9 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
     return (shape - centre) @ rotation(angle).T + centre + step
 
 
-def _by_shape(model: AAM, alike: Alike) -> np.ndarray:
+def _by_shape(model: AAM, view: str, alike: Alike) -> np.ndarray:
     """Return the covariance (n, 2, 2) of left-out shapes: a lower bound, because lost fits are not among the errors."""
-    unexplained = model.views[METHODS[DEFAULT_METHOD].view].shape_model.unexplained
+    unexplained = model.views[view].shape_model.unexplained
     nothing = np.zeros((model.n_points, 2, 2))
     return nothing if unexplained is None else widened(unexplained, model.n_images, alike)
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
@@ -21,8 +20,8 @@ from liaam.training import faces
 from liaam.training.entries import Entry, check_flat, mesh_of, read_entries, without_folded
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
-from liaam.training.kept import chosen, keep_only, wanted
-from liaam.training.left_out import fitted_of, folds_of, reliability_of
+from liaam.training.kept import ALL, chosen, keep_only, wanted
+from liaam.training.left_out import Settings, calibrated, can_be_calibrated, fitted_of, folds_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.search_filter import FilterLearner
@@ -190,10 +189,10 @@ def _train_one(
             model = model.with_view(view, levels=tuple(levels))
 
         if options.leave_out:
-            default = METHODS[DEFAULT_METHOD].view
-            settings = (recipes[priors[default]], options.variance, kept[default])
-            reliability = reliability_of(model, checked, shapes, sampled, copied, settings, folds, steps)
-            model = model.with_view(default, reliability=reliability)
+            settings: Settings = {view: (recipes[priors[view]], options.variance, kept[view]) for view in VIEWS}
+            named = chosen(() if options.methods == ALL else options.methods)  # of all, only the default one
+            known = list({method.name: method for method in named if can_be_calibrated(method)}.values())
+            model = calibrated(model, checked, shapes, sampled, copied, settings, known, folds, steps)
         steps.next("trained", 0)
     # A model of exactly the training images is not rounded.
     return model if options.keeps_all else keep_only(model, methods)
