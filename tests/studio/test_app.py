@@ -64,7 +64,7 @@ def test_the_project_is_described(folder, serve):
     assert len(answer["template"]["names"]) == 58 and len(answer["template"]["contours"]) == 2
     assert answer["model"] is None and answer["problems"] == []
     assert answer["training"] == {
-        "state": "idle", "phase": None, "done": 0, "total": 0, "what": "", "error": None,
+        "state": "idle", "done": 0, "total": 0, "what": "", "error": None,
     }  # fmt: skip
     assert answer["default_method"] in {method["name"] for method in answer["methods"]}
     assert answer["default_ambient"] == AMBIENT
@@ -407,7 +407,7 @@ def test_a_training_ends_with_a_server_that_is_killed(folder, command):
         with browser.stream("GET", site + "api/events") as events:
             lines = events.iter_lines()
             browser.post(site + "api/training").raise_for_status()
-            assert any('"phase": "training"' in line for line in lines)
+            assert any('"state": "running"' in line for line in lines)
         children = psutil.Process(process.pid).children(recursive=True)
         assert children
         process.kill()

@@ -10,7 +10,7 @@ from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_l
 from liaam.studio.background import Background
 from liaam.studio.model_store import ModelStore
 from liaam.studio.project import Project
-from liaam.studio.training import Trainer
+from liaam.studio.training import Trainer, Training
 
 FACE = Path(datasets.__file__).with_name("pictures") / "face" / "lisa.jpg"
 
@@ -126,3 +126,26 @@ def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):
     assert by_name(background.project)["p4.png"]["slip"]
     write_landmarks(home / "p4.ljson", landmarks)
     assert by_name(background.project)["p4.png"]["slip"] is None  # not known of the new landmarks
+
+
+def test_the_quick_model_of_a_training_fits_a_few_pictures_and_the_careful_one_all(
+    folder, head_model, begin, monkeypatch
+):
+    monkeypatch.setattr("liaam.studio.background.SOON", 3)
+    background, _ = begin(folder(8, 0), head_model)
+    project, models = background.project, background.models
+    background.fit_new()
+    fitted = {name: proposal["model"] for name, proposal in project.store.all("proposal").items()}
+    assert set(fitted.values()) == {models.own.key} and len(fitted) == 8
+    background.trainer.state = Training("running")
+    background.fit_new()  # a better model comes soon
+    facts = {"source": "studio", "trained": "1", "pictures": {}, "careful": False}
+    models.publish(head_model, facts)
+    for _ in range(2):
+        background.fit_new()
+        fitted = [proposal["model"] for proposal in project.store.all("proposal").values()]
+        assert fitted.count("1") == 3
+    background.trainer.state = Training("done")
+    models.publish(head_model, {**facts, "trained": "2", "careful": True})
+    background.fit_new()
+    assert {proposal["model"] for proposal in project.store.all("proposal").values()} == {"2"}

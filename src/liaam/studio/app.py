@@ -43,7 +43,7 @@ from liaam.studio.model_store import (
 )
 from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
-from liaam.studio.routes import attachment, bytes_up_to, json_up_to, route
+from liaam.studio.routes import attachment, maybe_json, read_json, route
 from liaam.studio.safety import FILES, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import FolderLock
@@ -150,9 +150,7 @@ class _Handlers:
         self.project = studio.project
 
     def routes(self) -> list[Route]:
-        limits, act, project, training = self.studio.settings, self._in_folder, self.project, self.studio.training
-        json, upload = json_up_to(limits.json_bytes), bytes_up_to(limits.upload_bytes)
-        maybe_json = json_up_to(limits.json_bytes, may_lack=True)
+        act, project, training, data = self._in_folder, self.project, self.studio.training, Request.body
         # Separate limits, so that the thumbnails of a large folder do not delay fits or landmarks.
         shown, models = CapacityLimiter(2), CapacityLimiter(1)
         of_picture = "/api/pictures/{name:path}/"
@@ -162,23 +160,23 @@ class _Handlers:
             route("GET", of_picture + "thumbnail", self.thumbnail, limiter=shown),
             route("GET", of_picture + "chroma", self.chroma, limiter=shown),
             route("GET", of_picture + "landmarks", lambda request: project.marks(request.path_params["name"])),
-            route("PUT", of_picture + "landmarks", act(self.save_landmarks), json),
+            route("PUT", of_picture + "landmarks", act(self.save_landmarks), read_json),
             route("GET", of_picture + "history", lambda request: project.history(request.path_params["name"])),
-            route("POST", "/api/review", act(self.review), json),
+            route("POST", "/api/review", act(self.review), read_json),
             route("GET", "/api/export/{kind}", self.export),
             route("GET", "/api/measurements", self.measurements),
-            route("PUT", "/api/template", act(self.save_template), json),
-            route("POST", "/api/template/file", self.read_template, bytes_up_to(limits.json_bytes)),
+            route("PUT", "/api/template", act(self.save_template), read_json),
+            route("POST", "/api/template/file", self.read_template, data),
             route("POST", "/api/training", act(lambda *_: asdict(training.start())), maybe_json, status=202),
             route("DELETE", "/api/training", act(lambda *_: asdict(training.stop())), maybe_json),
             Route("/api/events", self.events, methods=["GET"]),
-            route("POST", FILES, self.take_in, upload, status=201),
+            route("POST", FILES, self.take_in, data, status=201),
             route("DELETE", "/api/model/face", lambda _: self.studio.background.decline()),
-            route("POST", UPLOADS, self.upload, upload, status=201),
+            route("POST", UPLOADS, self.upload, data, status=201),
             route("GET", UPLOADS + "/{id}/image", self.image, limiter=shown),
             route("GET", UPLOADS + "/{id}/chroma", self.chroma, limiter=shown),
             route("GET", "/api/model/file", self.model_file),
-            route("POST", GUEST, self.receive_guest, upload, models),
+            route("POST", GUEST, self.receive_guest, data, models),
             route("DELETE", GUEST, self.dismiss_guest),
         ]
 

@@ -23,11 +23,11 @@ from liaam.io import Contour, Landmarks
 from liaam.model import AAM, load_model
 from liaam.models import FACE
 from liaam.studio.fits import WARM_UP, example
-from liaam.studio.model_store import ModelStore
+from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.project import Project
+from liaam.studio.proposals import propose
 from liaam.studio.template import Template, template_of
 from liaam.studio.training import Trainer
-from liaam.studio.training_process import propose
 
 LOOK_SECONDS = 3.0
 """How often the folder is looked at for files that other programs add."""
@@ -37,6 +37,9 @@ QUIET_SECONDS = 0.2
 
 TRIED = 4
 """Number of pictures in which faces are looked for before the points of the face model are offered."""
+
+SOON = 8
+"""Number of pictures that the quick model of a training fits, while the careful one is trained."""
 
 THREADS = min(4, os.cpu_count() or 1)
 
@@ -49,7 +52,7 @@ Picture = tuple[str, Path]
 
 
 class Background:
-    """Fits new pictures and checks landmarks in a thread; a training fits pictures itself."""
+    """Fits pictures with each new model, and checks landmarks, in a thread."""
 
     def __init__(
         self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]
@@ -70,6 +73,9 @@ class Background:
         self._next_check = 0.0
         self._seen: object = None
         self._started = False
+        self._helped = ""
+        """Key of the quick model that has fitted some pictures."""
+        models.listeners.append(lambda _: self.wake())
 
     def start(self) -> None:
         """Start the thread."""
@@ -120,7 +126,7 @@ class Background:
         self._woken.clear()
 
     def fit_new(self) -> None:
-        """Propose landmarks for all pictures that have neither landmarks nor a proposal."""
+        """Propose landmarks for all pictures without any that the model has not been fitted to."""
         if self._is_paused():
             return
         waiting = self.project.unfitted()
@@ -130,8 +136,13 @@ class Background:
             self.models.withdraw()
             self._publish("project", {})
             return
-        if waiting and self._find_model(waiting) is not None:
-            self._propose(waiting)
+        own = self._find_model(waiting)
+        waiting = self.project.unfitted(own.key) if own is not None else []
+        if own is not None and self._is_training():
+            waiting = waiting[:SOON] if self._helped != own.key else []
+            self._helped = own.key
+        if own is not None and waiting:
+            self._propose(own, waiting)
 
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
@@ -156,21 +167,28 @@ class Background:
         if models.spare is not before:
             self._publish("project", {})
 
-    def _is_paused(self) -> bool:
-        return self._stopped or self.trainer.state.state == "running"
+    def _is_training(self) -> bool:
+        return self.trainer.state.state == "running"
 
-    def _find_model(self, waiting: list[Picture]) -> AAM | None:
+    def _is_paused(self) -> bool:
+        """Whether to wait for a better model."""
+        own = self.models.own
+        return self._stopped or (self._is_training() and (own is None or not own.is_quick))
+
+    def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
         own, project = self.models.own, self.project
         if own is not None:
             if project.template is None:
                 project.offer(template_of_model(own.model))
-            return own.model
+            return own
+        if not waiting:
+            return None
         if not self._may_use_face() or (project.template is None and not self._has_faces(self._face, waiting)):
             self._lend()
             return None
         project.offer(template_of_model(self._face), FACE)
-        return self.models.publish(self._face, FACE_FACTS).model
+        return self.models.publish(self._face, FACE_FACTS)
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
@@ -188,11 +206,9 @@ class Background:
             self._fitter = model, Fitter(model)
         return self._fitter[1]
 
-    def _propose(self, waiting: list[Picture]) -> None:
+    def _propose(self, own: ModelInUse, waiting: list[Picture]) -> None:
         """Fit pictures in threads and save the proposals in batches."""
-        own, order = self.models.own, self.project.order
-        assert own is not None
-        fitter, total = self._fitter_of(own.model), len(waiting)
+        order, fitter, total = self.project.order, self._fitter_of(own.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
         with ThreadPoolExecutor(THREADS) as pool:
@@ -202,7 +218,7 @@ class Background:
             try:
                 while pending and not self._is_paused() and self.models.own is own:
                     for future in wait(pending, seconds, FIRST_COMPLETED).done:
-                        batch[pending.pop(future)] = future.result()
+                        batch[pending.pop(future)] = {**future.result(), "model": own.key}
                     if batch and (not pending or time.monotonic() - saved > seconds):
                         self.project.add_proposals(batch, order)
                         batch, saved = {}, time.monotonic()

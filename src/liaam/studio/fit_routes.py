@@ -21,7 +21,7 @@ from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.export import file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
 from liaam.studio.pictures import Source, checked_size, jpeg_bytes
-from liaam.studio.routes import attachment, json_up_to, route
+from liaam.studio.routes import attachment, read_json, route
 from liaam.studio.safety import Refusal
 
 MOST_LAMPS = 8
@@ -32,7 +32,7 @@ def routes(fits: Fits) -> list[Route]:
     """Return the endpoints of fits."""
     handlers, limiter = _Handlers(fits), CapacityLimiter(4)
     return [
-        route("POST", "/api/fits", _refusing(handlers.fit), json_up_to(fits.settings.json_bytes), limiter),
+        route("POST", "/api/fits", _refusing(handlers.fit), read_json, limiter),
         route("GET", "/api/fits/{id}/layers/{layer}", _refusing(handlers.layer), limiter=limiter),
         route("GET", "/api/fits/{id}/relit", _refusing(handlers.relit), limiter=limiter),
         route("GET", "/api/fits/{id}/export", _refusing(handlers.export), limiter=limiter),

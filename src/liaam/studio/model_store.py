@@ -44,6 +44,16 @@ class ModelInUse:
         """Whether a quick model must not replace it."""
         return bool(self.facts.get("careful", True))
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether it is the quick model of a training."""
+        return self.facts["source"] == "studio" and not self.is_careful
+
+    @property
+    def key(self) -> str:
+        """Identifier of the model that survives a restart."""
+        return self.facts["trained"] or f"{self.facts['source']} {self.model.name}"
+
     def is_trained_on(self, picture: str) -> bool:
         """Whether the studio trained the model on a picture."""
         return picture in self.facts.get("pictures", {}) and picture not in self.facts.get("left_out", {})

@@ -23,6 +23,7 @@ from collections import deque
 from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -279,29 +280,21 @@ class Project:
                 and len(marks.landmarks) == len(template)
             ]
 
-    def to_propose(self, most: int) -> list[tuple[str, Path]]:
-        """Return the names and paths of at most ``most`` pictures without points, to propose landmarks for.
+    def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
+        """Return the names and paths of the usable pictures without points that a model was not fitted to.
 
-        The number is limited so that proposals keep up with the user in a large folder. Up to half of the pictures have
-        a proposal already, in the order of :func:`teaching_order`. The others have none, in natural order.
+        ``model`` is its :attr:`~liaam.studio.model_store.ModelInUse.key`. Pictures with the proposal of another model,
+        in the order of :func:`teaching_order`, take turns with the others.
         """
         with self._lock:
-            self._listing.scan()
-            ranks = self._states.ranks()
-            blank = [file.name for file in self._listing.usable() if not self._landmarks.of(file).n_placed]
-            known = sorted((name for name in blank if name in ranks), key=ranks.__getitem__)
-            fresh = [name for name in blank if name not in ranks]
-            known = known[: max(most // 2, most - len(fresh))]
-            return [(name, self.root / name) for name in (*known, *fresh[: most - len(known)])]
-
-    def unfitted(self) -> list[tuple[str, Path]]:
-        """Return the names and paths of the usable pictures without points and without a proposal."""
-        with self._lock:
             self._rescan()
-            proposals, landmarks = self._proposals, self._landmarks
-            found = [file for file in self._listing.pictures if proposals.of(file) is None]
-            usable = [file for file in found if not landmarks.of(file).n_placed and not self._listing.fault_of(file)]
-            return [(file.name, self.root / file.name) for file in usable]
+            landmarks, proposals, ranks = self._landmarks, self._proposals, self._states.ranks()
+            found = [file for file in self._listing.pictures if not proposals.is_by(model, file)]
+            blank = [file for file in found if not landmarks.of(file).n_placed]
+            names = [file.name for file in blank if self._listing.fault_of(file) is None]
+            known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
+            turns = zip_longest(known, (name for name in names if name not in ranks))
+            return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
     def tag_of(self, name: str) -> str:
         """Return the identifier of a picture's contents."""

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from liaam.errors import LiaamError
+from liaam.model.shape import diagonal_of
 from liaam.studio.folder import revision_of
 from liaam.studio.listing import File, Listing
+from liaam.studio.pictures import file_tag
 from liaam.studio.store import Store
+
+if TYPE_CHECKING:
+    from liaam.fitting import FitResult, Fitter
 
 
 class Proposals:
@@ -35,6 +45,11 @@ class Proposals:
         """Return the proposal for a picture, unless the picture has been replaced since."""
         proposal = self._kept.get(picture.name)
         return proposal if proposal is not None and proposal.get("tag") == picture.tag else None
+
+    def is_by(self, model: str, picture: File) -> bool:
+        """Whether a picture has a proposal, or a failed fit, of a model."""
+        proposal = self.of(picture)
+        return proposal is not None and proposal.get("model", "") == model
 
 
 def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
@@ -77,3 +92,46 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
         return group, -(proposal["uncertainty"] or 0.0)
 
     return sorted(proposals, key=key)
+
+
+def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
+    """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
+    try:
+        tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
+        return {**proposal_of(fitter.fit(path)), "tag": tag}
+    except LiaamError as fault:
+        message = str(fault).replace(f"{path.parent}{os.sep}", "")
+    except MemoryError:
+        message = f"{path.name} does not fit into memory: make it smaller"
+    return {**_NOTHING, "status": "not fitted", "message": message}
+
+
+_NOTHING: dict[str, Any] = {
+    "points": None,
+    "covariances": None,
+    "quality": None,
+    "ok": False,
+    "found": False,
+    "doubtful": True,
+    "uncertainty": None,
+}
+
+
+def proposal_of(result: FitResult) -> dict[str, Any]:
+    """Return a fit as a proposal. A failed fit keeps its points: correcting them is less work than placing them."""
+    facts = {"status": str(result.status), "message": result.message}
+    if not np.isfinite(result.landmarks).all():
+        return {**_NOTHING, **facts}
+    covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
+    has_covariances = bool(np.isfinite(covariances).all()) and size > 0
+    found = not result.detection_doubtful
+    return {
+        **facts,
+        "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
+        "covariances": np.round(covariances, 4).tolist() if has_covariances else None,
+        "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
+        "ok": result.status.ok,
+        "found": found,
+        "doubtful": not found or not result.status.ok,
+        "uncertainty": round(float(result.deviations.mean()) / size, 5) if has_covariances else None,
+    }

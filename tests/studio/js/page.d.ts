@@ -61,7 +61,6 @@ interface Model {
 
 interface Training {
   state: "idle" | "running" | "done" | "failed";
-  phase: string | null;
   done: number;
   total: number;
   what: string;
