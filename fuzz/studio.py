@@ -43,7 +43,7 @@ _KEPT = {
     "template": {"": TEMPLATE},
     "proposal": {"p1.png": _PROPOSAL, "p2.png": _PROPOSAL},
     "unchecked": {"p1.png": "1-2"},
-    "invisible": {"p1.pts": {"revision": "ab", "points": [0, 2]}},
+    "invisible": {"p1.pts ab": [0, 2]},
     "change": {
         "": {
             "template": TEMPLATE,

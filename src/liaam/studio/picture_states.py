@@ -10,7 +10,7 @@ import numpy as np
 
 from liaam.studio.landmark_files import LandmarkFiles, Marks
 from liaam.studio.listing import File, Listing
-from liaam.studio.proposals import Proposals, Unchecked, revision_of_proposal, teaching_order
+from liaam.studio.proposals import Proposals, revision_of_proposal, teaching_order
 from liaam.studio.review import ReviewLog
 from liaam.studio.template_store import TemplateStore
 
@@ -29,7 +29,6 @@ class PictureStates:
     landmarks: LandmarkFiles
     proposals: Proposals
     templates: TemplateStore
-    unchecked: Unchecked
     log: ReviewLog
     slips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Revision of the landmarks in which a slip was found, and its description, by picture."""
@@ -61,7 +60,7 @@ class PictureStates:
         elif marks.n_placed:
             state = "done" if self.is_done(file) else "partial"
         else:
-            state = "proposed" if proposal else "unchecked" if file in self.unchecked else "new"
+            state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
         checked = self.log.checked_by(file.name, marks.revision) if state == "done" else None
         revision, slip = self.slips.get(file.name, (None, None))
         return {
@@ -115,8 +114,8 @@ class PictureStates:
         points = None if proposal is None else proposal["points"]
         if proposal is None or points is None or template is None or len(points) != len(template):
             return None
-        discarded = self.log.discarded(file.name)
-        return None if discarded is not None and discarded == revision_of_proposal(proposal) else proposal
+        discarded = self.log.standing(file.name, "discarded")
+        return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""

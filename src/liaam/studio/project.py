@@ -8,8 +8,8 @@ depends only on those before it in this list:
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
 - :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
 - :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
-- :mod:`~liaam.studio.review`: the log of who changed what; :mod:`~liaam.studio.picture_states`: the state of each
-  picture; :mod:`~liaam.studio.review_actions`: actions on several pictures.
+- :mod:`~liaam.studio.picture_states`: the state of each picture; :mod:`~liaam.studio.review`: the log of who changed
+  what, and actions on several pictures.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
 from liaam.studio.pictures import Source, source_of
-from liaam.studio.proposals import Proposals, Unchecked
-from liaam.studio.review import ReviewLog, parse_who
-from liaam.studio.review_actions import ReviewActions
+from liaam.studio.proposals import Proposals
+from liaam.studio.review import ReviewActions, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store
@@ -102,11 +101,8 @@ class Project:
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
         self._proposals = Proposals(listing, self.store)
         self._templates = TemplateStore(listing, self.store, self._landmarks)
-        self._unchecked = Unchecked(self.store)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(
-            listing, self._landmarks, self._proposals, self._templates, self._unchecked, self._log
-        )
+        self._states = PictureStates(listing, self._landmarks, self._proposals, self._templates, self._log)
         self._actions = ReviewActions(self.store, self._landmarks, self._templates, self._states, self._log)
         self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self._templates)
         self._intake = Intake(listing, self.settings.pixels)
@@ -365,12 +361,12 @@ class Project:
                 with suppress(LiaamError):  # the landmarks are saved
                     self._log.add_change(who, name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
-                self._unchecked.mark(file, bool(data["unchecked"]))
+                self._proposals.mark_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
     def review(self, data: Any) -> dict[str, Any]:
-        """Apply an action to several pictures (:meth:`liaam.studio.review_actions.ReviewActions.apply`).
+        """Apply an action to several pictures (:meth:`liaam.studio.review.ReviewActions.apply`).
 
         The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
         and perhaps ``who``.

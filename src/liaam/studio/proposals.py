@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 
 class Proposals:
-    """Proposals for the pictures of a folder, by name of the picture."""
+    """Proposals for the pictures of a folder, and which of them were left at the mean shape, by name of the picture.
+
+    Pictures left at the mean shape have no landmark file, so no training uses them.
+    """
 
     def __init__(self, listing: Listing, store: Store) -> None:
         self._listing = listing
-        self._store = store
-        self._kept: dict[str, dict[str, Any]] = store.all("proposal")
+        self._kept = store.table("proposal")
+        self._unchecked = store.table("unchecked")
+        self.forget = self._kept.forget
+        """Drop all proposals, because the template changed."""
 
     def add(self, proposals: Mapping[str, dict[str, Any]]) -> None:
         """Save proposals; the default ``tag`` is that of the current file."""
         files = self._listing.files
-        tagged = {name: {"tag": files[name].tag if name in files else None, **item} for name, item in proposals.items()}
-        self._store.put("proposal", tagged)
-        self._kept.update(tagged)
-
-    def forget(self) -> None:
-        """Drop all proposals, because the template changed."""
-        self._store.clear("proposal")
-        self._kept = {}
+        self._kept.save(
+            {name: {"tag": files[name].tag if name in files else None, **item} for name, item in proposals.items()}
+        )
 
     def of(self, picture: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless the picture has been replaced since."""
@@ -51,30 +51,19 @@ class Proposals:
         proposal = self.of(picture)
         return proposal is not None and proposal.get("model", "") == model
 
+    def is_unchecked(self, picture: File) -> bool:
+        """Whether a picture was left at the mean shape, unless it has been replaced since."""
+        return self._unchecked.get(picture.name) == picture.tag
+
+    def mark_unchecked(self, picture: File, unchecked: bool) -> None:
+        """Mark a picture as left at the mean shape, or remove the mark."""
+        if self.is_unchecked(picture) != unchecked:
+            self._unchecked.save({picture.name: picture.tag if unchecked else None})
+
 
 def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
     """Return a hash of a proposal."""
     return revision_of(json.dumps(proposal, sort_keys=True).encode())
-
-
-class Unchecked:
-    """Pictures that were left at the mean shape. They have no landmark file, so no training uses them."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._tags: dict[str, str] = store.all("unchecked")
-
-    def __contains__(self, picture: File) -> bool:
-        return self._tags.get(picture.name) == picture.tag
-
-    def mark(self, picture: File, unchecked: bool) -> None:
-        """Mark a picture as not checked, or remove the mark."""
-        if (picture in self) == unchecked:
-            return
-        self._store.put("unchecked", {picture.name: picture.tag if unchecked else None})
-        self._tags.pop(picture.name, None)
-        if unchecked:
-            self._tags[picture.name] = picture.tag
 
 
 def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:

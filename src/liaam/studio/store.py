@@ -85,6 +85,10 @@ class Store:
             rows = [(kind, name, *_row(value)) for name, value in values.items() if value is not None]
             connection.executemany("INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?)", rows)
 
+    def table(self, kind: str) -> Table:
+        """Return the values of a kind as a table."""
+        return Table(self, kind)
+
     def clear(self, kind: str) -> None:
         """Remove all values of a kind."""
         with self.transaction() as connection:
@@ -226,6 +230,27 @@ class Store:
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
         return folder
+
+
+class Table(dict[str, Any]):
+    """The values of a kind by name, in memory as well."""
+
+    def __init__(self, store: Store, kind: str) -> None:
+        super().__init__(store.all(kind))
+        self._store = store
+        self._kind = kind
+
+    def save(self, values: Mapping[str, Any]) -> None:
+        """Set values; None removes one."""
+        self._store.put(self._kind, values)
+        self.update(values)
+        for name in [name for name, value in values.items() if value is None]:
+            del self[name]
+
+    def forget(self) -> None:
+        """Remove all values."""
+        self._store.clear(self._kind)
+        self.clear()
 
 
 def _connected(path: Path) -> sqlite3.Connection:
