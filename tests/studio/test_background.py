@@ -67,7 +67,7 @@ def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
     background.fit_new()
     project = background.project
     assert states(project) == {"a.png": "proposed", "b.png": "proposed"}
-    assert project.is_offered and background.models.own.facts["source"] == "face"
+    assert project.is_offered and background.models.current.facts["source"] == "face"
     assert not project.has_own_points
     marks = project.marks("a.png")
     put(project, "a.png", marks["points"], marks["revision"])  # accepted
@@ -86,7 +86,7 @@ def test_faces_can_be_declined_for_good(faces, begin):
     for project in (background.project, Project(faces)):
         assert project.template is None and states(project) == {"a.png": "new", "b.png": "new"}
     background.fit_new()
-    assert background.models.own is None and background.project.template is None
+    assert background.models.current is None and background.project.template is None
 
 
 def test_own_points_replace_those_of_the_face_model(faces, begin):
@@ -94,7 +94,7 @@ def test_own_points_replace_those_of_the_face_model(faces, begin):
     background.fit_new()
     write_landmarks(faces / "b.pts", Landmarks(POINTS))
     background.fit_new()
-    assert background.models.own is None and len(background.project.template) == 3
+    assert background.models.current is None and len(background.project.template) == 3
     assert states(background.project) == {"a.png": "new", "b.png": "done"}
 
 

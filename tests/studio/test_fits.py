@@ -79,7 +79,7 @@ def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) ->
 
 
 def fit(fits: Fits, name: str = "face.png", **options):
-    source = source_of(fits.project.path_of(name), 10**6)
+    source = source_of(fits.project.root / name, 10**6)
     return fits.fit(source, ("picture", name), truth=truth_of(fits.project.landmarks(name)), **options)
 
 

@@ -140,7 +140,7 @@ def test_links_that_lead_out_do_not_exist(small, tmp_path):
     (small.root / "p1.ljson").symlink_to(outside / "secret.ljson")
     (small.root / "p2.ljson").symlink_to(outside / "new.ljson")
     assert "link.png" not in by_name(small)
-    assert refused(small.path_of, "link.png").status == 404
+    assert refused(small.source, "link.png").status == 404
     assert states(small)["p1.png"] == "new"
     for name in ("p1.png", "p2.png"):
         assert refused(put, small, name, POINTS).status == 409
@@ -186,7 +186,7 @@ def test_a_database_that_leads_out_is_not_used(small, tmp_path):
     "name", ["../x.png", "..", ".", "", "/etc/passwd", "p1.png/", "p1.ljson", "P1.PNG\0", "a" * 5000]
 )
 def test_names_that_are_not_of_the_listing_are_no_pictures(small, name):
-    assert refused(small.path_of, name).status == 404
+    assert refused(small.source, name).status == 404
 
 
 def test_names_that_no_answer_can_hold_are_passed_over(small):

@@ -44,7 +44,7 @@ from liaam.studio.model_store import (
 from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
 from liaam.studio.routes import attachment, maybe_json, read_json, route
-from liaam.studio.safety import FILES, GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import FolderLock
 from liaam.studio.training import Trainer
@@ -342,7 +342,8 @@ class _Handlers:
         text = self.project.plain(fault)
         if isinstance(fault, Refusal):
             return JSONResponse({"error": text, **fault.details}, fault.status)
-        refused_write = isinstance(fault.__cause__, OSError) and request.method not in ("GET", "HEAD")
+        writes = request.method not in ("GET", "HEAD") and request.url.path != FITS
+        refused_write = isinstance(fault.__cause__, OSError) and writes
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
 
 

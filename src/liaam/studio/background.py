@@ -131,25 +131,20 @@ class Background:
             return
         waiting = self.project.unfitted()
         self._lend()
-        if _is_face(self.models.own) and self.project.has_own_points:
-            self.project.offer(None)
-            self.models.withdraw()
-            self._publish("project", {})
+        model = self._find_model(waiting)
+        if model is None:
             return
-        own = self._find_model(waiting)
-        waiting = self.project.unfitted(own.key) if own is not None else []
-        if own is not None and self._is_training():
-            waiting = waiting[:SOON] if self._helped != own.key else []
-            self._helped = own.key
-        if own is not None and waiting:
-            self._propose(own, waiting)
+        waiting = self.project.unfitted(model.key)
+        if self._is_training():
+            waiting = waiting[:SOON] if self._helped != model.key else []
+            self._helped = model.key
+        if waiting:
+            self._propose(model, waiting)
 
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
         self.project.decline_offer()
         self._lend()
-        if _is_face(self.models.own):
-            self.models.withdraw()
         self._publish("project", {})
 
     @cached_property
@@ -164,6 +159,8 @@ class Background:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
         before, models = self.models.spare, self.models
         models.lend(self._face if self._may_use_face() and not self._without_faces else None, FACE_FACTS)
+        if models.spare is None and before is not None and self.project.has_own_points:
+            self.project.offer(None)
         if models.spare is not before:
             self._publish("project", {})
 
@@ -182,13 +179,15 @@ class Background:
             if project.template is None:
                 project.offer(template_of_model(own.model))
             return own
-        if not waiting:
+        if not waiting or not self._may_use_face():
             return None
-        if not self._may_use_face() or (project.template is None and not self._has_faces(self._face, waiting)):
+        if project.template is None and not self._has_faces(self._face, waiting):
             self._lend()
             return None
+        self._without_faces.clear()
+        self._lend()
         project.offer(template_of_model(self._face), FACE)
-        return self.models.publish(self._face, FACE_FACTS)
+        return self.models.spare
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
@@ -206,9 +205,9 @@ class Background:
             self._fitter = model, Fitter(model)
         return self._fitter[1]
 
-    def _propose(self, own: ModelInUse, waiting: list[Picture]) -> None:
+    def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         """Fit pictures in threads and save the proposals in batches."""
-        order, fitter, total = self.project.order, self._fitter_of(own.model), len(waiting)
+        order, fitter, total = self.project.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
         with ThreadPoolExecutor(THREADS) as pool:
@@ -216,9 +215,9 @@ class Background:
                 pool.submit(propose, fitter, path): name for name, path in waiting
             }
             try:
-                while pending and not self._is_paused() and self.models.own is own:
+                while pending and not self._is_paused() and model in (self.models.own, self.models.spare):
                     for future in wait(pending, seconds, FIRST_COMPLETED).done:
-                        batch[pending.pop(future)] = {**future.result(), "model": own.key}
+                        batch[pending.pop(future)] = {**future.result(), "model": model.key}
                     if batch and (not pending or time.monotonic() - saved > seconds):
                         self.project.add_proposals(batch, order)
                         batch, saved = {}, time.monotonic()
@@ -265,7 +264,3 @@ def template_of_model(model: AAM) -> Template:
     """Return the points of a model as a template."""
     mean = model.shape_model.mean.reshape(-1, 2)
     return template_of(Landmarks(mean, Contour.all_of(model.contours), model.landmark_names))
-
-
-def _is_face(own: Any) -> bool:
-    return own is not None and own.facts["source"] == FACE

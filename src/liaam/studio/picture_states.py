@@ -14,12 +14,6 @@ from liaam.studio.proposals import Proposals, revision_of_proposal, teaching_ord
 from liaam.studio.review import ReviewLog
 from liaam.studio.template_store import TemplateStore
 
-_UNKNOWN = (
-    *("error", "width", "height", "uncertainty", "quality", "rank"),
-    *("checked", "left_out", "revision", "slip"),
-)
-"""What is not known of a picture before its files are read."""
-
 
 @dataclass(frozen=True, eq=False)
 class PictureStates:
@@ -45,11 +39,6 @@ class PictureStates:
     def is_read(self, file: File) -> bool:
         """Whether the files of a picture were read before, so that its state is known at once."""
         return self.listing.is_read(file) and self.landmarks.is_read(file)
-
-    def unread_json(self, file: File) -> dict[str, Any]:
-        """Return a picture whose files have not been read yet as JSON for the page."""
-        nothing = dict.fromkeys(_UNKNOWN)
-        return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False, **nothing}
 
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""

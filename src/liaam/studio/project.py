@@ -204,25 +204,17 @@ class Project:
         self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
         stamp, ranks = self._stamp(), states.ranks()
         read = {file.name for file in files if states.is_read(file)}
-        pictures = [states.as_json(file, ranks) if file.name in read else states.unread_json(file) for file in files]
+        pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
         stamp += "" if len(read) == len(pictures) else "-reading"
         done = {item.name: item.revision for item in self._annotated(read)}
         return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
-    def path_of(self, name: str) -> Path:
-        """Return the path of a picture."""
-        with self._lock:
-            return self._folder.inside(self._find(name).name)
-
-    def size_of(self, name: str) -> tuple[int, int]:
-        """Return the width and height of the upright picture, from its header."""
-        with self._lock:
-            return self._listing.usable_size(self._find(name))
-
     def source(self, name: str) -> Source:
         """Return a picture that can be decoded."""
-        self.size_of(name)
-        return source_of(self.path_of(name), self.settings.pixels, name)
+        with self._lock:
+            self._listing.usable_size(self._find(name))
+            path = self._folder.inside(name)
+        return source_of(path, self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
         """Remember that a picture cannot be decoded, unless the system could not read it, which may pass.
@@ -466,6 +458,11 @@ class Project:
         with self._lock:
             if order in (None, self._templates.order):
                 self._proposals.add(proposals)
+
+
+def _unread(file: File) -> dict[str, Any]:
+    """Return a picture whose files have not been read yet as JSON for the page."""
+    return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
 
 
 def _clash(name: str, revision: str | None) -> str:

@@ -97,28 +97,27 @@ class Uploads:
 
     def _checked(self, data: bytes, name: str) -> tuple[int, int]:
         """Check an upload before it is decoded; return the width and height from its header."""
-        limits = self._settings
-        if len(data) > limits.upload_bytes:
-            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {limits.upload_bytes:,}: make it smaller")
-        if not data:
-            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
-        if is_raw(name):
+        most = self._settings.upload_bytes
+        if len(data) > most:
+            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {most:,}: make it smaller")
+        if data and is_raw(name):
             raise Refusal(415, f"{name} is a RAW file, which can only be read from the folder: put it there")
-        if not is_image(data):
-            raise Refusal(
-                415,
-                f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: open it in an image program and save it as "
-                "PNG",
-            )
-        try:
-            width, height = encoded_size(data, name)
-        except ImageError as fault:
-            raise Refusal(422, str(fault)) from fault
-        if width * height > limits.pixels:
-            raise Refusal(
-                413, f"{name} has {width} x {height} pixels, more than {limits.pixels:,}: make the picture smaller"
-            )
-        return width, height
+        return size_in_header(data, name, self._settings.pixels)
+
+
+def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:
+    """Return the width and height of an image file from its header; refuse what is no image or too large."""
+    if not data:
+        raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+    if not is_image(data):
+        raise Refusal(415, f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: save it as PNG in another program")
+    try:
+        width, height = encoded_size(data, name)
+    except ImageError as fault:
+        raise Refusal(422, str(fault)) from fault
+    if width * height > most_pixels:
+        raise Refusal(413, f"{name} has {width} x {height} pixels, more than {most_pixels:,}: make the picture smaller")
+    return width, height
 
 
 def plain_name(name: str) -> str:
