@@ -88,7 +88,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     assert seen == [1, 2]  # the quick model, then the one that knows how far it can be trusted
     assert models.current.model.n_images == 4
     assert models.current.model.n_lamps > 0  # the careful model knows the lamps of generated heads
-    (version,) = trainer.versions.as_json(project.order)
+    (version,) = trainer.versions.as_json(project.templates.order)
     assert (version["pictures"], version["held_out"]) == (4, 1) and 0 < version["error"] < 0.05
     background.fit_new()
     assert states(project)[:8] == ["done"] * 4 + ["proposed"] * 4
@@ -201,7 +201,7 @@ def test_a_model_of_points_in_another_order_is_not_taken_up_again(setting):
     trainer.start()
     wait_for_the_quick_model(told)
     trainer.stop()
-    names = project.template.names
+    names = project.templates.current.names
     order = [*range(1, len(names)), 0]
     project.save_template({"names": [names[i] for i in order], "mapping": order})
     store = ModelStore()

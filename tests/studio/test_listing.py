@@ -150,7 +150,7 @@ def test_folders_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
 
 def test_an_empty_folder_is_fine(tmp_path):
     project = Project(tmp_path)
-    assert project.overview().pictures == [] and project.template is None and project.problems == []
+    assert project.overview().pictures == [] and project.templates.current is None and project.problems == []
     assert list(tmp_path.iterdir()) == []  # looking leaves nothing behind
 
 

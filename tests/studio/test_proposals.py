@@ -30,7 +30,7 @@ def test_a_picture_that_cannot_be_fitted_says_why(small):
 
 def test_proposals_of_another_template_are_dropped(small):
     small.add_proposals({"p1.png": proposal()})
-    small.save_template({**TRIANGLE, "mapping": [1, 0, 2], "revision": small.template_json()["revision"]})
+    small.save_template({**TRIANGLE, "mapping": [1, 0, 2], "revision": small.templates.as_json()["revision"]})
     assert states(small)["p1.png"] == "new"
 
 

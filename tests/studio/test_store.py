@@ -93,7 +93,7 @@ def test_a_damaged_database_is_kept_and_begun_anew(small, content):
     (kept,) = (small.root / STATE).glob("damaged-*.db")
     assert kept.name in problem and kept.read_bytes() == content
     project.save_template({**TRIANGLE, "names": ["x", "y", "z"]})
-    assert Project(small.root).template.names == ("x", "y", "z") and not Project(small.root).problems
+    assert Project(small.root).templates.current.names == ("x", "y", "z") and not Project(small.root).problems
 
 
 def test_a_damaged_entry_is_told_and_passed_over(small):
@@ -160,7 +160,7 @@ def test_a_state_folder_that_leads_out_is_not_used(small, tmp_path):
     before = {path: path.read_bytes() for path in outside.iterdir()}
     (small.root / STATE).symlink_to(outside)
     project = Project(small.root)
-    assert project.template is None
+    assert project.templates.current is None
     (problem,) = project.problems
     assert "remove it" in problem
     assert refused(project.save_template, TRIANGLE).status == 409
@@ -177,7 +177,7 @@ def test_a_database_that_leads_out_is_not_used(small, tmp_path):
     before = outside.read_bytes()
     (small.root / STATE / DATABASE).symlink_to(outside)
     project = Project(small.root)
-    assert project.template is None and project.problems
+    assert project.templates.current is None and project.problems
     assert refused(project.save_template, {**TRIANGLE, "names": ["x", "y", "z"]}).status == 409
     assert outside.read_bytes() == before
 

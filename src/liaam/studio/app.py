@@ -209,12 +209,12 @@ class _Handlers:
             "folder": project.root.name or str(project.root),
             "version": __version__,
             "pictures": overview.pictures,
-            "template": project.template_json(),
-            "offered": project.is_offered,
+            "template": project.templates.as_json(),
+            "offered": project.templates.is_offered,
             "model": model_json(studio.models.current, overview.done, overview.unread),
             "checked": studio.background.has_checked(overview.done),
             "training": asdict(studio.training.state),
-            "versions": studio.training.versions.as_json(project.order),
+            "versions": studio.training.versions.as_json(project.templates.order),
             "methods": [
                 {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
                 for method in METHODS.values()
@@ -260,7 +260,7 @@ class _Handlers:
         studio = self.studio
         try:
             self.project.save_template(data)
-            template = self.project.template_json() or {}
+            template = self.project.templates.as_json() or {}
         finally:  # even if this change is refused, since an earlier one may have been finished
             follow_template(self.project, studio.models, studio.training)
         self._changed()

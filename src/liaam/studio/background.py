@@ -35,6 +35,9 @@ LOOK_SECONDS = 3.0
 QUIET_SECONDS = 0.2
 """Files that are added together arrive in shorter intervals."""
 
+STOP_SECONDS = 10.0
+"""How long the end of the thread is waited for."""
+
 TRIED = 4
 """Number of pictures in which faces are looked for before the points of the face model are offered."""
 
@@ -73,6 +76,7 @@ class Background:
         self._next_check = 0.0
         self._seen: object = None
         self._started = False
+        self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
         self._helped = ""
         """Key of the quick model that has fitted some pictures."""
         models.listeners.append(lambda _: self.wake())
@@ -80,12 +84,14 @@ class Background:
     def start(self) -> None:
         """Start the thread."""
         self._started = True
-        threading.Thread(target=self._run, name="studio-background", daemon=True).start()
+        self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after what it does at the moment."""
+        """End the thread, after what it does at the moment."""
         self._stopped = True
         self._woken.set()
+        if self._started:  # compiled code that runs when the interpreter ends aborts the process
+            self._thread.join(STOP_SECONDS)
 
     def wake(self) -> None:
         """Look at the folder now."""
@@ -143,7 +149,7 @@ class Background:
 
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
-        self.project.decline_offer()
+        self.project.templates.decline()
         self._lend()
         self._publish("project", {})
 
@@ -153,14 +159,14 @@ class Background:
 
     def _may_use_face(self) -> bool:
         project = self.project
-        return project.settings.face and not project.has_own_points and not project.declined
+        return project.settings.face and not project.templates.is_own and not project.templates.is_declined
 
     def _lend(self) -> None:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
         before, models = self.models.spare, self.models
         models.lend(self._face if self._may_use_face() and not self._without_faces else None, FACE_FACTS)
-        if models.spare is None and before is not None and self.project.has_own_points:
-            self.project.offer(None)
+        if models.spare is None and before is not None and self.project.templates.is_own:
+            self.project.templates.offer(None)
         if models.spare is not before:
             self._publish("project", {})
 
@@ -176,17 +182,17 @@ class Background:
         """Return the model of the folder, or else the face model if it finds faces."""
         own, project = self.models.own, self.project
         if own is not None:
-            if project.template is None:
-                project.offer(template_of_model(own.model))
+            if project.templates.current is None:
+                project.templates.offer(template_of_model(own.model))
             return own
         if not waiting or not self._may_use_face():
             return None
-        if project.template is None and not self._has_faces(self._face, waiting):
+        if project.templates.current is None and not self._has_faces(self._face, waiting):
             self._lend()
             return None
         self._without_faces.clear()
         self._lend()
-        project.offer(template_of_model(self._face), FACE)
+        project.templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
@@ -207,7 +213,7 @@ class Background:
 
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         """Fit pictures in threads and save the proposals in batches."""
-        order, fitter, total = self.project.order, self._fitter_of(model.model), len(waiting)
+        order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
         with ThreadPoolExecutor(THREADS) as pool:

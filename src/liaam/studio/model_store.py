@@ -37,7 +37,7 @@ class ModelInUse:
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
     model of the studio also has ``careful`` (whether its confidence is calibrated) and ``order``
-    (:attr:`Project.order`), a guest its ``name``."""
+    (:attr:`TemplateStore.order`), a guest its ``name``."""
 
     @property
     def is_careful(self) -> bool:
@@ -140,11 +140,11 @@ class Versions:
         self._all.append(version)
 
     def held_out(self, order: str) -> list[str]:
-        """Return the held-out pictures of the newest model with an :attr:`Project.order` of its points."""
+        """Return the held-out pictures of the newest model with an :attr:`TemplateStore.order` of its points."""
         return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
 
     def as_json(self, order: str) -> list[dict[str, Any]]:
-        """Return the newest versions with an :attr:`Project.order` of the points as JSON for the page, oldest first.
+        """Return the newest versions with an order of the points as JSON for the page, oldest first.
 
         ``error`` is the median error, ``held_out`` the number of pictures, and ``same`` whether these are the pictures
         of the newest version.
@@ -173,8 +173,8 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
             if not path.exists():
                 continue
             facts = project.store.get("model", file) or {"source": "studio", "trained": None, "pictures": {}}
-            facts = {"order": project.order, **facts, "careful": careful}
-            if facts["order"] == project.order:
+            facts = {"order": project.templates.order, **facts, "careful": careful}
+            if facts["order"] == project.templates.order:
                 models.publish(load_model(path), facts)
         except (LiaamError, OSError) as fault:
             project.store.note(file, f"{fault}; the model is ignored: train again")
@@ -195,9 +195,9 @@ def forget_studio_model(project: Project, models: ModelStore) -> None:
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
     """Stop the training and withdraw the model if they are for an earlier set or order of points."""
-    trainer.stop_unless(project.order)
+    trainer.stop_unless(project.templates.order)
     own = models.own
-    if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != project.order:
+    if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != project.templates.order:
         forget_studio_model(project, models)
 
 

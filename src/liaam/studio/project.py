@@ -100,11 +100,11 @@ class Project:
         listing.scan()
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
         self._proposals = Proposals(listing, self.store)
-        self._templates = TemplateStore(listing, self.store, self._landmarks)
+        self.templates = TemplateStore(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(listing, self._landmarks, self._proposals, self._templates, self._log)
-        self._actions = ReviewActions(self.store, self._landmarks, self._templates, self._states, self._log)
-        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self._templates)
+        self._states = PictureStates(listing, self._landmarks, self._proposals, self.templates, self._log)
+        self._actions = ReviewActions(self.store, self._landmarks, self.templates, self._states, self._log)
+        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self.templates)
         self._intake = Intake(listing, self.settings.pixels)
         self._changes.try_to_finish()
 
@@ -152,7 +152,7 @@ class Project:
         known = (
             self._salt,
             store.writes,
-            self._templates.offered,
+            self.templates.offered,
             self._states.slips,
             self._changes.is_pending,
             faults,
@@ -257,7 +257,7 @@ class Project:
         with self._lock:
             self._changes.finish()
             self._listing.scan()
-            template = self._templates.current
+            template = self.templates.current
             found = [(file, self._landmarks.of(file)) for file in self._listing.usable()]
             return [
                 (file, marks.landmarks, self._listing.usable_size(file))
@@ -335,9 +335,9 @@ class Project:
         who = parse_who(data.get("who"))
         with self._lock:
             self._changes.finish()
-            file, template = self._find(name), self._templates.needed
+            file, template = self._find(name), self.templates.needed
             if "template" in data:
-                self._templates.check(data["template"], f"the landmarks of {name}")
+                self.templates.check(data["template"], f"the landmarks of {name}")
             points = parse_points(data.get("points"), len(template))
             invisible = parse_indices(data.get("invisible", []), len(template), "invisible")
             invisible = sorted(index for index in invisible if points[index] is not None)
@@ -347,7 +347,7 @@ class Project:
             if not (same and saved and invisible == current["invisible"]):
                 if data.get("revision") != current["revision"]:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
-                self._templates.keep()  # the first save fixes a template that was taken from a file
+                self.templates.keep()  # the first save fixes a template that was taken from a file
                 self._landmarks.save(file, template, points, invisible)
                 did = "placed" if any(points) else "cleared"
                 with suppress(LiaamError):  # the landmarks are saved
@@ -378,57 +378,6 @@ class Project:
         with self._lock:
             return self._log.history(self._find(name).name)
 
-    @property
-    def template(self) -> Template | None:
-        """The saved template, or else that of the first picture with landmarks."""
-        with self._lock:
-            return self._templates.current
-
-    @property
-    def order(self) -> str:
-        """Value that changes when points are added, removed or reordered."""
-        with self._lock:
-            return self._templates.order
-
-    @property
-    def has_own_points(self) -> bool:
-        """Whether the template is a person's, not that of the face model."""
-        with self._lock:
-            return self._templates.is_own
-
-    @property
-    def is_offered(self) -> bool:
-        """Whether the template is offered by a model and was not accepted yet."""
-        with self._lock:
-            template = self._templates.current
-            return template is not None and template is self._templates.offered
-
-    @property
-    def declined(self) -> bool:
-        """Whether a person does not want the points of the face model here."""
-        return self.store.get("declined") is not None
-
-    def offer(self, template: Template | None, source: str = "") -> None:
-        """Offer a template for a folder without one; ``source`` is the name of a model that comes with liaam.
-
-        None drops the template that was offered, and the proposals for its points.
-        """
-        with self._lock:
-            if template is None:
-                self._proposals.forget()
-            self._templates.offered, self._templates.offered_by = template, source
-
-    def decline_offer(self) -> None:
-        """Drop the offered template and its proposals for good."""
-        with self._lock:
-            self.store.put("declined", {"": True})
-            self.offer(None)
-
-    def template_json(self) -> dict[str, Any] | None:
-        """Return the template as JSON for the page, with its ``revision``."""
-        with self._lock:
-            return self._templates.as_json()
-
     def save_template(self, data: Any) -> tuple[Template, bool]:
         """Save a template; return it, and whether points were added, removed or reordered, so that models are invalid.
 
@@ -456,7 +405,7 @@ class Project:
         Each has the ``tag`` of the picture that was fitted; the default is the current tag.
         """
         with self._lock:
-            if order in (None, self._templates.order):
+            if order in (None, self.templates.order):
                 self._proposals.add(proposals)
 
 

@@ -47,7 +47,7 @@ class TemplateChanges:
         self.listing.scan()
         templates = self.templates
         # The user's points may replace those that a model offers, unless these were accepted.
-        is_offer = templates.current is not None and templates.current is templates.offered
+        is_offer = templates.is_offered
         old = None if is_offer and data.get("revision") is None else templates.current
         marks = [(file, marks) for file in self.listing.pictures if (marks := self.landmarks.of(file)).file]
         identity = None if old is None else list(range(len(old)))

@@ -76,7 +76,7 @@ class Trainer:
         return self.wait()
 
     def stop_unless(self, order: str) -> None:
-        """Stop a running training if it is for another :attr:`Project.order`."""
+        """Stop a running training if it is for another :attr:`TemplateStore.order`."""
         with self._lock:
             stale = self.state.state == "running" and self._order != order
         if stale:
@@ -89,8 +89,8 @@ class Trainer:
         return self.state
 
     def _job(self) -> Job:
-        order = self.project.order  # read before the points, so that results for changed points are dropped
-        done, template = self.project.annotated(), self.project.template
+        order = self.project.templates.order  # read before the points, so that results for changed points are dropped
+        done, template = self.project.annotated(), self.project.templates.current
         if len(done) < LEAST or template is None:
             raise Refusal(
                 422, f"only {len(done)} pictures have all their points: complete at least {LEAST}, better 5, to train"
@@ -145,7 +145,7 @@ class Trainer:
     def _use(self, job: Job, left_out: Mapping[str, str], careful: bool, errors: Mapping[str, float]) -> None:
         """Publish a model; a quick one only if there is no careful one."""
         current = self.models.own
-        if job.order != self.project.order or not (careful or current is None or not current.is_careful):
+        if job.order != self.project.templates.order or not (careful or current is None or not current.is_careful):
             return
         facts = {
             "source": "studio",

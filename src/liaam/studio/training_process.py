@@ -41,7 +41,7 @@ class Job:
     quick: Path
     """Output file of the quick model."""
     order: str
-    """:attr:`Project.order` of the points."""
+    """:attr:`TemplateStore.order` of the points."""
     name: str
     """Name of the model."""
     held_out: tuple[str, ...] = ()
