@@ -23,6 +23,7 @@ from liaam.io.landmarks.formats import writer_of
 from liaam.studio.folder import remove, revision_of
 from liaam.studio.listing import OWN_SUFFIXES, File, Listing, Signature
 from liaam.studio.safety import Refusal
+from liaam.studio.scale_bar import pixel_length
 from liaam.studio.store import Store
 from liaam.studio.template import Template, landmarks_of
 
@@ -68,6 +69,7 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
+        self._bars = store.table("bar")
         self._invisible = store.table("invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
@@ -172,8 +174,34 @@ class LandmarkFiles:
         own = self._listing.own(picture)
         return self._folder.inside(own.name if own is not None else f"{picture.stem}.ljson")
 
-    def save(self, picture: File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
-        """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed."""
+    def bar_of(self, picture: File) -> dict[str, Any] | None:
+        """Return the scale bar of a picture, unless the picture has been replaced since."""
+        known = self._bars.get(picture.name)
+        return known["bar"] if known is not None and known["tag"] == picture.tag else None
+
+    def scale_of(self, picture: File) -> float | None:
+        """Return the length of a pixel: by the scale bar, or else by the landmark file."""
+        known, landmarks = self._bars.get(picture.name), self.of(picture).landmarks
+        if known is not None and known["tag"] == picture.tag:
+            return None if known["bar"] is None else pixel_length(known["bar"])
+        return None if landmarks is None else landmarks.scale
+
+    def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
+        """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
+        self._bars.save({picture.name: {"tag": picture.tag, "bar": bar}})
+
+    def save(
+        self,
+        picture: File,
+        template: Template,
+        points: Sequence[Any],
+        invisible: Sequence[int],
+        scale: float | None = None,
+    ) -> None:
+        """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed.
+
+        ``scale`` is written if the picture has none.
+        """
         target, before = self.target(picture), self.of(picture)
         name = self._folder.name_of(target)
         if before.file == name:
@@ -183,7 +211,7 @@ class LandmarkFiles:
         if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
             remove(target)
         else:
-            landmarks = landmarks_of(template, points, invisible)
+            landmarks = landmarks_of(template, points, invisible, self.scale_of(picture) or scale)
             text = text_of(landmarks, target.suffix)
             self._remember_invisible(name, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)

@@ -88,6 +88,7 @@ class PictureStates:
             "error": marks.error,
             "width": width,
             "height": height,
+            "bar": self.landmarks.bar_of(file),
         }
         if marks.landmarks is not None and marks.n_placed:
             return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}

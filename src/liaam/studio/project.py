@@ -20,9 +20,9 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ from liaam.studio.pictures import Source, source_of
 from liaam.studio.proposals import Proposals
 from liaam.studio.review import ReviewActions, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
+from liaam.studio.scale_bar import parse_bar
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
@@ -257,10 +258,10 @@ class Project:
         with self._lock:
             self._changes.finish()
             self._listing.scan()
-            template = self.templates.current
-            found = [(file, self._landmarks.of(file)) for file in self._listing.usable()]
+            template, landmarks = self.templates.current, self._landmarks
+            found = [(file, landmarks.of(file)) for file in self._listing.usable()]
             return [
-                (file, marks.landmarks, self._listing.usable_size(file))
+                (file, replace(marks.landmarks, scale=landmarks.scale_of(file)), self._listing.usable_size(file))
                 for file, marks in found
                 if marks.landmarks is not None
                 and marks.n_placed
@@ -327,8 +328,9 @@ class Project:
 
         The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
         ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
-        without points was left at the mean shape; and ``who``, the name of the person, for the log. Landmarks
-        equal to those in the file are accepted with any revision, since an earlier answer may have been lost.
+        without points was left at the mean shape; ``bar``, the scale bar (:mod:`liaam.studio.scale_bar`), which stays
+        as it is without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
+        accepted with any revision, since an earlier answer may have been lost.
         """
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
@@ -342,20 +344,34 @@ class Project:
             invisible = parse_indices(data.get("invisible", []), len(template), "invisible")
             invisible = sorted(index for index in invisible if points[index] is not None)
             current = self._states.marks_json(file)
-            same = [None if p is None else list(p) for p in points] == current["points"]
-            saved = current["source"] == "file" or not any(points)
-            if not (same and saved and invisible == current["invisible"]):
+            has_file = current["source"] == "file"
+            before = current["points"] if has_file else [None] * len(template)
+            moved = [None if p is None else list(p) for p in points] != before or invisible != current["invisible"]
+            bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
+            if moved or bar != current["bar"]:
                 if data.get("revision") != current["revision"]:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
-                self.templates.keep()  # the first save fixes a template that was taken from a file
-                self._landmarks.save(file, template, points, invisible)
-                did = "placed" if any(points) else "cleared"
-                with suppress(LiaamError):  # the landmarks are saved
-                    self._log.add_change(who, name, did, self._landmarks.of(file).revision)
+                if bar != current["bar"]:
+                    self._landmarks.set_bar(file, bar)
+                self._save(file, template, points, invisible, who if moved else None)
             if "unchecked" in data and not any(points):
                 self._proposals.mark_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
+
+    def _save(
+        self, file: File, template: Template, points: Sequence[Any], invisible: Sequence[int], who: str | None
+    ) -> None:
+        """Write landmarks; ``who`` is for the log, None if only the scale bar has changed."""
+        if who is None and not self._landmarks.of(file).n_placed:
+            return
+        if who is not None:
+            self.templates.keep()  # the first save fixes a template that was taken from a file
+        self._landmarks.save(file, template, points, invisible)
+        if who is not None:
+            with suppress(LiaamError):  # the landmarks are saved
+                did = "placed" if any(points) else "cleared"
+                self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
 
     def review(self, data: Any) -> dict[str, Any]:
         """Apply an action to several pictures (:meth:`liaam.studio.review.ReviewActions.apply`).

@@ -171,13 +171,14 @@ class ReviewActions:
         template = self.templates.needed
         points: Sequence[Any] = [None] * len(template)
         invisible: Sequence[int] = ()
+        scale = None
         if did == "accepted":
             points = (self.states.proposal_of(file) or {})["points"]
         elif did == "undeleted":
             landmarks = self._copy_of(revision or "")
             points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
-            invisible = landmarks.invisible
-        self.landmarks.save(file, template, points, invisible)
+            invisible, scale = landmarks.invisible, landmarks.scale
+        self.landmarks.save(file, template, points, invisible, scale)
 
     def _copy_of(self, revision: str) -> Landmarks:
         """Return deleted landmarks; raise LandmarkError if they are gone."""

@@ -104,9 +104,9 @@ class TemplateChanges:
             stays = not moved and (known.file != name or target.suffix.lower() == ".pts")
             if stays or old is None or known.landmarks is None or len(known.landmarks) != len(old):
                 continue
-            points = known.points
+            points, scale = known.points, self.landmarks.scale_of(file)
             hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
-            landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden)
+            landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden, scale)
             before = known.revision if known.file == name else None
             text = text_of(landmarks, target.suffix)
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})

@@ -106,7 +106,7 @@ class Uploads:
 
 
 def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:
-    """Return the width and height of an image file from its header; refuse what is no image or too large."""
+    """Return the width and height of an image file from its header; refuse other files and too large images."""
     if not data:
         raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
     if not is_image(data):
