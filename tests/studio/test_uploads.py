@@ -91,7 +91,7 @@ class TestTaken:
         assert len(uploads) == 3
         assert [uploads.get(upload.id).name for upload in added[2:]] == ["2.png", "3.png", "4.png"]
         for upload in added[:2]:
-            with pytest.raises(Refusal, match="only the 3 newest are kept: drop it again") as refused:
+            with pytest.raises(Refusal, match="only the 3 last used are kept: drop it again") as refused:
                 uploads.source(upload.id)
             assert refused.value.status == 404
 
@@ -128,7 +128,10 @@ class TestTaken:
         first = uploads.source(uploads.add(PNG, "a.png").id)
         uploads.add(PNG, "b.png")  # pushes the first one's pixels out
         assert np.array_equal(uploads._pictures.pixels(first), colours())
-        uploads.add(PNG, "c.png")  # and this one the first itself
+        uploads.add(PNG, "c.png")  # takes the place of b.png, which nobody has asked for
+        assert np.array_equal(uploads._pictures.pixels(first), colours())
+        for name in ("d.png", "e.png"):  # and these two that of the first
+            uploads.add(PNG, name)
         with pytest.raises(Refusal, match="drop it again"):
             uploads._pictures.pixels(first)
 

@@ -157,7 +157,6 @@ class _Handlers:
         return [
             route("GET", "/api/project", self.overview),
             route("GET", of_picture + "image", self.image, limiter=shown),
-            route("GET", of_picture + "thumbnail", self.thumbnail, limiter=shown),
             route("GET", of_picture + "chroma", self.chroma, limiter=shown),
             route("GET", of_picture + "landmarks", lambda request: project.marks(request.path_params["name"])),
             route("PUT", of_picture + "landmarks", act(self.save_landmarks), read_json),
@@ -301,9 +300,6 @@ class _Handlers:
     def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
         return self._cached(request, f"{size}", lambda picture: self.studio.pictures.image(picture, size))
-
-    def thumbnail(self, request: Request) -> Response:
-        return self._cached(request, "thumbnail", self.studio.pictures.thumbnail)
 
     def chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current

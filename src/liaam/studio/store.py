@@ -47,7 +47,6 @@ class Store:
         self._id = ""
         self._connection: sqlite3.Connection | None = None
         self._opened: os.stat_result | None = None
-        self._depth = 0
 
     @property
     def id(self) -> str:
@@ -111,23 +110,15 @@ class Store:
         with self._lock:
             try:
                 connection = self._open()
-                if not self._depth:
-                    connection.execute("BEGIN IMMEDIATE")
-                self._depth += 1
-                try:
+                if connection.in_transaction:
                     yield connection
-                finally:
-                    self._depth -= 1
-                if not self._depth:
-                    connection.commit()
-                    self.writes += 1
-            except BaseException as fault:
-                if not self._depth and self._connection is not None:
-                    with suppress(sqlite3.Error):
-                        self._connection.rollback()
-                if isinstance(fault, sqlite3.Error):
-                    raise _refused(fault) from fault
-                raise
+                    return
+                with connection:  # commits, or rolls back
+                    connection.execute("BEGIN IMMEDIATE")
+                    yield connection
+                self.writes += 1
+            except sqlite3.Error as fault:
+                raise _refused(fault) from fault
 
     def _read(self, query: str, arguments: list[str]) -> list[tuple[Any, Any]]:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
@@ -151,7 +142,7 @@ class Store:
         path = self.path(DATABASE)
         if self._connection is not None and self._opened is not None:
             with suppress(OSError):
-                if self._depth or os.path.samestat(path.stat(), self._opened):
+                if self._connection.in_transaction or os.path.samestat(path.stat(), self._opened):
                     return self._connection
             self.close()
         try:
