@@ -135,7 +135,7 @@ class Background:
         """Propose landmarks for all pictures without any that the model has not been fitted to."""
         if self._is_paused():
             return
-        waiting = self.project.unfitted()
+        waiting = self.project.unfitted() if self.models.own is None else []
         self._lend()
         model = self._find_model(waiting)
         if model is None:

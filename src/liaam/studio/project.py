@@ -277,10 +277,11 @@ class Project:
         """
         with self._lock:
             self._rescan()
-            landmarks, proposals, ranks = self._landmarks, self._proposals, self._states.ranks()
+            landmarks, proposals = self._landmarks, self._proposals
             found = [file for file in self._listing.pictures if not proposals.is_by(model, file)]
             blank = [file for file in found if not landmarks.of(file).n_placed]
             names = [file.name for file in blank if self._listing.fault_of(file) is None]
+            ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
             known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
             turns = zip_longest(known, (name for name in names if name not in ranks))
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
