@@ -281,11 +281,12 @@ class _Handlers:
     def receive_guest(self, request: Request, data: bytes) -> None:
         name = plain_name(request.query_params.get("name", ""))
         model = load_dropped_model(data, name, self.studio.settings.points)
-        self.studio.models.receive(model, name.removesuffix(".liaam"))
+        facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
+        self.studio.models.publish(model, facts, "guest")
         self._changed()
 
     def dismiss_guest(self, request: Request) -> None:
-        self.studio.models.dismiss()
+        self.studio.models.withdraw("guest")
         self._changed()
 
     def take_in(self, request: Request, data: bytes) -> dict[str, Any]:

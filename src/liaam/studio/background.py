@@ -163,12 +163,16 @@ class Background:
 
     def _lend(self) -> None:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
-        before, models = self.models.spare, self.models
-        models.lend(self._face if self._may_use_face() and not self._without_faces else None, FACE_FACTS)
-        if models.spare is None and before is not None and self.project.templates.is_own:
-            self.project.templates.offer(None)
-        if models.spare is not before:
-            self._publish("project", {})
+        wanted, models = self._may_use_face() and not self._without_faces, self.models
+        if wanted == (models.spare is not None):
+            return
+        if wanted:
+            models.publish(self._face, FACE_FACTS, "spare")
+        else:
+            models.withdraw("spare")
+            if self.project.templates.is_own:
+                self.project.templates.offer(None)
+        self._publish("project", {})
 
     def _is_training(self) -> bool:
         return self.trainer.state.state == "running"

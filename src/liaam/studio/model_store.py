@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -59,66 +59,46 @@ class ModelInUse:
         return picture in self.facts.get("pictures", {}) and picture not in self.facts.get("left_out", {})
 
 
-class ModelStore:
-    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe.
+Place = Literal["guest", "own", "spare"]
 
-    A model that comes with liaam is used while there is neither.
+
+class ModelStore:
+    """Holds up to three models: the first of ``guest``, ``own`` and ``spare`` that there is, is used; thread-safe.
+
+    A guest was dropped on the page; nothing is trained or saved with it. The folder has its ``own``, and the spare one
+    comes with liaam.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self.guest: ModelInUse | None = None
         self.own: ModelInUse | None = None
-        """The model of the folder, if there is one."""
-        self._guest: ModelInUse | None = None
         self.spare: ModelInUse | None = None
-        """The model that comes with liaam, if it may be used."""
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
-        """Called in the publishing thread after the current model has changed."""
+        """Called in the publishing thread after the current model may have changed."""
 
     @property
     def current(self) -> ModelInUse | None:
         """The model in use, if there is one."""
-        return self._guest or self.own or self.spare
+        return self.guest or self.own or self.spare
 
-    def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
-        """Set the model of the folder."""
-        self.own = made = self._numbered(model, facts)
-        self._tell()
-        return made
-
-    def withdraw(self) -> None:
-        """Remove the model of the folder."""
-        self.own = None
-        self._tell()
-
-    def lend(self, model: AAM | None, facts: Mapping[str, Any]) -> None:
-        """Set the model that comes with liaam; None removes it."""
-        if model is not (self.spare and self.spare.model):
-            self.spare = None if model is None else self._numbered(model, facts)
-            self._tell()
-
-    def receive(self, model: AAM, name: str) -> ModelInUse:
-        """Use a guest instead of the model of the folder. Nothing is trained or saved with it."""
-        facts = {"source": "guest", "trained": None, "pictures": {}, "name": name}
-        self._guest = made = self._numbered(model, facts)
-        self._tell()
-        return made
-
-    def dismiss(self) -> None:
-        """Use the model of the folder again."""
-        self._guest = None
-        self._tell()
-
-    def _numbered(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
+    def publish(self, model: AAM, facts: Mapping[str, Any], place: Place = "own") -> ModelInUse:
+        """Set a model by its place."""
         with self._lock:
             self._number += 1
-            return ModelInUse(model, self._number, dict(facts))
+            made = ModelInUse(model, self._number, dict(facts))
+        self._set(place, made)
+        return made
 
-    def _tell(self) -> None:
-        current = self.current
+    def withdraw(self, place: Place = "own") -> None:
+        """Remove a model by its place."""
+        self._set(place, None)
+
+    def _set(self, place: Place, model: ModelInUse | None) -> None:
+        setattr(self, place, model)
         for listener in self.listeners:
-            listener(current)
+            listener(self.current)
 
 
 class Versions:

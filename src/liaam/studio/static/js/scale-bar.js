@@ -14,7 +14,8 @@ const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "uni
 
 export class ScaleBar {
   on = false;
-  points = [null, null];
+  ends = [null, null]; // while it is drawn
+  points = []; // none that could be moved
   invisible = new Set();
   selection = new Set();
   active = -1;
@@ -32,17 +33,17 @@ export class ScaleBar {
   get history() { return this.marking.history; }
   get editable() { return this.marking.editable; }
   get placing() { return this.editable; }
-  get prompt() { return `Click ${this.points[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
+  get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
 
   framed() { return []; }
-  press() { return true; }
+  press() { return false; }
   follow(_before, after) { return after; }
   select() {}
   commit() {}
 
   turn(on) {
     this.on = on;
-    this.points = [null, null];
+    this.ends = [null, null];
     this.onturn();
   }
 
@@ -62,13 +63,13 @@ export class ScaleBar {
     else if (answer) this.set({ ...bar, ...change }, "change the scale bar");
   }
 
-  preview(points) {
-    this.points = points;
+  preview(ends) {
+    this.ends = ends;
     this.onpreview();
   }
 
   adding(xy) {
-    const before = this.points;
+    const before = this.ends;
     const at = before[0] ? 1 : 0;
     const show = (place) => this.preview(before.map((end, i) => (i === at ? rounded(place) : end)));
     show(xy);
@@ -82,7 +83,7 @@ export class ScaleBar {
   }
 
   async finish() {
-    const { points: ends, marking: { book } } = this;
+    const { ends, marking: { book } } = this;
     if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) {
       this.preview([ends[0], null]);
       return;
@@ -115,7 +116,7 @@ export class ScaleBar {
   }
 
   draw(ctx, viewer) {
-    const ends = (this.on ? this.points : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
+    const ends = (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
     if (!ends.length) return;
     const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
     const away = Math.hypot(x1 - x0, y1 - y0) || 1;
