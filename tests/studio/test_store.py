@@ -96,6 +96,16 @@ def test_a_damaged_database_is_kept_and_begun_anew(small, content):
     assert Project(small.root).templates.current.names == ("x", "y", "z") and not Project(small.root).problems
 
 
+def test_a_database_whose_schema_is_no_text_is_begun_anew(small):
+    put(small, "p1.png", POINTS)
+    path = small.root / STATE / DATABASE
+    content = path.read_bytes()
+    assert b"CREATE TABLE item" in content
+    path.write_bytes(content.replace(b"CREATE TABLE item", b"CREATE T\xf4BLE item"))  # SQLite's message repeats it
+    (problem,) = Project(small.root).problems
+    assert "was damaged" in problem
+
+
 def test_a_damaged_entry_is_told_and_passed_over(small):
     small.add_proposals({"p1.png": proposal(), "p2.png": proposal()})
     changed(small.root, "UPDATE item SET json = '{' WHERE kind = 'proposal' AND name = 'p1.png'")

@@ -252,8 +252,10 @@ def _connected(path: Path) -> sqlite3.Connection:
             raise sqlite3.DatabaseError(state)
         connection.executescript(_SCHEMA)
         connection.execute("SELECT item.hash, line.hash FROM item, line LIMIT 1")
-    except BaseException:
+    except BaseException as fault:
         connection.close()
+        if isinstance(fault, UnicodeDecodeError):  # of a message that repeats damaged text
+            raise sqlite3.DatabaseError("its text is not UTF-8") from fault
         raise
     return connection
 
