@@ -177,6 +177,7 @@ def test_training_runs_and_is_told(folder, serve, listen):
     while (state := page.event("training"))["state"] == "running":
         pass
     assert state["state"] == "done"
+    running.studio.background.fit_new()  # whose thread was not started
     project = client.get("/api/project").json()
     assert project["model"]["n_images"] == 4 and project["model"]["source"] == "studio"
     assert project["pictures"][4]["state"] == "proposed" and project["pictures"][4]["rank"] == 1
