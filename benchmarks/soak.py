@@ -121,7 +121,7 @@ class Page:
             project = self.project()
             names = [picture["name"] for picture in project["pictures"]]
             with ThreadPoolExecutor(AT_ONCE) as pool:
-                list(pool.map(self.get, (f"pictures/{quote(name)}/thumbnail" for name in names)))
+                list(pool.map(self.get, (f"pictures/{quote(name)}/image?size=160" for name in names)))
             yield project
         reader.join(10)
 

@@ -98,12 +98,13 @@ def theta_rate(page) -> float:
 
 
 def relight_rate(page) -> float:
-    """Relit images per second while a lamp is dragged round the ball."""
+    """Relit images per second while a lamp is dragged round the object."""
     page.locator("[data-testid=layer-relit]").click()
     page.wait_for_function("() => window.liaamStudio.fit.hasLayer")
-    box = page.locator("[data-testid=light-ball]").bounding_box()
+    box = page.locator("[data-testid=light-stage]").bounding_box()
     x, y, radius = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0.4 * box["width"]
-    page.mouse.move(x + radius, y)
+    lamp = page.locator("[data-testid=lamp]").bounding_box()
+    page.mouse.move(lamp["x"] + lamp["width"] / 2, lamp["y"] + lamp["height"] / 2)
     page.mouse.down()
     for i in range(N_MOVES):
         page.mouse.move(x + radius * np.cos(i / 8), y + radius * np.sin(i / 8))

@@ -23,7 +23,7 @@ _ID = "abc"
 _FRAMES = b"/api/live/abc/frames?width=16&height=16&of_width=32&of_height=32&number=1&time=0.1&flat=1"
 _TARGETS = (
     *(b"/", b"/?token=token", b"/style.css", b"/js/../index.html", b"/api/project", b"/api/project?stamp=1-0-idle"),
-    *(b"/api/pictures/p1.png/image?size=64", b"/api/pictures/p1.png/thumbnail", b"/api/pictures/p1.png/chroma?size=20"),
+    *(b"/api/pictures/p1.png/image?size=64", b"/api/pictures/p1.png/chroma?size=20"),
     *(b"/api/pictures/p1.png/landmarks", b"/api/pictures/p1.png/history", b"/api/template", b"/api/training"),
     *(b"/api/template/file?name=x.pts", b"/api/review", b"/api/export/pts", b"/api/export/coco", b"/api/export/tps"),
     *(b"/api/uploads?name=x.png", b"/api/uploads/abc/image", b"/api/model/file", b"/api/model/guest?name=x.liaam"),

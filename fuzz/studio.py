@@ -43,7 +43,7 @@ _KEPT = {
     "template": {"": TEMPLATE},
     "proposal": {"p1.png": _PROPOSAL, "p2.png": _PROPOSAL},
     "unchecked": {"p1.png": "1-2"},
-    "invisible": {"p1.pts": {"revision": "ab", "points": [0, 2]}},
+    "invisible": {"p1.pts ab": [0, 2]},
     "change": {
         "": {
             "template": TEMPLATE,
@@ -95,11 +95,11 @@ def check_state(data: bytes) -> None:
     project = Project(root)
     load_studio_model(project, ModelStore())
     overview = project.overview()
-    answers: list[Any] = [overview.pictures, project.template_json(), project.problems, project.id]
+    answers: list[Any] = [overview.pictures, project.templates.as_json(), project.problems, project.id]
     answers += [project.marks(picture["name"]) for picture in overview.pictures]
-    answers += [project.history("p1.png"), Versions(project.store).as_json(project.order)]
+    answers += [project.history("p1.png"), Versions(project.store).as_json(project.templates.order)]
     json.dumps(answers, allow_nan=False).encode()  # as sent to the page
-    if project.template is not None and len(project.template) == 3:
+    if project.templates.current is not None and len(project.templates.current) == 3:
         project.save_marks("p1.png", {"points": POINTS, "invisible": [], "revision": None})
         answers += [project.review({"pictures": ["p1.png", "p2.png"], "did": did}) for did in ACTIONS]
         json.dumps(answers, allow_nan=False).encode()

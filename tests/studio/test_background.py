@@ -1,5 +1,7 @@
 """What the studio does on its own: fit new pictures, and look for slips."""
 
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,7 @@ from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_l
 from liaam.studio.background import Background
 from liaam.studio.model_store import ModelStore
 from liaam.studio.project import Project
-from liaam.studio.training import Trainer
+from liaam.studio.training import Trainer, Training
 
 FACE = Path(datasets.__file__).with_name("pictures") / "face" / "lisa.jpg"
 
@@ -57,7 +59,7 @@ def test_in_an_empty_folder_the_face_model_is_lent_until_it_is_declined(tmp_path
     background.fit_new()
     models, project = background.models, background.project
     assert (models.own, models.current.facts["source"]) == (None, "face")
-    assert told == [("project", {})] and project.template is None
+    assert told == [("project", {})] and project.templates.current is None
     background.decline()
     assert models.current is None
 
@@ -67,13 +69,13 @@ def test_in_a_folder_of_faces_the_face_model_proposes(faces, begin):
     background.fit_new()
     project = background.project
     assert states(project) == {"a.png": "proposed", "b.png": "proposed"}
-    assert project.is_offered and background.models.own.facts["source"] == "face"
-    assert not project.has_own_points
+    assert project.templates.is_offered and background.models.current.facts["source"] == "face"
+    assert not project.templates.is_own
     marks = project.marks("a.png")
     put(project, "a.png", marks["points"], marks["revision"])  # accepted
-    assert read_landmarks(faces / "a.ljson").names == project.template.names
+    assert read_landmarks(faces / "a.ljson").names == project.templates.current.names
     again, _ = begin(faces)  # after a restart
-    assert not again.project.has_own_points
+    assert not again.project.templates.is_own
     write_image(faces / "c.png", read_image(FACE)[:, ::-1])
     again.fit_new()
     assert states(again.project) == {"a.png": "done", "b.png": "proposed", "c.png": "proposed"}
@@ -84,9 +86,9 @@ def test_faces_can_be_declined_for_good(faces, begin):
     background.fit_new()
     background.decline()
     for project in (background.project, Project(faces)):
-        assert project.template is None and states(project) == {"a.png": "new", "b.png": "new"}
+        assert project.templates.current is None and states(project) == {"a.png": "new", "b.png": "new"}
     background.fit_new()
-    assert background.models.own is None and background.project.template is None
+    assert background.models.current is None and background.project.templates.current is None
 
 
 def test_own_points_replace_those_of_the_face_model(faces, begin):
@@ -94,7 +96,7 @@ def test_own_points_replace_those_of_the_face_model(faces, begin):
     background.fit_new()
     write_landmarks(faces / "b.pts", Landmarks(POINTS))
     background.fit_new()
-    assert background.models.own is None and len(background.project.template) == 3
+    assert background.models.current is None and len(background.project.templates.current) == 3
     assert states(background.project) == {"a.png": "new", "b.png": "done"}
 
 
@@ -102,7 +104,7 @@ def test_without_faces_nothing_is_proposed(small, begin):
     (small.root / ".liaam-studio" / "studio.db").unlink()
     background, told = begin(small.root)
     background.fit_new()
-    assert background.project.template is None
+    assert background.project.templates.current is None
     assert background.models.current is None  # the face model, which was lent before, would fit nothing here
     assert told == 2 * [("project", {})]
 
@@ -126,3 +128,42 @@ def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):
     assert by_name(background.project)["p4.png"]["slip"]
     write_landmarks(home / "p4.ljson", landmarks)
     assert by_name(background.project)["p4.png"]["slip"] is None  # not known of the new landmarks
+
+
+def test_the_quick_model_of_a_training_fits_a_few_pictures_and_the_careful_one_all(
+    folder, head_model, begin, monkeypatch
+):
+    monkeypatch.setattr("liaam.studio.background.SOON", 3)
+    background, _ = begin(folder(8, 0), head_model)
+    project, models = background.project, background.models
+    background.fit_new()
+    fitted = {name: proposal["model"] for name, proposal in project.store.all("proposal").items()}
+    assert set(fitted.values()) == {models.own.key} and len(fitted) == 8
+    background.trainer.state = Training("running")
+    background.fit_new()  # a better model comes soon
+    facts = {"source": "studio", "trained": "1", "pictures": {}, "careful": False}
+    models.publish(head_model, facts)
+    for _ in range(2):
+        background.fit_new()
+        fitted = [proposal["model"] for proposal in project.store.all("proposal").values()]
+        assert fitted.count("1") == 3
+    background.trainer.state = Training("done")
+    models.publish(head_model, {**facts, "trained": "2", "careful": True})
+    background.fit_new()
+    assert {proposal["model"] for proposal in project.store.all("proposal").values()} == {"2"}
+
+
+def test_the_end_waits_for_the_fit_in_progress(folder, head_model, begin, monkeypatch):
+    background, _ = begin(folder(2, 0), head_model)
+    done, began = [], threading.Event()
+
+    def work():
+        began.set()
+        time.sleep(0.2)
+        done.append(1)
+
+    monkeypatch.setattr(background, "_work", work)
+    background.start()
+    assert began.wait(60)
+    background.stop()
+    assert done and not background._thread.is_alive()

@@ -11,6 +11,7 @@ import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
+from liaam.studio.background import Background
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
     ModelStore,
@@ -21,9 +22,9 @@ from liaam.studio.model_store import (
     model_json,
 )
 from liaam.studio.project import Project
+from liaam.studio.proposals import proposal_of
 from liaam.studio.safety import Refusal
 from liaam.studio.training import Trainer
-from liaam.studio.training_process import proposal_of
 
 pytestmark = pytest.mark.slow
 
@@ -43,10 +44,6 @@ class Told:
     def wait_for(self, test):
         with self.changed:
             assert self.changed.wait_for(lambda: any(map(test, list(self.events))), 120)
-
-    def phases(self):
-        seen = [data["phase"] for kind, data in self.events if kind == "training" and data["phase"]]
-        return [phase for i, phase in enumerate(seen) if i == 0 or seen[i - 1] != phase]
 
 
 @pytest.fixture
@@ -78,7 +75,7 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     shutil.copy(project.root / "p8.png", project.root / "p9.png")
     (project.root / "p9.png").write_bytes((project.root / "p8.png").read_bytes()[:9000])  # its header is sound
     write_image(project.root / "p99.png", np.tile(np.uint8(90), (60, 80, 3)))
-    seen = []
+    background, seen = Background(project, models, trainer, told), []
     models.listeners.append(lambda current: seen.append(current.number))
 
     assert trainer.start().state == "running"
@@ -88,12 +85,12 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     ended = trainer.wait(240)
 
     assert (ended.state, ended.error) == ("done", None)
-    assert told.phases() == ["training", "proposals", "training", "proposals"]
     assert seen == [1, 2]  # the quick model, then the one that knows how far it can be trusted
     assert models.current.model.n_images == 4
     assert models.current.model.n_lamps > 0  # the careful model knows the lamps of generated heads
-    (version,) = trainer.versions.as_json(project.order)
+    (version,) = trainer.versions.as_json(project.templates.order)
     assert (version["pictures"], version["held_out"]) == (4, 1) and 0 < version["error"] < 0.05
+    background.fit_new()
     assert states(project)[:8] == ["done"] * 4 + ["proposed"] * 4
     for i in range(4, 8):
         marks, truth = project.marks(f"p{i + 1}.png"), portraits[i].landmarks
@@ -160,7 +157,7 @@ def test_stopping_ends_the_process_and_keeps_what_was_there(setting):
 
 
 def wait_for_the_quick_model(told):
-    told.wait_for(lambda event: event[0] == "training" and event[1]["phase"] == "proposals" and event[1]["done"] > 0)
+    told.wait_for(lambda event: event[0] == "project")
 
 
 def test_a_training_that_is_stopped_leaves_the_careful_model_in_place(setting):
@@ -169,6 +166,7 @@ def test_a_training_that_is_stopped_leaves_the_careful_model_in_place(setting):
     assert trainer.wait(240).state == "done"
     careful, data = models.current, (project.root / STATE / "model.liaam").read_bytes()
     assert shown(careful, project)["careful"] and shown(careful, project)["stale"] == 0
+    Background(project, models, trainer, told).fit_new()
     project.save_marks("p5.png", project.marks("p5.png"))
     told.events.clear()
     trainer.start()
@@ -203,7 +201,7 @@ def test_a_model_of_points_in_another_order_is_not_taken_up_again(setting):
     trainer.start()
     wait_for_the_quick_model(told)
     trainer.stop()
-    names = project.template.names
+    names = project.templates.current.names
     order = [*range(1, len(names)), 0]
     project.save_template({"names": [names[i] for i in order], "mapping": order})
     store = ModelStore()

@@ -79,7 +79,7 @@ def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) ->
 
 
 def fit(fits: Fits, name: str = "face.png", **options):
-    source = source_of(fits.project.path_of(name), 10**6)
+    source = source_of(fits.project.root / name, 10**6)
     return fits.fit(source, ("picture", name), truth=truth_of(fits.project.landmarks(name)), **options)
 
 
@@ -235,7 +235,9 @@ class TestFit:
 
     def test_warming_up_makes_everything_ready(self, folder, head_model):
         fits = make_fits(folder, head_model)
-        fits.warm_up_soon(fits.models.current).join()
+        thread = fits.warm_up_soon(fits.models.current)
+        assert not thread.daemon  # the end of the interpreter would abort it in compiled code
+        thread.join()
         assert len(fits._fitters) == 1  # that fits and searches
         searcher = fits._fitters.peek((id(head_model), "soft-li", False))
         assert searcher is not None

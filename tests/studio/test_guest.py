@@ -67,10 +67,10 @@ def test_too_large_models_are_refused(serve, tmp_path, head_model):
 def test_a_training_that_ends_does_not_replace_a_guest(head_model):
     models, told = ModelStore(), []
     models.listeners.append(told.append)
-    guest = models.receive(head_model, "kate")
+    guest = models.publish(head_model, {"source": "guest", "trained": None, "pictures": {}, "name": "kate"}, "guest")
     own = models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}})
     assert (models.current, models.own) == (guest, own)
-    models.dismiss()
+    models.withdraw("guest")
     assert models.current is own
     assert told == [guest, guest, own]
     assert model_json(guest, {"p1.png": "1"})["source"] == "guest"
@@ -78,13 +78,11 @@ def test_a_training_that_ends_does_not_replace_a_guest(head_model):
 
 def test_a_spare_model_is_used_while_there_is_no_other(head_model):
     models = ModelStore()
-    models.lend(head_model, {"source": "face", "trained": None, "pictures": {}})
+    models.publish(head_model, {"source": "face", "trained": None, "pictures": {}}, "spare")
     spare = models.current
     assert (spare.facts["source"], models.own) == ("face", None)
-    models.lend(head_model, {"source": "face"})  # again: pages need not fit anew
-    assert models.current is spare
     assert models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}}) is models.current
     models.withdraw()
     assert models.current is spare
-    models.lend(None, {})
+    models.withdraw("spare")
     assert models.current is None

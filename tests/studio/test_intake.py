@@ -51,7 +51,7 @@ def test_landmarks_that_are_there_are_never_replaced(small, tmp_path):
         ("notes.txt", b"Buy milk", "notes.txt"),
         ("notes.doc", b"Buy milk", "neither a picture nor a landmark file"),
         ("empty.png", b"", "is empty"),
-        ("text.png", b"Buy milk", "is not an image"),
+        ("text.png", b"Buy milk", "is not a PNG, JPEG"),
         ("x.pts", b"version: 1", "x.pts"),
         (".hidden.png", png(), "hidden"),
         ("../../.x/y.pts", b"", "empty"),
@@ -70,7 +70,7 @@ def test_paths_do_not_lead_out(small):
 
 def test_a_picture_that_is_too_large_is_left_out(small):
     small._intake.__dict__["most_pixels"] = 1000
-    assert "more than the 1,000 allowed" in str(refused(small.take_in, "new.png", png()))
+    assert "more than 1,000: make" in str(refused(small.take_in, "new.png", png()))
 
 
 def test_where_pictures_lie_in_subfolders_others_join_them(tmp_path):

@@ -59,7 +59,7 @@ def test_changes_in_subfolders_are_noticed(nested):
     before = nested.stamp
     write_image(nested.root / "bob" / "2.png", np.zeros((9, 9, 3), np.uint8))
     assert nested.stamp != before
-    assert nested.size_of("bob/2.png") == (9, 9)
+    assert nested.source("bob/2.png").size == (9, 9)
     write_landmarks(nested.root / "ann" / "2.pts", Landmarks(POINTS))
     assert nested.marks("ann/2.png")["file"] == "ann/2.pts"
 
@@ -82,7 +82,7 @@ def test_links_to_folders_are_not_followed(nested, tmp_path):
     (nested.root / "ann" / "loop").symlink_to(nested.root)
     assert list(by_name(nested)) == ["ann/1.png", "ann/2.png", "bob/side/1.png"]
     for name in ("out/x.png", "ann/../ann/1.png", "ann//1.png", "../outside/x.png", ".hidden/1.png"):
-        assert refused(nested.path_of, name).status == 404
+        assert refused(nested.source, name).status == 404
 
 
 def test_subfolders_above_a_limit_are_named(nested, monkeypatch):
@@ -97,7 +97,7 @@ def test_pictures_that_come_and_go_are_noticed(small):
     (small.root / "p1.png").unlink()
     assert list(by_name(small)) == ["new.png", "p2.png", "p10.png", "q.jpg"]
     assert refused(small.marks, "p1.png").status == 404
-    assert small.size_of("new.png") == (9, 8)
+    assert small.source("new.png").size == (9, 8)
 
 
 def test_a_corrupt_picture_is_broken_with_the_reason(small):
@@ -134,7 +134,7 @@ def test_sizes_are_upright(small):
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.new("RGB", (50, 20)).save(small.root / "turned.jpg", exif=exif)
-    assert small.size_of("turned.jpg") == (20, 50)
+    assert small.source("turned.jpg").size == (20, 50)
 
 
 def test_folders_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
@@ -150,7 +150,7 @@ def test_folders_that_cannot_be_used_are_refused(tmp_path, monkeypatch):
 
 def test_an_empty_folder_is_fine(tmp_path):
     project = Project(tmp_path)
-    assert project.overview().pictures == [] and project.template is None and project.problems == []
+    assert project.overview().pictures == [] and project.templates.current is None and project.problems == []
     assert list(tmp_path.iterdir()) == []  # looking leaves nothing behind
 
 

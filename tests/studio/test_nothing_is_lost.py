@@ -73,7 +73,7 @@ def disk(monkeypatch):
 
 @pytest.mark.parametrize("file", ["p1.ljson", "p2.ljson", "p3.ljson", "template"])
 def test_a_change_that_fails_half_way_is_finished_and_not_done_twice(small, disk, file):
-    change = {**TURNED, "revision": small.template_json()["revision"]}
+    change = {**TURNED, "revision": small.templates.as_json()["revision"]}
     disk.add(file)
     refusal = refused(small.save_template, change)
     assert refusal.status == 507 and str(small.root) not in str(refusal)
@@ -89,7 +89,7 @@ def test_a_change_that_fails_half_way_is_finished_and_not_done_twice(small, disk
     disk.clear()
     assert small.save_template(change)[0].names == ("c", "a", "b")  # what the page does: once more
     for project in (small, Project(small.root)):
-        assert project.template.names == ("c", "a", "b")
+        assert project.templates.current.names == ("c", "a", "b")
         assert all(project.marks(f"p{i}.png")["points"] == MOVED for i in (1, 2, 3))
         assert project.problems == []
 
@@ -100,7 +100,7 @@ def test_a_change_that_fails_is_finished_by_whatever_comes_next(small, disk):
     disk.clear()
     stamp = small.stamp
     assert [item.points.tolist() for item in small.annotated()] == [MOVED] * 3
-    assert small.template.names == ("c", "a", "b") and stamp == small.stamp
+    assert small.templates.current.names == ("c", "a", "b") and stamp == small.stamp
 
 
 def test_a_start_with_a_full_disk_waits_for_space(small, disk):
@@ -116,7 +116,7 @@ def test_nothing_changes_if_a_change_cannot_even_be_written_down(small, disk):
     disk.add("change")
     with pytest.raises(LiaamError):
         small.save_template(TURNED)
-    assert small.marks("p1.png")["points"] == POINTS and small.template.names == ("a", "b", "c")
+    assert small.marks("p1.png")["points"] == POINTS and small.templates.current.names == ("a", "b", "c")
 
 
 def test_a_finished_change_keeps_the_invisible_marks_of_other_files(small, disk):
@@ -124,7 +124,7 @@ def test_a_finished_change_keeps_the_invisible_marks_of_other_files(small, disk)
     write_landmarks(small.root / "q.pts", Landmarks(POINTS))
     small.save_marks("q.png", {"points": POINTS, "invisible": [1], "revision": small.marks("q.png")["revision"]})
     disk.add("p3.ljson")
-    refused(small.save_template, {**NAMES, "mapping": [0, 2, 1], "revision": small.template_json()["revision"]})
+    refused(small.save_template, {**NAMES, "mapping": [0, 2, 1], "revision": small.templates.as_json()["revision"]})
     disk.clear()
     assert Project(small.root).marks("q.png")["invisible"] == [2]
 
@@ -133,7 +133,7 @@ def test_a_finished_change_keeps_the_invisible_marks_of_other_files(small, disk)
 
 
 def test_a_change_that_comes_twice_is_done_once(small):
-    for change in (TURNED, {**TURNED, "revision": small.template_json()["revision"]}):
+    for change in (TURNED, {**TURNED, "revision": small.templates.as_json()["revision"]}):
         for _ in range(2):
             template, _ = small.save_template(change)
             assert template.names == ("c", "a", "b")
@@ -141,10 +141,10 @@ def test_a_change_that_comes_twice_is_done_once(small):
 
 
 def test_a_change_made_for_another_template_is_refused(small):
-    old = small.template_json()["revision"]
+    old = small.templates.as_json()["revision"]
     small.save_template(TURNED)
     refusal = refused(small.save_template, {"names": ["a", "c"], "mapping": [0, 2], "revision": old})
-    assert refusal.status == 409 and refusal.details["template"] == small.template_json()
+    assert refusal.status == 409 and refusal.details["template"] == small.templates.as_json()
     assert refused(small.save_template, {**NAMES, "revision": None}).status == 409
     assert small.marks("p1.png")["points"] == MOVED
 
@@ -157,30 +157,30 @@ def test_the_first_template_is_made_for_none(tmp_path):
 
 def test_marks_of_another_template_are_refused(small):
     write_image(small.root / "new.png", np.full((30, 40, 3), 90, np.uint8))
-    old = small.template_json()["revision"]
+    old = small.templates.as_json()["revision"]
     small.save_template(TURNED)
     refusal = refused(lambda: put(small, "new.png", POINTS, template=old))
-    assert refusal.status == 409 and refusal.details == {"template": small.template_json()}
+    assert refusal.status == 409 and refusal.details == {"template": small.templates.as_json()}
     assert not (small.root / "new.ljson").exists()
-    assert put(small, "new.png", MOVED, template=small.template_json()["revision"])["picture"]["state"] == "done"
+    assert put(small, "new.png", MOVED, template=small.templates.as_json()["revision"])["picture"]["state"] == "done"
 
 
 def test_a_template_taken_from_a_file_has_the_same_revision_once_it_is_saved(small):
     shutil.rmtree(small.root / STATE)
     project = Project(small.root)
-    revision = project.template_json()["revision"]
+    revision = project.templates.as_json()["revision"]
     put(project, "p1.png", POINTS[::-1], template=revision, revision=project.marks("p1.png")["revision"])
-    assert project.template_json()["revision"] == Project(small.root).template_json()["revision"] == revision
+    assert project.templates.as_json()["revision"] == Project(small.root).templates.as_json()["revision"] == revision
 
 
 def test_proposals_for_points_of_another_order_are_dropped(small):
     write_image(small.root / "new.png", np.full((30, 40, 3), 90, np.uint8))
-    order = small.order
+    order = small.templates.order
     small.save_template(TURNED)
     small.overview()
     small.add_proposals({"new.png": proposal()}, order)
     assert by_name(small)["new.png"]["state"] == "new"
-    small.add_proposals({"new.png": proposal()}, small.order)
+    small.add_proposals({"new.png": proposal()}, small.templates.order)
     assert by_name(small)["new.png"]["state"] == "proposed"
 
 
@@ -459,7 +459,7 @@ def test_a_change_of_the_template_leaves_a_given_model_alone(small, serve, head_
 
 def test_a_model_for_points_of_another_order_goes(small, serve, head_model):
     running = serve(small.root)
-    facts = {"source": "studio", "trained": None, "pictures": {}, "order": running.studio.project.order}
+    facts = {"source": "studio", "trained": None, "pictures": {}, "order": running.studio.project.templates.order}
     running.studio.models.publish(head_model, facts)
     assert running.client.get("/api/project").json()["model"]["source"] == "studio"
     running.client.put("/api/template", json={**NAMES, "contours": []}).raise_for_status()

@@ -177,7 +177,7 @@ class TestPictures:
         source = source_of(tmp_path / "a.jpg", LIMIT)
         assert source.size == (480, 640)
         upright = np.rot90(smooth(480, 640), -1)
-        seen = decode_image(Pictures().thumbnail(source)).astype(int)
+        seen = decode_image(Pictures().image(source, 160)).astype(int)
         assert seen.shape == (160, 120, 3)
         assert np.abs(seen - shown(np.ascontiguousarray(upright), (120, 160))).max() <= 8
 

@@ -30,23 +30,23 @@ def test_a_picture_that_cannot_be_fitted_says_why(small):
 
 def test_proposals_of_another_template_are_dropped(small):
     small.add_proposals({"p1.png": proposal()})
-    small.save_template({**TRIANGLE, "mapping": [1, 0, 2], "revision": small.template_json()["revision"]})
+    small.save_template({**TRIANGLE, "mapping": [1, 0, 2], "revision": small.templates.as_json()["revision"]})
     assert states(small)["p1.png"] == "new"
 
 
-def test_of_a_large_folder_some_pictures_are_proposed_at_a_time(small):
-    def names(most):
-        return [name for name, _ in small.to_propose(most)]
+def test_each_model_is_fitted_to_all_pictures_first_to_those_that_teach_most(small):
+    def names(model=""):
+        return [name for name, _ in small.unfitted(model)]
 
-    assert names(100) == ["p1.png", "p2.png", "p10.png", "q.jpg"]
-    assert names(2) == ["p1.png", "p2.png"]
-    small.add_proposals({"p1.png": proposal(0.02), "p2.png": proposal(0.03), "p10.png": proposal(0.01)})
-    assert names(2) == ["p2.png", "q.jpg"]
-    assert names(100) == ["p2.png", "p1.png", "p10.png", "q.jpg"]
-    put(small, "p2.png", POINTS)
-    assert names(3) == ["p1.png", "p10.png", "q.jpg"]
+    assert names() == names("new") == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    small.add_proposals({"p1.png": proposal(0.02), "p2.png": proposal(0.03)})
+    assert names() == ["p10.png", "q.jpg"]
+    assert names("new") == ["p2.png", "p10.png", "p1.png", "q.jpg"]
+    small.add_proposals({"p2.png": {**proposal(0.01), "model": "new"}, "p10.png": {**proposal(0.01), "model": "new"}})
+    assert names("new") == ["p1.png", "q.jpg"]
+    put(small, "p1.png", POINTS)
     (small.root / "q.jpg").write_bytes(b"rubbish")
-    assert names(3) == ["p1.png", "p10.png"]
+    assert names("new") == []
 
 
 def test_the_order_in_which_pictures_teach():
@@ -68,7 +68,7 @@ def test_a_picture_left_at_the_mean_shape_is_not_checked_until_a_point_is_placed
     assert small.annotated() == []
     again = Project(small.root)
     assert states(again)["p1.png"] == "unchecked"
-    assert [name for name, _ in again.to_propose(9)] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
+    assert [name for name, _ in again.unfitted()] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
     put(again, "p1.png", POINTS)
     assert states(again)["p1.png"] == "done"
     again.save_marks("p2.png", {"points": [None] * 3, "revision": None, "unchecked": True})

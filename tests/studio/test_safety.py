@@ -205,7 +205,7 @@ def test_an_address_is_asked_for_by_number_where_all_are_listened_on():
 def test_paths_do_not_leave_the_folder(running, home, name):
     before = snapshot(home.parent)
     running.client.put("/api/template", json=TEMPLATE)
-    kinds = ("image", "thumbnail", "chroma", "landmarks")
+    kinds = ("image", "chroma", "landmarks")
     targets = [*(f"/api/pictures/{name}/{what}" for what in kinds), f"/{name}", f"/static/{name}", f"/js/{name}"]
     answers = [raw(running, request(running, target)) for target in targets]
     put, body = "Content-Type: application/json", json.dumps(MARKS).encode()

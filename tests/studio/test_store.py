@@ -93,7 +93,17 @@ def test_a_damaged_database_is_kept_and_begun_anew(small, content):
     (kept,) = (small.root / STATE).glob("damaged-*.db")
     assert kept.name in problem and kept.read_bytes() == content
     project.save_template({**TRIANGLE, "names": ["x", "y", "z"]})
-    assert Project(small.root).template.names == ("x", "y", "z") and not Project(small.root).problems
+    assert Project(small.root).templates.current.names == ("x", "y", "z") and not Project(small.root).problems
+
+
+def test_a_database_whose_schema_is_no_text_is_begun_anew(small):
+    put(small, "p1.png", POINTS)
+    path = small.root / STATE / DATABASE
+    content = path.read_bytes()
+    assert b"CREATE TABLE item" in content
+    path.write_bytes(content.replace(b"CREATE TABLE item", b"CREATE T\xf4BLE item"))  # SQLite's message repeats it
+    (problem,) = Project(small.root).problems
+    assert "was damaged" in problem
 
 
 def test_a_damaged_entry_is_told_and_passed_over(small):
@@ -140,7 +150,7 @@ def test_links_that_lead_out_do_not_exist(small, tmp_path):
     (small.root / "p1.ljson").symlink_to(outside / "secret.ljson")
     (small.root / "p2.ljson").symlink_to(outside / "new.ljson")
     assert "link.png" not in by_name(small)
-    assert refused(small.path_of, "link.png").status == 404
+    assert refused(small.source, "link.png").status == 404
     assert states(small)["p1.png"] == "new"
     for name in ("p1.png", "p2.png"):
         assert refused(put, small, name, POINTS).status == 409
@@ -160,7 +170,7 @@ def test_a_state_folder_that_leads_out_is_not_used(small, tmp_path):
     before = {path: path.read_bytes() for path in outside.iterdir()}
     (small.root / STATE).symlink_to(outside)
     project = Project(small.root)
-    assert project.template is None
+    assert project.templates.current is None
     (problem,) = project.problems
     assert "remove it" in problem
     assert refused(project.save_template, TRIANGLE).status == 409
@@ -177,7 +187,7 @@ def test_a_database_that_leads_out_is_not_used(small, tmp_path):
     before = outside.read_bytes()
     (small.root / STATE / DATABASE).symlink_to(outside)
     project = Project(small.root)
-    assert project.template is None and project.problems
+    assert project.templates.current is None and project.problems
     assert refused(project.save_template, {**TRIANGLE, "names": ["x", "y", "z"]}).status == 409
     assert outside.read_bytes() == before
 
@@ -186,7 +196,7 @@ def test_a_database_that_leads_out_is_not_used(small, tmp_path):
     "name", ["../x.png", "..", ".", "", "/etc/passwd", "p1.png/", "p1.ljson", "P1.PNG\0", "a" * 5000]
 )
 def test_names_that_are_not_of_the_listing_are_no_pictures(small, name):
-    assert refused(small.path_of, name).status == 404
+    assert refused(small.source, name).status == 404
 
 
 def test_names_that_no_answer_can_hold_are_passed_over(small):

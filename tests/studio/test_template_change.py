@@ -15,7 +15,7 @@ def test_the_template_comes_from_the_first_landmark_file(small):
     names = ("left_eye", "right_eye", "nose")
     write_landmarks(small.root / "p2.ljson", Landmarks(POINTS, (Contour((0, 1, 2)),), names))
     project = Project(small.root)
-    assert project.template.as_json() == {
+    assert project.templates.current.as_json() == {
         "names": list(names),
         "contours": [{"indices": [0, 1, 2], "closed": False}],
         "mirror": [1, 0, 2],
@@ -25,9 +25,9 @@ def test_the_template_comes_from_the_first_landmark_file(small):
     assert not (small.root / STATE).exists()
     file = small.root / "p2.ljson"
     file.rename(small.root / "p2.away")
-    assert not project.overview().pictures[1]["placed"] and project.template is None
+    assert not project.overview().pictures[1]["placed"] and project.templates.current is None
     (small.root / "p2.away").rename(file)
-    assert project.overview().pictures[1]["placed"] and project.template.names == names
+    assert project.overview().pictures[1]["placed"] and project.templates.current.names == names
     put(project, "p1.png", POINTS)
     assert project.store.get("template")["names"] == list(names)
 
@@ -74,7 +74,7 @@ def test_a_kill_in_the_middle_of_a_change_loses_nothing(small, monkeypatch):
     write_landmarks(small.root / "p2.ljson", old)
     write_landmarks(small.root / "p10.ljson", Landmarks([[0, 0], [0, 1], [0, 2]]))
     project = Project(small.root)
-    assert project.template.names == ("c", "a")
+    assert project.templates.current.names == ("c", "a")
     assert project.marks("p1.png")["points"] == project.marks("p2.png")["points"] == [POINTS[2], POINTS[0]]
     assert len(project.marks("p10.png")["points"]) == 3
     assert "3 points where the template has 2" in by_name(project)["p10.png"]["error"]
@@ -97,7 +97,7 @@ def test_a_kill_in_the_middle_of_a_change_loses_nothing(small, monkeypatch):
 def test_templates_that_make_no_sense_are_refused(small, change):
     put(small, "p1.png", POINTS)
     assert refused(small.save_template, {**TRIANGLE, **change}).status == 422
-    assert small.template.names == ("a", "b", "c")
+    assert small.templates.current.names == ("a", "b", "c")
 
 
 def test_the_number_of_points_does_not_change_unsaid(small):

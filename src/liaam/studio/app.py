@@ -43,8 +43,8 @@ from liaam.studio.model_store import (
 )
 from liaam.studio.pictures import Pictures, Source, checked_size
 from liaam.studio.project import Project
-from liaam.studio.routes import attachment, bytes_up_to, json_up_to, route
-from liaam.studio.safety import FILES, GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.routes import attachment, maybe_json, read_json, route
+from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import FolderLock
 from liaam.studio.training import Trainer
@@ -150,35 +150,32 @@ class _Handlers:
         self.project = studio.project
 
     def routes(self) -> list[Route]:
-        limits, act, project, training = self.studio.settings, self._in_folder, self.project, self.studio.training
-        json, upload = json_up_to(limits.json_bytes), bytes_up_to(limits.upload_bytes)
-        maybe_json = json_up_to(limits.json_bytes, may_lack=True)
+        act, project, training, data = self._in_folder, self.project, self.studio.training, Request.body
         # Separate limits, so that the thumbnails of a large folder do not delay fits or landmarks.
         shown, models = CapacityLimiter(2), CapacityLimiter(1)
         of_picture = "/api/pictures/{name:path}/"
         return [
             route("GET", "/api/project", self.overview),
             route("GET", of_picture + "image", self.image, limiter=shown),
-            route("GET", of_picture + "thumbnail", self.thumbnail, limiter=shown),
             route("GET", of_picture + "chroma", self.chroma, limiter=shown),
             route("GET", of_picture + "landmarks", lambda request: project.marks(request.path_params["name"])),
-            route("PUT", of_picture + "landmarks", act(self.save_landmarks), json),
+            route("PUT", of_picture + "landmarks", act(self.save_landmarks), read_json),
             route("GET", of_picture + "history", lambda request: project.history(request.path_params["name"])),
-            route("POST", "/api/review", act(self.review), json),
+            route("POST", "/api/review", act(self.review), read_json),
             route("GET", "/api/export/{kind}", self.export),
             route("GET", "/api/measurements", self.measurements),
-            route("PUT", "/api/template", act(self.save_template), json),
-            route("POST", "/api/template/file", self.read_template, bytes_up_to(limits.json_bytes)),
+            route("PUT", "/api/template", act(self.save_template), read_json),
+            route("POST", "/api/template/file", self.read_template, data),
             route("POST", "/api/training", act(lambda *_: asdict(training.start())), maybe_json, status=202),
             route("DELETE", "/api/training", act(lambda *_: asdict(training.stop())), maybe_json),
             Route("/api/events", self.events, methods=["GET"]),
-            route("POST", FILES, self.take_in, upload, status=201),
+            route("POST", FILES, self.take_in, data, status=201),
             route("DELETE", "/api/model/face", lambda _: self.studio.background.decline()),
-            route("POST", UPLOADS, self.upload, upload, status=201),
+            route("POST", UPLOADS, self.upload, data, status=201),
             route("GET", UPLOADS + "/{id}/image", self.image, limiter=shown),
             route("GET", UPLOADS + "/{id}/chroma", self.chroma, limiter=shown),
             route("GET", "/api/model/file", self.model_file),
-            route("POST", GUEST, self.receive_guest, upload, models),
+            route("POST", GUEST, self.receive_guest, data, models),
             route("DELETE", GUEST, self.dismiss_guest),
         ]
 
@@ -211,12 +208,12 @@ class _Handlers:
             "folder": project.root.name or str(project.root),
             "version": __version__,
             "pictures": overview.pictures,
-            "template": project.template_json(),
-            "offered": project.is_offered,
+            "template": project.templates.as_json(),
+            "offered": project.templates.is_offered,
             "model": model_json(studio.models.current, overview.done, overview.unread),
             "checked": studio.background.has_checked(overview.done),
             "training": asdict(studio.training.state),
-            "versions": studio.training.versions.as_json(project.order),
+            "versions": studio.training.versions.as_json(project.templates.order),
             "methods": [
                 {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
                 for method in METHODS.values()
@@ -262,7 +259,7 @@ class _Handlers:
         studio = self.studio
         try:
             self.project.save_template(data)
-            template = self.project.template_json() or {}
+            template = self.project.templates.as_json() or {}
         finally:  # even if this change is refused, since an earlier one may have been finished
             follow_template(self.project, studio.models, studio.training)
         self._changed()
@@ -284,11 +281,12 @@ class _Handlers:
     def receive_guest(self, request: Request, data: bytes) -> None:
         name = plain_name(request.query_params.get("name", ""))
         model = load_dropped_model(data, name, self.studio.settings.points)
-        self.studio.models.receive(model, name.removesuffix(".liaam"))
+        facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
+        self.studio.models.publish(model, facts, "guest")
         self._changed()
 
     def dismiss_guest(self, request: Request) -> None:
-        self.studio.models.dismiss()
+        self.studio.models.withdraw("guest")
         self._changed()
 
     def take_in(self, request: Request, data: bytes) -> dict[str, Any]:
@@ -303,9 +301,6 @@ class _Handlers:
     def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)
         return self._cached(request, f"{size}", lambda picture: self.studio.pictures.image(picture, size))
-
-    def thumbnail(self, request: Request) -> Response:
-        return self._cached(request, "thumbnail", self.studio.pictures.thumbnail)
 
     def chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.studio.models.current
@@ -344,7 +339,8 @@ class _Handlers:
         text = self.project.plain(fault)
         if isinstance(fault, Refusal):
             return JSONResponse({"error": text, **fault.details}, fault.status)
-        refused_write = isinstance(fault.__cause__, OSError) and request.method not in ("GET", "HEAD")
+        writes = request.method not in ("GET", "HEAD") and request.url.path != FITS
+        refused_write = isinstance(fault.__cause__, OSError) and writes
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
 
 

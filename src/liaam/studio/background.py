@@ -23,11 +23,11 @@ from liaam.io import Contour, Landmarks
 from liaam.model import AAM, load_model
 from liaam.models import FACE
 from liaam.studio.fits import WARM_UP, example
-from liaam.studio.model_store import ModelStore
+from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.project import Project
+from liaam.studio.proposals import propose
 from liaam.studio.template import Template, template_of
 from liaam.studio.training import Trainer
-from liaam.studio.training_process import propose
 
 LOOK_SECONDS = 3.0
 """How often the folder is looked at for files that other programs add."""
@@ -35,8 +35,14 @@ LOOK_SECONDS = 3.0
 QUIET_SECONDS = 0.2
 """Files that are added together arrive in shorter intervals."""
 
+STOP_SECONDS = 10.0
+"""How long the end of the thread is waited for."""
+
 TRIED = 4
 """Number of pictures in which faces are looked for before the points of the face model are offered."""
+
+SOON = 8
+"""Number of pictures that the quick model of a training fits, while the careful one is trained."""
 
 THREADS = min(4, os.cpu_count() or 1)
 
@@ -49,7 +55,7 @@ Picture = tuple[str, Path]
 
 
 class Background:
-    """Fits new pictures and checks landmarks in a thread; a training fits pictures itself."""
+    """Fits pictures with each new model, and checks landmarks, in a thread."""
 
     def __init__(
         self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]
@@ -70,16 +76,22 @@ class Background:
         self._next_check = 0.0
         self._seen: object = None
         self._started = False
+        self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
+        self._helped = ""
+        """Key of the quick model that has fitted some pictures."""
+        models.listeners.append(lambda _: self.wake())
 
     def start(self) -> None:
         """Start the thread."""
         self._started = True
-        threading.Thread(target=self._run, name="studio-background", daemon=True).start()
+        self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after what it does at the moment."""
+        """End the thread, after what it does at the moment."""
         self._stopped = True
         self._woken.set()
+        if self._started:  # compiled code that runs when the interpreter ends aborts the process
+            self._thread.join(STOP_SECONDS)
 
     def wake(self) -> None:
         """Look at the folder now."""
@@ -120,25 +132,25 @@ class Background:
         self._woken.clear()
 
     def fit_new(self) -> None:
-        """Propose landmarks for all pictures that have neither landmarks nor a proposal."""
+        """Propose landmarks for all pictures without any that the model has not been fitted to."""
         if self._is_paused():
             return
-        waiting = self.project.unfitted()
+        waiting = self.project.unfitted() if self.models.own is None else []
         self._lend()
-        if _is_face(self.models.own) and self.project.has_own_points:
-            self.project.offer(None)
-            self.models.withdraw()
-            self._publish("project", {})
+        model = self._find_model(waiting)
+        if model is None:
             return
-        if waiting and self._find_model(waiting) is not None:
-            self._propose(waiting)
+        waiting = self.project.unfitted(model.key)
+        if self._is_training():
+            waiting = waiting[:SOON] if self._helped != model.key else []
+            self._helped = model.key
+        if waiting:
+            self._propose(model, waiting)
 
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
-        self.project.decline_offer()
+        self.project.templates.decline()
         self._lend()
-        if _is_face(self.models.own):
-            self.models.withdraw()
         self._publish("project", {})
 
     @cached_property
@@ -147,30 +159,45 @@ class Background:
 
     def _may_use_face(self) -> bool:
         project = self.project
-        return project.settings.face and not project.has_own_points and not project.declined
+        return project.settings.face and not project.templates.is_own and not project.templates.is_declined
 
     def _lend(self) -> None:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
-        before, models = self.models.spare, self.models
-        models.lend(self._face if self._may_use_face() and not self._without_faces else None, FACE_FACTS)
-        if models.spare is not before:
-            self._publish("project", {})
+        wanted, models = self._may_use_face() and not self._without_faces, self.models
+        if wanted == (models.spare is not None):
+            return
+        if wanted:
+            models.publish(self._face, FACE_FACTS, "spare")
+        else:
+            models.withdraw("spare")
+            if self.project.templates.is_own:
+                self.project.templates.offer(None)
+        self._publish("project", {})
+
+    def _is_training(self) -> bool:
+        return self.trainer.state.state == "running"
 
     def _is_paused(self) -> bool:
-        return self._stopped or self.trainer.state.state == "running"
+        """Whether to wait for a better model."""
+        own = self.models.own
+        return self._stopped or (self._is_training() and (own is None or not own.is_quick))
 
-    def _find_model(self, waiting: list[Picture]) -> AAM | None:
+    def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
         own, project = self.models.own, self.project
         if own is not None:
-            if project.template is None:
-                project.offer(template_of_model(own.model))
-            return own.model
-        if not self._may_use_face() or (project.template is None and not self._has_faces(self._face, waiting)):
+            if project.templates.current is None:
+                project.templates.offer(template_of_model(own.model))
+            return own
+        if not waiting or not self._may_use_face():
+            return None
+        if project.templates.current is None and not self._has_faces(self._face, waiting):
             self._lend()
             return None
-        project.offer(template_of_model(self._face), FACE)
-        return self.models.publish(self._face, FACE_FACTS).model
+        self._without_faces.clear()
+        self._lend()
+        project.templates.offer(template_of_model(self._face), FACE)
+        return self.models.spare
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
@@ -188,11 +215,9 @@ class Background:
             self._fitter = model, Fitter(model)
         return self._fitter[1]
 
-    def _propose(self, waiting: list[Picture]) -> None:
+    def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         """Fit pictures in threads and save the proposals in batches."""
-        own, order = self.models.own, self.project.order
-        assert own is not None
-        fitter, total = self._fitter_of(own.model), len(waiting)
+        order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
         with ThreadPoolExecutor(THREADS) as pool:
@@ -200,9 +225,9 @@ class Background:
                 pool.submit(propose, fitter, path): name for name, path in waiting
             }
             try:
-                while pending and not self._is_paused() and self.models.own is own:
+                while pending and not self._is_paused() and model in (self.models.own, self.models.spare):
                     for future in wait(pending, seconds, FIRST_COMPLETED).done:
-                        batch[pending.pop(future)] = future.result()
+                        batch[pending.pop(future)] = {**future.result(), "model": model.key}
                     if batch and (not pending or time.monotonic() - saved > seconds):
                         self.project.add_proposals(batch, order)
                         batch, saved = {}, time.monotonic()
@@ -249,7 +274,3 @@ def template_of_model(model: AAM) -> Template:
     """Return the points of a model as a template."""
     mean = model.shape_model.mean.reshape(-1, 2)
     return template_of(Landmarks(mean, Contour.all_of(model.contours), model.landmark_names))
-
-
-def _is_face(own: Any) -> bool:
-    return own is not None and own.facts["source"] == FACE

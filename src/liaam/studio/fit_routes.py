@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +21,8 @@ from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.export import file_of
 from liaam.studio.fits import LAYER_SIZE, Fits
 from liaam.studio.pictures import Source, checked_size, jpeg_bytes
-from liaam.studio.routes import attachment, json_up_to, route
-from liaam.studio.safety import Refusal
+from liaam.studio.routes import attachment, read_json, route
+from liaam.studio.safety import FITS, Refusal
 
 MOST_LAMPS = 8
 """Maximum number of lamps of a relit picture."""
@@ -32,25 +32,11 @@ def routes(fits: Fits) -> list[Route]:
     """Return the endpoints of fits."""
     handlers, limiter = _Handlers(fits), CapacityLimiter(4)
     return [
-        route("POST", "/api/fits", _refusing(handlers.fit), json_up_to(fits.settings.json_bytes), limiter),
-        route("GET", "/api/fits/{id}/layers/{layer}", _refusing(handlers.layer), limiter=limiter),
-        route("GET", "/api/fits/{id}/relit", _refusing(handlers.relit), limiter=limiter),
-        route("GET", "/api/fits/{id}/export", _refusing(handlers.export), limiter=limiter),
+        route("POST", FITS, handlers.fit, read_json, limiter),
+        route("GET", FITS + "/{id}/layers/{layer}", handlers.layer, limiter=limiter),
+        route("GET", FITS + "/{id}/relit", handlers.relit, limiter=limiter),
+        route("GET", FITS + "/{id}/export", handlers.export, limiter=limiter),
     ]
-
-
-def _refusing(act: Callable[..., Response]) -> Callable[..., Response]:
-    """Make any error a refusal, since the page would retry after a failed write."""
-
-    def acted(*arguments: Any) -> Response:
-        try:
-            return act(*arguments)
-        except Refusal:
-            raise
-        except LiaamError as fault:
-            raise Refusal(422, str(fault)) from fault
-
-    return acted
 
 
 KEPT = {"cache-control": "private, max-age=86400, immutable"}

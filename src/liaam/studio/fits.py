@@ -321,13 +321,16 @@ class Fits:
 
 
 def _soon(name: str, work: Callable[[], Any]) -> threading.Thread:
-    """Work in a thread. Errors are ignored, since the request that needs the result will report them."""
+    """Work in a thread. Errors are ignored, since the request that needs the result will report them.
+
+    It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
+    """
 
     def run() -> None:
         with suppress(LiaamError):
             work()
 
-    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread = threading.Thread(target=run, name=name)
     thread.start()
     return thread
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from liaam.datasets.folder import PICTURE_SUFFIXES
 from liaam.errors import LiaamError
-from liaam.io import encoded_size, is_image, is_raw
+from liaam.io import is_raw
 from liaam.io.atomic import write_bytes_atomically
 from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.studio.folder import is_relative
 from liaam.studio.listing import OWN_SUFFIXES, Listing
 from liaam.studio.safety import Refusal
-from liaam.studio.uploads import plain_name
+from liaam.studio.uploads import plain_name, size_in_header
 
 ADDED = "added"
 """Subfolder of added pictures if the folder has pictures in its subfolders only: with one of its own, it would no
@@ -38,9 +38,9 @@ class Intake:
         name = plain_name(name)
         suffix = Path(name).suffix.lower()
         if suffix in PICTURE_SUFFIXES:
-            kind, check = "picture", self._check_picture
+            kind = "picture"
         elif suffix in LANDMARK_SUFFIXES:
-            kind, check = "landmarks", _check_landmarks
+            kind = "landmarks"
         else:
             raise Refusal(415, f"{name} is neither a picture nor a landmark file that liaam reads")
         if not data:
@@ -54,21 +54,14 @@ class Intake:
             if path.read_bytes() != data:
                 raise Refusal(409, f"{name}: the folder has another file of this name; rename one of them")
             return {"name": place, "kind": kind, "known": True}
-        check(name, data)
+        if kind == "landmarks":
+            _check_landmarks(name, data)
+        elif not is_raw(name):  # RAW files can only be read from the disk
+            size_in_header(data, name, self.most_pixels)
         self._check_place(place, kind)
         path.parent.mkdir(exist_ok=True)
         write_bytes_atomically(path, data)
         return {"name": place, "kind": kind, "known": False}
-
-    def _check_picture(self, name: str, data: bytes) -> None:
-        if is_raw(name):  # RAW files can only be read from the disk
-            return
-        if not is_image(data):
-            raise Refusal(415, f"{name} is not an image, although its name says so: export it again")
-        width, height = encoded_size(data, name)
-        if width * height > self.most_pixels:
-            sizes = f"{width} x {height} pixels, more than the {self.most_pixels:,} allowed"
-            raise Refusal(413, f"{name} has {sizes}: make the picture smaller")
 
     def _check_place(self, place: str, kind: str) -> None:
         """Refuse a second picture, or second landmarks, of the same name but for the suffix."""

@@ -23,6 +23,7 @@ from liaam.io.landmarks.formats import writer_of
 from liaam.studio.folder import remove, revision_of
 from liaam.studio.listing import OWN_SUFFIXES, File, Listing, Signature
 from liaam.studio.safety import Refusal
+from liaam.studio.scale_bar import pixel_length
 from liaam.studio.store import Store
 from liaam.studio.template import Template, landmarks_of
 
@@ -68,7 +69,8 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
-        self._invisible: dict[str, Any] = store.all("invisible")
+        self._bars = store.table("bar")
+        self._invisible = store.table("invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
@@ -115,9 +117,9 @@ class LandmarkFiles:
         except LandmarkError as fault:
             return Marks(own.name, revision, None, f"{fault} A copy is kept when you place the points again.")
         assert isinstance(landmarks, Landmarks)  # these formats hold one picture
-        marks = self._invisible_of(own.name, revision)
-        if marks is not None and max(marks["points"], default=0) < len(landmarks):
-            landmarks = replace(landmarks, invisible=tuple(marks["points"]))
+        invisible = self._invisible.get(f"{own.name} {revision}", ())
+        if max(invisible, default=0) < len(landmarks):
+            landmarks = replace(landmarks, invisible=(*landmarks.invisible, *invisible))
         return Marks(own.name, revision, landmarks)
 
     def _foreign(self) -> dict[str, Marks]:
@@ -172,8 +174,34 @@ class LandmarkFiles:
         own = self._listing.own(picture)
         return self._folder.inside(own.name if own is not None else f"{picture.stem}.ljson")
 
-    def save(self, picture: File, template: Template, points: Sequence[Any], invisible: Sequence[int]) -> None:
-        """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed."""
+    def bar_of(self, picture: File) -> dict[str, Any] | None:
+        """Return the scale bar of a picture, unless the picture has been replaced since."""
+        known = self._bars.get(picture.name)
+        return known["bar"] if known is not None and known["tag"] == picture.tag else None
+
+    def scale_of(self, picture: File) -> float | None:
+        """Return the length of a pixel: by the scale bar, or else by the landmark file."""
+        known, landmarks = self._bars.get(picture.name), self.of(picture).landmarks
+        if known is not None and known["tag"] == picture.tag:
+            return None if known["bar"] is None else pixel_length(known["bar"])
+        return None if landmarks is None else landmarks.scale
+
+    def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
+        """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
+        self._bars.save({picture.name: {"tag": picture.tag, "bar": bar}})
+
+    def save(
+        self,
+        picture: File,
+        template: Template,
+        points: Sequence[Any],
+        invisible: Sequence[int],
+        scale: float | None = None,
+    ) -> None:
+        """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed.
+
+        ``scale`` is written if the picture has none.
+        """
         target, before = self.target(picture), self.of(picture)
         name = self._folder.name_of(target)
         if before.file == name:
@@ -183,10 +211,9 @@ class LandmarkFiles:
         if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
             remove(target)
         else:
-            landmarks = landmarks_of(template, points, invisible)
+            landmarks = landmarks_of(template, points, invisible, self.scale_of(picture) or scale)
             text = text_of(landmarks, target.suffix)
-            revision = before.revision if before.file == name else None
-            self._remember_invisible(name, revision, text.encode(), landmarks.invisible)
+            self._remember_invisible(name, text.encode(), landmarks.invisible)
             write_text_atomically(target, text, LandmarkError)
         self._listing.renew(name)
         self._read.pop(name, None)  # the signature may not change within the clock's resolution
@@ -202,7 +229,7 @@ class LandmarkFiles:
         data = self._bytes(target) if target.is_file() else None
         if data != after and (None if data is None else revision_of(data)) != before:
             return
-        self._remember_invisible(name, before, after, invisible)
+        self._remember_invisible(name, after, invisible)
         if data != after:
             write_bytes_atomically(target, after, LandmarkError)
 
@@ -217,28 +244,11 @@ class LandmarkFiles:
         """Read a landmark file; raise LandmarkError if it cannot be read."""
         return read_bytes(path, LandmarkError, most or self._most_bytes)
 
-    def _invisible_of(self, name: str, revision: str | None) -> dict[str, Any] | None:
-        """Return the invisible points of a revision of a file: the newest, or the previous one if a write failed."""
-        newest = self._invisible.get(name)
-        found = [] if newest is None else [newest, newest.get("before")]
-        return next((marks for marks in found if marks is not None and marks["revision"] == revision), None)
-
-    def _remember_invisible(self, name: str, before: str | None, data: bytes, invisible: Sequence[int]) -> None:
-        """Save which points of a ``.pts`` are invisible, since the format cannot.
-
-        This happens before the file is written, so the entry of its current revision ``before`` is kept as well.
-        """
-        marks: dict[str, Any] | None = {"revision": revision_of(data), "points": list(invisible)}
-        old = self._invisible_of(name, before)
-        if old is not None:
-            marks["before"] = {"revision": old["revision"], "points": old["points"]}
-        if Path(name).suffix.lower() != ".pts" or not (invisible or old is not None):
-            marks = None
-        if marks != self._invisible.get(name):
-            self._store.put("invisible", {name: marks})
-            self._invisible.pop(name, None)
-            if marks is not None:
-                self._invisible[name] = marks
+    def _remember_invisible(self, name: str, data: bytes, invisible: Sequence[int]) -> None:
+        """Save which points of a ``.pts`` are invisible, since the format cannot, before the file is written."""
+        key = f"{name} {revision_of(data)}"
+        if Path(name).suffix.lower() == ".pts" and list(invisible) != self._invisible.get(key, []):
+            self._invisible.save({key: list(invisible) or None})
 
 
 def text_of(landmarks: Landmarks, suffix: str) -> str:

@@ -25,7 +25,7 @@ from liaam.fitting import FitResult
 from liaam.model import AAM
 from liaam.studio.model_store import ModelStore
 from liaam.studio.pictures import Kept, jpeg_bytes
-from liaam.studio.routes import bytes_up_to, read_body, route
+from liaam.studio.routes import route
 from liaam.studio.safety import RECORDINGS, Refusal
 from liaam.studio.settings import Settings
 from liaam.tracking import TrackedFrame, Tracker, TrackStatus
@@ -207,7 +207,7 @@ def routes(videos: LiveVideos) -> list[Route]:
 
     async def update(request: Request) -> Response:
         video, frame = videos.get(request.path_params["id"]), Frame(request.query_params)
-        image = frame.image(await read_body(request, videos.settings.json_bytes))
+        image = frame.image(await request.body())
         if video.in_progress >= AT_ONCE:
             raise Refusal(429, f"{AT_ONCE} frames of this video are in progress: wait for an answer")
         video.in_progress += 1
@@ -220,7 +220,7 @@ def routes(videos: LiveVideos) -> list[Route]:
         return Response(seekable(data), media_type="video/webm")
 
     return [
-        route("POST", RECORDINGS, recording, bytes_up_to(videos.settings.upload_bytes)),
+        route("POST", RECORDINGS, recording, Request.body),
         Route("/api/live", begin, methods=["POST"]),
         Route("/api/live/{id}/frames", update, methods=["POST"]),
         route("DELETE", "/api/live/{id}", lambda request: videos.close(request.path_params["id"])),

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -37,78 +37,68 @@ class ModelInUse:
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
     model of the studio also has ``careful`` (whether its confidence is calibrated) and ``order``
-    (:attr:`Project.order`), a guest its ``name``."""
+    (:attr:`TemplateStore.order`), a guest its ``name``."""
 
     @property
     def is_careful(self) -> bool:
         """Whether a quick model must not replace it."""
         return bool(self.facts.get("careful", True))
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether it is the quick model of a training."""
+        return self.facts["source"] == "studio" and not self.is_careful
+
+    @property
+    def key(self) -> str:
+        """Identifier of the model that survives a restart."""
+        return self.facts["trained"] or f"{self.facts['source']} {self.model.name}"
+
     def is_trained_on(self, picture: str) -> bool:
         """Whether the studio trained the model on a picture."""
         return picture in self.facts.get("pictures", {}) and picture not in self.facts.get("left_out", {})
 
 
-class ModelStore:
-    """Holds the model of the folder, and a guest that is used instead of it until it leaves; thread-safe.
+Place = Literal["guest", "own", "spare"]
 
-    A model that comes with liaam is used while there is neither.
+
+class ModelStore:
+    """Holds up to three models: the first of ``guest``, ``own`` and ``spare`` that there is, is used; thread-safe.
+
+    A guest was dropped on the page; nothing is trained or saved with it. The folder has its ``own``, and the spare one
+    comes with liaam.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
+        self.guest: ModelInUse | None = None
         self.own: ModelInUse | None = None
-        """The model of the folder, if there is one."""
-        self._guest: ModelInUse | None = None
         self.spare: ModelInUse | None = None
-        """The model that comes with liaam, if it may be used."""
         self._number = 0
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
-        """Called in the publishing thread after the current model has changed."""
+        """Called in the publishing thread after the current model may have changed."""
 
     @property
     def current(self) -> ModelInUse | None:
         """The model in use, if there is one."""
-        return self._guest or self.own or self.spare
+        return self.guest or self.own or self.spare
 
-    def publish(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
-        """Set the model of the folder."""
-        self.own = made = self._numbered(model, facts)
-        self._tell()
-        return made
-
-    def withdraw(self) -> None:
-        """Remove the model of the folder."""
-        self.own = None
-        self._tell()
-
-    def lend(self, model: AAM | None, facts: Mapping[str, Any]) -> None:
-        """Set the model that comes with liaam; None removes it."""
-        if model is not (self.spare and self.spare.model):
-            self.spare = None if model is None else self._numbered(model, facts)
-            self._tell()
-
-    def receive(self, model: AAM, name: str) -> ModelInUse:
-        """Use a guest instead of the model of the folder. Nothing is trained or saved with it."""
-        facts = {"source": "guest", "trained": None, "pictures": {}, "name": name}
-        self._guest = made = self._numbered(model, facts)
-        self._tell()
-        return made
-
-    def dismiss(self) -> None:
-        """Use the model of the folder again."""
-        self._guest = None
-        self._tell()
-
-    def _numbered(self, model: AAM, facts: Mapping[str, Any]) -> ModelInUse:
+    def publish(self, model: AAM, facts: Mapping[str, Any], place: Place = "own") -> ModelInUse:
+        """Set a model by its place."""
         with self._lock:
             self._number += 1
-            return ModelInUse(model, self._number, dict(facts))
+            made = ModelInUse(model, self._number, dict(facts))
+        self._set(place, made)
+        return made
 
-    def _tell(self) -> None:
-        current = self.current
+    def withdraw(self, place: Place = "own") -> None:
+        """Remove a model by its place."""
+        self._set(place, None)
+
+    def _set(self, place: Place, model: ModelInUse | None) -> None:
+        setattr(self, place, model)
         for listener in self.listeners:
-            listener(current)
+            listener(self.current)
 
 
 class Versions:
@@ -130,11 +120,11 @@ class Versions:
         self._all.append(version)
 
     def held_out(self, order: str) -> list[str]:
-        """Return the held-out pictures of the newest model with an :attr:`Project.order` of its points."""
+        """Return the held-out pictures of the newest model with an :attr:`TemplateStore.order` of its points."""
         return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
 
     def as_json(self, order: str) -> list[dict[str, Any]]:
-        """Return the newest versions with an :attr:`Project.order` of the points as JSON for the page, oldest first.
+        """Return the newest versions with an order of the points as JSON for the page, oldest first.
 
         ``error`` is the median error, ``held_out`` the number of pictures, and ``same`` whether these are the pictures
         of the newest version.
@@ -163,8 +153,8 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
             if not path.exists():
                 continue
             facts = project.store.get("model", file) or {"source": "studio", "trained": None, "pictures": {}}
-            facts = {"order": project.order, **facts, "careful": careful}
-            if facts["order"] == project.order:
+            facts = {"order": project.templates.order, **facts, "careful": careful}
+            if facts["order"] == project.templates.order:
                 models.publish(load_model(path), facts)
         except (LiaamError, OSError) as fault:
             project.store.note(file, f"{fault}; the model is ignored: train again")
@@ -185,9 +175,9 @@ def forget_studio_model(project: Project, models: ModelStore) -> None:
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
     """Stop the training and withdraw the model if they are for an earlier set or order of points."""
-    trainer.stop_unless(project.order)
+    trainer.stop_unless(project.templates.order)
     own = models.own
-    if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != project.order:
+    if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != project.templates.order:
         forget_studio_model(project, models)
 
 

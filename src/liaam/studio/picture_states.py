@@ -10,15 +10,9 @@ import numpy as np
 
 from liaam.studio.landmark_files import LandmarkFiles, Marks
 from liaam.studio.listing import File, Listing
-from liaam.studio.proposals import Proposals, Unchecked, revision_of_proposal, teaching_order
+from liaam.studio.proposals import Proposals, revision_of_proposal, teaching_order
 from liaam.studio.review import ReviewLog
 from liaam.studio.template_store import TemplateStore
-
-_UNKNOWN = (
-    *("error", "width", "height", "uncertainty", "quality", "rank"),
-    *("checked", "left_out", "revision", "slip"),
-)
-"""What is not known of a picture before its files are read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +23,6 @@ class PictureStates:
     landmarks: LandmarkFiles
     proposals: Proposals
     templates: TemplateStore
-    unchecked: Unchecked
     log: ReviewLog
     slips: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Revision of the landmarks in which a slip was found, and its description, by picture."""
@@ -47,11 +40,6 @@ class PictureStates:
         """Whether the files of a picture were read before, so that its state is known at once."""
         return self.listing.is_read(file) and self.landmarks.is_read(file)
 
-    def unread_json(self, file: File) -> dict[str, Any]:
-        """Return a picture whose files have not been read yet as JSON for the page."""
-        nothing = dict.fromkeys(_UNKNOWN)
-        return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False, **nothing}
-
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""
         size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)
@@ -61,7 +49,7 @@ class PictureStates:
         elif marks.n_placed:
             state = "done" if self.is_done(file) else "partial"
         else:
-            state = "proposed" if proposal else "unchecked" if file in self.unchecked else "new"
+            state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
         checked = self.log.checked_by(file.name, marks.revision) if state == "done" else None
         revision, slip = self.slips.get(file.name, (None, None))
         return {
@@ -100,6 +88,7 @@ class PictureStates:
             "error": marks.error,
             "width": width,
             "height": height,
+            "bar": self.landmarks.bar_of(file),
         }
         if marks.landmarks is not None and marks.n_placed:
             return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
@@ -115,8 +104,8 @@ class PictureStates:
         points = None if proposal is None else proposal["points"]
         if proposal is None or points is None or template is None or len(points) != len(template):
             return None
-        discarded = self.log.discarded(file.name)
-        return None if discarded is not None and discarded == revision_of_proposal(proposal) else proposal
+        discarded = self.log.standing(file.name, "discarded")
+        return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""

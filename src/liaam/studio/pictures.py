@@ -29,9 +29,6 @@ from liaam.studio.safety import Refusal
 
 JPEG_QUALITY = 92
 
-THUMBNAIL = 160
-"""Longest side of a thumbnail in pixels."""
-
 SIZES = (16, 16384)
 """Smallest and largest size of the longest side that a request may ask for, in pixels."""
 
@@ -252,10 +249,6 @@ class Pictures:
     def image(self, source: Source, size: int) -> bytes:
         """Return a JPEG for display, its longest side at most ``size``."""
         return self._encoded.get(("image", source.name, source.tag, size), lambda: self._image(source, size))
-
-    def thumbnail(self, source: Source) -> bytes:
-        """Return a small JPEG."""
-        return self.image(source, THUMBNAIL)
 
     def chroma(self, source: Source, size: int, response: Response) -> bytes:
         """Return the chroma of a picture (see :func:`chroma`)."""

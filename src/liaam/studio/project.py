@@ -8,8 +8,8 @@ depends only on those before it in this list:
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
 - :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
 - :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
-- :mod:`~liaam.studio.review`: the log of who changed what; :mod:`~liaam.studio.picture_states`: the state of each
-  picture; :mod:`~liaam.studio.review_actions`: actions on several pictures.
+- :mod:`~liaam.studio.picture_states`: the state of each picture; :mod:`~liaam.studio.review`: the log of who changed
+  what, and actions on several pictures.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +38,10 @@ from liaam.studio.landmark_files import LandmarkFiles
 from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
 from liaam.studio.pictures import Source, source_of
-from liaam.studio.proposals import Proposals, Unchecked
-from liaam.studio.review import ReviewLog, parse_who
-from liaam.studio.review_actions import ReviewActions
+from liaam.studio.proposals import Proposals
+from liaam.studio.review import ReviewActions, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
+from liaam.studio.scale_bar import parse_bar
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
@@ -100,14 +101,11 @@ class Project:
         listing.scan()
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
         self._proposals = Proposals(listing, self.store)
-        self._templates = TemplateStore(listing, self.store, self._landmarks)
-        self._unchecked = Unchecked(self.store)
+        self.templates = TemplateStore(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(
-            listing, self._landmarks, self._proposals, self._templates, self._unchecked, self._log
-        )
-        self._actions = ReviewActions(self.store, self._landmarks, self._templates, self._states, self._log)
-        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self._templates)
+        self._states = PictureStates(listing, self._landmarks, self._proposals, self.templates, self._log)
+        self._actions = ReviewActions(self.store, self._landmarks, self.templates, self._states, self._log)
+        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self.templates)
         self._intake = Intake(listing, self.settings.pixels)
         self._changes.try_to_finish()
 
@@ -155,7 +153,7 @@ class Project:
         known = (
             self._salt,
             store.writes,
-            self._templates.offered,
+            self.templates.offered,
             self._states.slips,
             self._changes.is_pending,
             faults,
@@ -207,25 +205,17 @@ class Project:
         self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
         stamp, ranks = self._stamp(), states.ranks()
         read = {file.name for file in files if states.is_read(file)}
-        pictures = [states.as_json(file, ranks) if file.name in read else states.unread_json(file) for file in files]
+        pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
         stamp += "" if len(read) == len(pictures) else "-reading"
         done = {item.name: item.revision for item in self._annotated(read)}
         return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
-    def path_of(self, name: str) -> Path:
-        """Return the path of a picture."""
-        with self._lock:
-            return self._folder.inside(self._find(name).name)
-
-    def size_of(self, name: str) -> tuple[int, int]:
-        """Return the width and height of the upright picture, from its header."""
-        with self._lock:
-            return self._listing.usable_size(self._find(name))
-
     def source(self, name: str) -> Source:
         """Return a picture that can be decoded."""
-        self.size_of(name)
-        return source_of(self.path_of(name), self.settings.pixels, name)
+        with self._lock:
+            self._listing.usable_size(self._find(name))
+            path = self._folder.inside(name)
+        return source_of(path, self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
         """Remember that a picture cannot be decoded, unless the system could not read it, which may pass.
@@ -268,10 +258,10 @@ class Project:
         with self._lock:
             self._changes.finish()
             self._listing.scan()
-            template = self._templates.current
-            found = [(file, self._landmarks.of(file)) for file in self._listing.usable()]
+            template, landmarks = self.templates.current, self._landmarks
+            found = [(file, landmarks.of(file)) for file in self._listing.usable()]
             return [
-                (file, marks.landmarks, self._listing.usable_size(file))
+                (file, replace(marks.landmarks, scale=landmarks.scale_of(file)), self._listing.usable_size(file))
                 for file, marks in found
                 if marks.landmarks is not None
                 and marks.n_placed
@@ -279,29 +269,22 @@ class Project:
                 and len(marks.landmarks) == len(template)
             ]
 
-    def to_propose(self, most: int) -> list[tuple[str, Path]]:
-        """Return the names and paths of at most ``most`` pictures without points, to propose landmarks for.
+    def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
+        """Return the names and paths of the usable pictures without points that a model was not fitted to.
 
-        The number is limited so that proposals keep up with the user in a large folder. Up to half of the pictures have
-        a proposal already, in the order of :func:`teaching_order`. The others have none, in natural order.
+        ``model`` is its :attr:`~liaam.studio.model_store.ModelInUse.key`. Pictures with the proposal of another model,
+        in the order of :func:`teaching_order`, take turns with the others.
         """
         with self._lock:
-            self._listing.scan()
-            ranks = self._states.ranks()
-            blank = [file.name for file in self._listing.usable() if not self._landmarks.of(file).n_placed]
-            known = sorted((name for name in blank if name in ranks), key=ranks.__getitem__)
-            fresh = [name for name in blank if name not in ranks]
-            known = known[: max(most // 2, most - len(fresh))]
-            return [(name, self.root / name) for name in (*known, *fresh[: most - len(known)])]
-
-    def unfitted(self) -> list[tuple[str, Path]]:
-        """Return the names and paths of the usable pictures without points and without a proposal."""
-        with self._lock:
             self._rescan()
-            proposals, landmarks = self._proposals, self._landmarks
-            found = [file for file in self._listing.pictures if proposals.of(file) is None]
-            usable = [file for file in found if not landmarks.of(file).n_placed and not self._listing.fault_of(file)]
-            return [(file.name, self.root / file.name) for file in usable]
+            landmarks, proposals = self._landmarks, self._proposals
+            found = [file for file in self._listing.pictures if not proposals.is_by(model, file)]
+            blank = [file for file in found if not landmarks.of(file).n_placed]
+            names = [file.name for file in blank if self._listing.fault_of(file) is None]
+            ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
+            known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
+            turns = zip_longest(known, (name for name in names if name not in ranks))
+            return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
     def tag_of(self, name: str) -> str:
         """Return the identifier of a picture's contents."""
@@ -346,38 +329,53 @@ class Project:
 
         The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
         ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
-        without points was left at the mean shape; and ``who``, the name of the person, for the log. Landmarks
-        equal to those in the file are accepted with any revision, since an earlier answer may have been lost.
+        without points was left at the mean shape; ``bar``, the scale bar (:mod:`liaam.studio.scale_bar`), which stays
+        as it is without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
+        accepted with any revision, since an earlier answer may have been lost.
         """
         if not isinstance(data, dict):
             raise Refusal(422, "send an object with points, invisible and revision")
         who = parse_who(data.get("who"))
         with self._lock:
             self._changes.finish()
-            file, template = self._find(name), self._templates.needed
+            file, template = self._find(name), self.templates.needed
             if "template" in data:
-                self._templates.check(data["template"], f"the landmarks of {name}")
+                self.templates.check(data["template"], f"the landmarks of {name}")
             points = parse_points(data.get("points"), len(template))
             invisible = parse_indices(data.get("invisible", []), len(template), "invisible")
             invisible = sorted(index for index in invisible if points[index] is not None)
             current = self._states.marks_json(file)
-            same = [None if p is None else list(p) for p in points] == current["points"]
-            saved = current["source"] == "file" or not any(points)
-            if not (same and saved and invisible == current["invisible"]):
+            has_file = current["source"] == "file"
+            before = current["points"] if has_file else [None] * len(template)
+            moved = [None if p is None else list(p) for p in points] != before or invisible != current["invisible"]
+            bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
+            if moved or bar != current["bar"]:
                 if data.get("revision") != current["revision"]:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
-                self._templates.keep()  # the first save fixes a template that was taken from a file
-                self._landmarks.save(file, template, points, invisible)
-                did = "placed" if any(points) else "cleared"
-                with suppress(LiaamError):  # the landmarks are saved
-                    self._log.add_change(who, name, did, self._landmarks.of(file).revision)
+                if bar != current["bar"]:
+                    self._landmarks.set_bar(file, bar)
+                self._save(file, template, points, invisible, who if moved else None)
             if "unchecked" in data and not any(points):
-                self._unchecked.mark(file, bool(data["unchecked"]))
+                self._proposals.mark_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
+    def _save(
+        self, file: File, template: Template, points: Sequence[Any], invisible: Sequence[int], who: str | None
+    ) -> None:
+        """Write landmarks; ``who`` is for the log, None if only the scale bar has changed."""
+        if who is None and not self._landmarks.of(file).n_placed:
+            return
+        if who is not None:
+            self.templates.keep()  # the first save fixes a template that was taken from a file
+        self._landmarks.save(file, template, points, invisible)
+        if who is not None:
+            with suppress(LiaamError):  # the landmarks are saved
+                did = "placed" if any(points) else "cleared"
+                self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
+
     def review(self, data: Any) -> dict[str, Any]:
-        """Apply an action to several pictures (:meth:`liaam.studio.review_actions.ReviewActions.apply`).
+        """Apply an action to several pictures (:meth:`liaam.studio.review.ReviewActions.apply`).
 
         The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
         and perhaps ``who``.
@@ -396,57 +394,6 @@ class Project:
         """Return the newest entries of a picture in the log."""
         with self._lock:
             return self._log.history(self._find(name).name)
-
-    @property
-    def template(self) -> Template | None:
-        """The saved template, or else that of the first picture with landmarks."""
-        with self._lock:
-            return self._templates.current
-
-    @property
-    def order(self) -> str:
-        """Value that changes when points are added, removed or reordered."""
-        with self._lock:
-            return self._templates.order
-
-    @property
-    def has_own_points(self) -> bool:
-        """Whether the template is a person's, not that of the face model."""
-        with self._lock:
-            return self._templates.is_own
-
-    @property
-    def is_offered(self) -> bool:
-        """Whether the template is offered by a model and was not accepted yet."""
-        with self._lock:
-            template = self._templates.current
-            return template is not None and template is self._templates.offered
-
-    @property
-    def declined(self) -> bool:
-        """Whether a person does not want the points of the face model here."""
-        return self.store.get("declined") is not None
-
-    def offer(self, template: Template | None, source: str = "") -> None:
-        """Offer a template for a folder without one; ``source`` is the name of a model that comes with liaam.
-
-        None drops the template that was offered, and the proposals for its points.
-        """
-        with self._lock:
-            if template is None:
-                self._proposals.forget()
-            self._templates.offered, self._templates.offered_by = template, source
-
-    def decline_offer(self) -> None:
-        """Drop the offered template and its proposals for good."""
-        with self._lock:
-            self.store.put("declined", {"": True})
-            self.offer(None)
-
-    def template_json(self) -> dict[str, Any] | None:
-        """Return the template as JSON for the page, with its ``revision``."""
-        with self._lock:
-            return self._templates.as_json()
 
     def save_template(self, data: Any) -> tuple[Template, bool]:
         """Save a template; return it, and whether points were added, removed or reordered, so that models are invalid.
@@ -475,8 +422,13 @@ class Project:
         Each has the ``tag`` of the picture that was fitted; the default is the current tag.
         """
         with self._lock:
-            if order in (None, self._templates.order):
+            if order in (None, self.templates.order):
                 self._proposals.add(proposals)
+
+
+def _unread(file: File) -> dict[str, Any]:
+    """Return a picture whose files have not been read yet as JSON for the page."""
+    return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
 
 
 def _clash(name: str, revision: str | None) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Awaitable, Callable
-from functools import partial
 from typing import Any
 from urllib.parse import quote
 
@@ -17,7 +16,7 @@ from starlette.routing import Route
 from liaam.studio.safety import Refusal
 
 Reader = Callable[[Request], Awaitable[Any]]
-"""Reads the body of a request."""
+"""Reads the body of a request, whose size :class:`liaam.studio.safety.Guard` has limited."""
 
 
 def route(
@@ -43,39 +42,17 @@ def route(
     return Route(path, endpoint, methods=[method])
 
 
-def bytes_up_to(limit: int) -> Reader:
-    """Return a reader of bodies of at most so many bytes."""
-    return partial(read_body, limit=limit)
+async def maybe_json(request: Request) -> Any:
+    """Read the body of a request as JSON; None if there is none."""
+    return await read_json(request) if request.headers.get("content-type") else None
 
 
-def json_up_to(limit: int, may_lack: bool = False) -> Reader:
-    """Return a reader of JSON of at most so many bytes; with ``may_lack``, None if there is no body."""
-
-    async def read(request: Request) -> Any:
-        if may_lack and not request.headers.get("content-type"):
-            return None
-        return await read_json(request, limit)
-
-    return read
-
-
-async def read_body(request: Request, limit: int) -> bytes:
-    """Read the body of a request; refuse more than ``limit`` bytes."""
-    parts, size = [], 0
-    async for part in request.stream():
-        size += len(part)
-        if size > limit:
-            raise Refusal(413, f"the file is larger than {limit:,} bytes: make it smaller")
-        parts.append(part)
-    return b"".join(parts)
-
-
-async def read_json(request: Request, limit: int) -> Any:
+async def read_json(request: Request) -> Any:
     """Read the body of a request as JSON."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json":
         raise Refusal(415, f"the request is of type '{kind[:50]}': send application/json")
-    body = await read_body(request, limit)
+    body = await request.body()
     try:
         content = json.loads(body, parse_constant=_no_number)
         if b"\\u" in body:  # raises for half of a surrogate pair, which cannot be encoded

@@ -25,6 +25,7 @@ from liaam.studio.settings import LOOPBACK, Settings
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+FITS = "/api/fits"
 UPLOADS, GUEST, FILES, RECORDINGS = "/api/uploads", "/api/model/guest", "/api/files", "/api/recordings"
 """Paths that accept larger bodies."""
 

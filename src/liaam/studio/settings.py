@@ -55,10 +55,6 @@ class Settings:
     """Interval of the comments that keep an idle event stream open."""
     face: bool = True
     """Whether the face model that comes with liaam proposes points in a folder that has none of its own."""
-    proposals_at_once: int = 8
-    """Number of pictures that the quick model fits before the careful one is trained."""
-    proposals_per_training: int = 100
-    """Maximum number of pictures that a model fits after each training."""
     static: Path = STATIC
     """Folder of the page."""
 

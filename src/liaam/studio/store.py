@@ -47,7 +47,6 @@ class Store:
         self._id = ""
         self._connection: sqlite3.Connection | None = None
         self._opened: os.stat_result | None = None
-        self._depth = 0
 
     @property
     def id(self) -> str:
@@ -85,6 +84,10 @@ class Store:
             rows = [(kind, name, *_row(value)) for name, value in values.items() if value is not None]
             connection.executemany("INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?)", rows)
 
+    def table(self, kind: str) -> Table:
+        """Return the values of a kind as a table."""
+        return Table(self, kind)
+
     def clear(self, kind: str) -> None:
         """Remove all values of a kind."""
         with self.transaction() as connection:
@@ -107,23 +110,15 @@ class Store:
         with self._lock:
             try:
                 connection = self._open()
-                if not self._depth:
-                    connection.execute("BEGIN IMMEDIATE")
-                self._depth += 1
-                try:
+                if connection.in_transaction:
                     yield connection
-                finally:
-                    self._depth -= 1
-                if not self._depth:
-                    connection.commit()
-                    self.writes += 1
-            except BaseException as fault:
-                if not self._depth and self._connection is not None:
-                    with suppress(sqlite3.Error):
-                        self._connection.rollback()
-                if isinstance(fault, sqlite3.Error):
-                    raise _refused(fault) from fault
-                raise
+                    return
+                with connection:  # commits, or rolls back
+                    connection.execute("BEGIN IMMEDIATE")
+                    yield connection
+                self.writes += 1
+            except sqlite3.Error as fault:
+                raise _refused(fault) from fault
 
     def _read(self, query: str, arguments: list[str]) -> list[tuple[Any, Any]]:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
@@ -147,7 +142,7 @@ class Store:
         path = self.path(DATABASE)
         if self._connection is not None and self._opened is not None:
             with suppress(OSError):
-                if self._depth or os.path.samestat(path.stat(), self._opened):
+                if self._connection.in_transaction or os.path.samestat(path.stat(), self._opened):
                     return self._connection
             self.close()
         try:
@@ -228,6 +223,27 @@ class Store:
         return folder
 
 
+class Table(dict[str, Any]):
+    """The values of a kind by name, in memory as well."""
+
+    def __init__(self, store: Store, kind: str) -> None:
+        super().__init__(store.all(kind))
+        self._store = store
+        self._kind = kind
+
+    def save(self, values: Mapping[str, Any]) -> None:
+        """Set values; None removes one."""
+        self._store.put(self._kind, values)
+        self.update(values)
+        for name in [name for name, value in values.items() if value is None]:
+            del self[name]
+
+    def forget(self) -> None:
+        """Remove all values."""
+        self._store.clear(self._kind)
+        self.clear()
+
+
 def _connected(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(path, timeout=5.0, isolation_level=None, check_same_thread=False)
     try:
@@ -236,8 +252,10 @@ def _connected(path: Path) -> sqlite3.Connection:
             raise sqlite3.DatabaseError(state)
         connection.executescript(_SCHEMA)
         connection.execute("SELECT item.hash, line.hash FROM item, line LIMIT 1")
-    except BaseException:
+    except BaseException as fault:
         connection.close()
+        if isinstance(fault, UnicodeDecodeError):  # of a message that repeats damaged text
+            raise sqlite3.DatabaseError("its text is not UTF-8") from fault
         raise
     return connection
 

@@ -167,11 +167,14 @@ def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
 
 
 def landmarks_of(
-    template: Template, points: Sequence[Sequence[float] | None], invisible: Sequence[int] = ()
+    template: Template,
+    points: Sequence[Sequence[float] | None],
+    invisible: Sequence[int] = (),
+    scale: float | None = None,
 ) -> Landmarks:
     """Return a picture's points as landmarks with the template's names and contours."""
     placed = [(np.nan, np.nan) if point is None else point for point in points]
     try:
-        return Landmarks(np.array(placed), template.contours, template.names, None, tuple(invisible))
+        return Landmarks(np.array(placed), template.contours, template.names, None, tuple(invisible), scale)
     except LandmarkError as fault:
         raise Refusal(422, str(fault)) from fault

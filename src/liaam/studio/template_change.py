@@ -47,7 +47,7 @@ class TemplateChanges:
         self.listing.scan()
         templates = self.templates
         # The user's points may replace those that a model offers, unless these were accepted.
-        is_offer = templates.current is not None and templates.current is templates.offered
+        is_offer = templates.is_offered
         old = None if is_offer and data.get("revision") is None else templates.current
         marks = [(file, marks) for file in self.listing.pictures if (marks := self.landmarks.of(file)).file]
         identity = None if old is None else list(range(len(old)))
@@ -104,9 +104,9 @@ class TemplateChanges:
             stays = not moved and (known.file != name or target.suffix.lower() == ".pts")
             if stays or old is None or known.landmarks is None or len(known.landmarks) != len(old):
                 continue
-            points = known.points
+            points, scale = known.points, self.landmarks.scale_of(file)
             hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
-            landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden)
+            landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden, scale)
             before = known.revision if known.file == name else None
             text = text_of(landmarks, target.suffix)
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})

@@ -1,11 +1,10 @@
-"""Training in the background: a separate process trains models and proposes landmarks.
+"""Training in the background, in a separate process.
 
-A quick model comes first. It fits a few pictures, so that the user can continue within seconds. It is not trained on a
-few held-out pictures, on which its error is measured. Then the careful model, which is trained on all pictures and
-whose confidence is calibrated by leaving pictures out, fits all. The quick model has its own file and is used only if
-there is no careful one, so a stopped training keeps the earlier model. The process
-(:mod:`liaam.studio.training_process`) reports over a pipe. It can be killed at any time, since all its writes are
-atomic.
+A quick model comes first, so that the user can continue within seconds. It is not trained on a few held-out pictures,
+on which its error is measured. Then comes the careful model, which is trained on all pictures and whose confidence is
+calibrated by leaving pictures out. The quick model has its own file and is used only if there is no careful one, so a
+stopped training keeps the earlier model. The process (:mod:`liaam.studio.training_process`) reports over a pipe. It can
+be killed at any time, since all its writes are atomic. :mod:`liaam.studio.background` fits pictures with the models.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -31,8 +31,6 @@ class Training:
 
     state: str = "idle"
     """``idle``, ``running``, ``failed`` or ``done``."""
-    phase: str | None = None
-    """``training`` or ``proposals``."""
     done: int = 0
     total: int = 0
     what: str = ""
@@ -48,13 +46,11 @@ class Trainer:
         self.versions = Versions(project.store)
         self._publish = publish
         self._lock = threading.RLock()
-        self._waiting = threading.Lock()
-        """Held while joining the process: if two threads join, an ended process seems alive to the second."""
         self.state = Training()
         """The current state."""
         self._process: Any = None
         self._listener: threading.Thread | None = None
-        self._run = 0
+        self._stopped = False
         self._order = ""
 
     def start(self) -> Training:
@@ -63,11 +59,10 @@ class Trainer:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
             job = self._job()
-            self._run += 1
-            self._order = job.order
+            self._order, self._stopped = job.order, False
             self._process, pipe = launch(job)
-            self._set(Training("running", "training", 0, 0, "starting"))
-            arguments = (self._run, job, pipe, self._process)
+            self._set(Training("running", what="starting"))
+            arguments = (job, pipe, self._process)
             self._listener = threading.Thread(target=self._listen, args=arguments, name="studio-training", daemon=True)
             self._listener.start()
             return self.state
@@ -75,21 +70,13 @@ class Trainer:
     def stop(self) -> Training:
         """Stop a running training; its results so far are kept."""
         with self._lock:
-            if self.state.state == "running":
-                self._run += 1  # messages still in the pipe are ignored
-                self._set(Training("idle"))
-            process, self._process = self._process, None
-        if process is not None:
-            process.terminate()
-            with self._waiting:
-                process.join(2.0)
-                if process.is_alive():
-                    process.kill()
-                    process.join()
-        return self.state
+            self._stopped = True  # messages still in the pipe are ignored
+            if self.state.state == "running" and self._process is not None:
+                self._process.kill()
+        return self.wait()
 
     def stop_unless(self, order: str) -> None:
-        """Stop a running training if it is for another :attr:`Project.order`."""
+        """Stop a running training if it is for another :attr:`TemplateStore.order`."""
         with self._lock:
             stale = self.state.state == "running" and self._order != order
         if stale:
@@ -102,8 +89,8 @@ class Trainer:
         return self.state
 
     def _job(self) -> Job:
-        order = self.project.order  # read before the points, so that results for changed points are dropped
-        done, template = self.project.annotated(), self.project.template
+        order = self.project.templates.order  # read before the points, so that results for changed points are dropped
+        done, template = self.project.annotated(), self.project.templates.current
         if len(done) < LEAST or template is None:
             raise Refusal(
                 422, f"only {len(done)} pictures have all their points: complete at least {LEAST}, better 5, to train"
@@ -112,45 +99,34 @@ class Trainer:
             raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
         return Job(
             done,
-            self.project.to_propose(self.project.settings.proposals_per_training),
             template.contours,
             template.names,
             self.project.store.path(MODEL_FILE),
             self.project.store.path(QUICK_FILE),
             order,
             self.project.root.name,
-            self.project.settings.proposals_at_once,
             choose_held_out([item.name for item in done], self.versions.held_out(order)),
         )
 
-    def _listen(self, run: int, job: Job, pipe: Any, process: Any) -> None:
+    def _listen(self, job: Job, pipe: Any, process: Any) -> None:
         """Handle the messages of a process until it ends."""
-        end: Training | None = None
+        end = Training("failed", error="the training ended unexpectedly, perhaps for lack of memory: start it again")
         try:
-            with pipe:
-                while end is None:
-                    try:
-                        message = pipe.recv()
-                    except (EOFError, OSError):
-                        break
+            with pipe, suppress(EOFError, OSError):
+                while end.state == "failed" and not self._stopped:
+                    message = pipe.recv()
                     with self._lock:
-                        if run != self._run:
-                            return
-                        end = self._handle(job, message)
+                        end = end if self._stopped else self._handle(job, message) or end
         except LiaamError as fault:  # such as a missing folder or a full disk
             end = Training("failed", error=self.project.plain(fault))
         except Exception as fault:  # a bug: without an end, the training would run for ever
             logging.getLogger(__name__).exception("the training failed")
-            process.terminate()
             text = f"the training failed ({type(fault).__name__}): see the studio's terminal for details"
             end = Training("failed", error=text)
-        with self._waiting:
-            process.join()
+        process.kill()
+        process.join()
         with self._lock:
-            if run == self._run:
-                self._process = None
-                died = "the training ended unexpectedly, perhaps for lack of memory: start it again"
-                self._set(end or Training("failed", error=died))
+            self._set(Training() if self._stopped else end)
         self._publish("project", {})
 
     def _handle(self, job: Job, message: tuple[str, Any]) -> Training | None:
@@ -160,9 +136,6 @@ class Trainer:
             self._set(Training("running", **data))
         elif kind == "model":
             self._use(job, **data)
-        elif kind == "proposals":
-            self.project.add_proposals(data, job.order)
-            self._publish("project", {})
         elif kind == "failed":
             return Training("failed", error=self.project.plain(data))
         elif kind == "done":
@@ -172,11 +145,11 @@ class Trainer:
     def _use(self, job: Job, left_out: Mapping[str, str], careful: bool, errors: Mapping[str, float]) -> None:
         """Publish a model; a quick one only if there is no careful one."""
         current = self.models.own
-        if job.order != self.project.order or not (careful or current is None or not current.is_careful):
+        if job.order != self.project.templates.order or not (careful or current is None or not current.is_careful):
             return
         facts = {
             "source": "studio",
-            "trained": datetime.now(UTC).isoformat(timespec="seconds"),
+            "trained": datetime.now(UTC).isoformat(timespec="milliseconds"),
             "pictures": {item.name: item.revision for item in job.done if careful or item.name not in job.held_out},
             "left_out": {name: self.project.plain(reason) for name, reason in left_out.items()},
             "careful": careful,

@@ -1,30 +1,24 @@
-"""The training process: it trains on the done pictures and proposes landmarks for the rest."""
+"""The training process: it trains a quick model on the done pictures, then the careful one."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError, TrainingError
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.model import AAM
 from liaam.model.shape import diagonal_of
-from liaam.progress import Progress
-from liaam.studio.pictures import file_tag
 from liaam.studio.project import Annotated
 from liaam.workers import fresh_interpreters, obey_parent
-
-if TYPE_CHECKING:
-    from liaam.fitting import FitResult, Fitter
-    from liaam.model import AAM
 
 LEAST = 3
 """Minimum number of pictures for training."""
@@ -39,8 +33,6 @@ class Job:
 
     done: list[Annotated]
     """Pictures for training."""
-    waiting: list[tuple[str, Path]]
-    """Name and path of the pictures for which landmarks are proposed."""
     contours: tuple[Contour, ...]
     names: tuple[str, ...]
     """Names of the landmarks."""
@@ -49,11 +41,9 @@ class Job:
     quick: Path
     """Output file of the quick model."""
     order: str
-    """:attr:`Project.order` of the points."""
+    """:attr:`TemplateStore.order` of the points."""
     name: str
     """Name of the model."""
-    at_once: int
-    """Number of pictures that the quick model fits."""
     held_out: tuple[str, ...] = ()
     """Pictures that the quick model is not trained on but measured on."""
 
@@ -124,23 +114,14 @@ class _Worker:
     errors: dict[str, float] = field(default_factory=dict)
 
     def run(self) -> str:
-        """Train and apply the quick model, then the careful one; return a summary."""
-        waiting, soon = self.job.waiting, self.job.waiting[: self.job.at_once]
-        model = self._train(leave_out=False)
-        if soon:
-            self._propose(model, soon)
-        self.errors = self._measure(model)
+        """Train the quick model, then the careful one; return a summary."""
+        self.errors = self._measure(self._train(leave_out=False))
         model = self._train(leave_out=True)
-        if waiting:
-            self._propose(model, waiting)
         without = f", without {', '.join(self.left_out)}" if self.left_out else ""
         return f"trained on {model.n_all_images} pictures{without}{self.warned}"
 
-    def _progress(self, phase: str) -> Progress:
-        def progress(done: int, total: int, what: str) -> None:
-            self.send(("progress", {"phase": phase, "done": done, "total": total, "what": what}))
-
-        return progress
+    def _progress(self, done: int, total: int, what: str) -> None:
+        self.send(("progress", {"done": done, "total": total, "what": what}))
 
     def _train(self, leave_out: bool) -> AAM:
         """Train a model. Leave out pictures that turn out to be unusable and start again."""
@@ -157,7 +138,7 @@ class _Worker:
                         leave_out=leave_out,
                         lamps="auto" if leave_out else None,  # slower, and a person waits for the quick model
                         name=self.job.name,
-                        progress=self._progress("training"),
+                        progress=self._progress,
                         **OPTIONS,
                     )
                 self.warned = "".join(f"; {warning.message}" for warning in caught)
@@ -186,62 +167,3 @@ class _Worker:
                     distances = np.linalg.norm(fitter.fit(item.path).landmarks - item.points, axis=1)
                     errors[item.name] = round(float(distances.mean() / diagonal_of(item.points)), 5)
         return {name: error for name, error in errors.items() if np.isfinite(error)}
-
-    def _propose(self, model: AAM, pictures: list[tuple[str, Path]]) -> None:
-        """Find the object in pictures and report the proposals, at most once per second."""
-        from liaam.fitting import Fitter
-
-        fitter, progress = Fitter(model), self._progress("proposals")
-        batch: dict[str, Any] = {}
-        last_sent = time.monotonic()
-        for i, (name, path) in enumerate(pictures):
-            progress(i, len(pictures), name)
-            batch[name] = propose(fitter, path)
-            if time.monotonic() - last_sent > 1.0:
-                self.send(("proposals", batch))
-                batch, last_sent = {}, time.monotonic()
-        self.send(("proposals", batch))
-        progress(len(pictures), len(pictures), "")
-
-
-def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
-    """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
-    try:
-        tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
-        return {**proposal_of(fitter.fit(path)), "tag": tag}
-    except LiaamError as fault:
-        message = str(fault).replace(f"{path.parent}{os.sep}", "")
-    except MemoryError:
-        message = f"{path.name} does not fit into memory: make it smaller"
-    return {**_NOTHING, "status": "not fitted", "message": message}
-
-
-_NOTHING: dict[str, Any] = {
-    "points": None,
-    "covariances": None,
-    "quality": None,
-    "ok": False,
-    "found": False,
-    "doubtful": True,
-    "uncertainty": None,
-}
-
-
-def proposal_of(result: FitResult) -> dict[str, Any]:
-    """Return a fit as a proposal. A failed fit keeps its points: correcting them is less work than placing them."""
-    facts = {"status": str(result.status), "message": result.message}
-    if not np.isfinite(result.landmarks).all():
-        return {**_NOTHING, **facts}
-    covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
-    has_covariances = bool(np.isfinite(covariances).all()) and size > 0
-    found = not result.detection_doubtful
-    return {
-        **facts,
-        "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
-        "covariances": np.round(covariances, 4).tolist() if has_covariances else None,
-        "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
-        "ok": result.status.ok,
-        "found": found,
-        "doubtful": not found or not result.status.ok,
-        "uncertainty": round(float(result.deviations.mean()) / size, 5) if has_covariances else None,
-    }

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import secrets
-import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from liaam.errors import ImageError
 from liaam.io import decode_image, encoded_size, is_image, is_raw
 from liaam.photometry.encoding import as_colour
-from liaam.studio.pictures import Pictures, Source
+from liaam.studio.pictures import Kept, Pictures, Source
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 
@@ -34,13 +32,13 @@ class Upload:
 
 
 class Uploads:
-    """The newest dropped pictures, up to limits of number, bytes and pixels; thread-safe."""
+    """The last used dropped pictures, up to limits of number, bytes and pixels; thread-safe."""
 
     def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
         self._pictures = pictures
         self._settings = settings or Settings()
-        self._lock = threading.Lock()
-        self._uploads: OrderedDict[str, Upload] = OrderedDict()
+        most, self._least = self._settings.uploads_bytes, self._settings.uploads_bytes // self._settings.uploads_kept
+        self._uploads: Kept[str, Upload] = Kept(most, lambda upload: min(max(len(upload.data), self._least), most))
         self.listeners: list[Callable[[Source], object]] = []
         """Called with each new picture in the thread that adds it."""
 
@@ -59,25 +57,16 @@ class Uploads:
         upload = Upload(secrets.token_urlsafe(9), name, data, width, height)
         source = self._source(upload)
         self._pictures.keep(source, image)
-        with self._lock:
-            self._uploads[upload.id] = upload
-            while self._too_many():
-                self._uploads.popitem(last=False)
+        self._uploads.put(upload.id, upload)
         for listener in self.listeners:
             listener(source)
         return upload
 
-    def _too_many(self) -> bool:
-        n_bytes = sum(len(upload.data) for upload in self._uploads.values())
-        limits = self._settings
-        return len(self._uploads) > limits.uploads_kept or (len(self._uploads) > 1 and n_bytes > limits.uploads_bytes)
-
     def get(self, number: str) -> Upload:
         """Return the upload with an id."""
-        with self._lock:
-            upload = self._uploads.get(number)
+        upload = self._uploads.peek(number)
         if upload is None:
-            kept = f"only the {self._settings.uploads_kept} newest are kept"
+            kept = f"only the {self._settings.uploads_kept} last used are kept"
             raise Refusal(404, f"this picture is no longer in memory, where {kept}: drop it again")
         return upload
 
@@ -97,28 +86,27 @@ class Uploads:
 
     def _checked(self, data: bytes, name: str) -> tuple[int, int]:
         """Check an upload before it is decoded; return the width and height from its header."""
-        limits = self._settings
-        if len(data) > limits.upload_bytes:
-            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {limits.upload_bytes:,}: make it smaller")
-        if not data:
-            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
-        if is_raw(name):
+        most = self._settings.upload_bytes
+        if len(data) > most:
+            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {most:,}: make it smaller")
+        if data and is_raw(name):
             raise Refusal(415, f"{name} is a RAW file, which can only be read from the folder: put it there")
-        if not is_image(data):
-            raise Refusal(
-                415,
-                f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: open it in an image program and save it as "
-                "PNG",
-            )
-        try:
-            width, height = encoded_size(data, name)
-        except ImageError as fault:
-            raise Refusal(422, str(fault)) from fault
-        if width * height > limits.pixels:
-            raise Refusal(
-                413, f"{name} has {width} x {height} pixels, more than {limits.pixels:,}: make the picture smaller"
-            )
-        return width, height
+        return size_in_header(data, name, self._settings.pixels)
+
+
+def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:
+    """Return the width and height of an image file from its header; refuse other files and too large images."""
+    if not data:
+        raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+    if not is_image(data):
+        raise Refusal(415, f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: save it as PNG in another program")
+    try:
+        width, height = encoded_size(data, name)
+    except ImageError as fault:
+        raise Refusal(422, str(fault)) from fault
+    if width * height > most_pixels:
+        raise Refusal(413, f"{name} has {width} x {height} pixels, more than {most_pixels:,}: make the picture smaller")
+    return width, height
 
 
 def plain_name(name: str) -> str:

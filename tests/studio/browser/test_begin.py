@@ -144,10 +144,13 @@ def test_lamps_are_moved_by_the_mouse_and_change_the_right_half(relight):
     viewer = relight.locator("[data-testid=fit-viewer]").bounding_box()
     assert left[0] + viewer["x"] < divider["x"] + divider["width"] / 2 < right[0] + viewer["x"]
     before = [relight.evaluate(PIXEL, place) for place in (left, right)]
-    ball = relight.locator("[data-testid=light-ball]").bounding_box()
-    middle = ball["x"] + ball["width"] / 2, ball["y"] + ball["height"] / 2
-    relight.mouse.move(*middle)
+    ball, lamp = (relight.locator(f"[data-testid={name}]").bounding_box() for name in ("light-stage", "lamp"))
+    middle, grip = ((box["x"] + box["width"] / 2, box["y"] + box["height"] / 2) for box in (ball, lamp))
+    face = hook(relight, f"viewer.toClient([{x}, {y}])")
+    assert np.hypot(middle[0] - face[0], middle[1] - face[1]) < 0.2 * ball["width"]  # the lamp is over the face
+    relight.mouse.move(*grip)
     relight.mouse.down()
+    relight.mouse.move(*middle)
     assert lamps(relight)[0]["direction"] == pytest.approx([0, 0, 1], abs=0.02)
     relight.mouse.move(middle[0] - 0.45 * ball["width"], middle[1], steps=4)
     relight.mouse.up()

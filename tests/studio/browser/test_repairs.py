@@ -76,7 +76,7 @@ def test_nothing_moves_under_the_pointer_when_a_training_begins(small):
 
     tell = """running => {
       const { state } = window.liaamStudio;
-      const training = { state: running ? "running" : "idle", phase: "training", done: 1, total: 9, what: "images" };
+      const training = { state: running ? "running" : "idle", done: 1, total: 9, what: "images" };
       Object.assign(state.project, { training: { ...training, error: null } });
       state.dispatchEvent(new CustomEvent("training", { detail: state.project.training }));
     }"""

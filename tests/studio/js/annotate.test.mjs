@@ -466,11 +466,11 @@ test("a page inherits from dead pages and from itself, not from a tab that lives
   assert.equal(await new Page({ locks: null, session }).inherits(living.name), true); // without locks: nothing is lost
 });
 
-test("a proposal is in no file", () => {
-  assert.deepEqual(contentOf({ points: [[1, 2]], invisible: [0], source: "proposal" }), {
-    points: [null],
-    invisible: [],
-  });
+test("a proposal is in no file, but the scale bar of its picture is", () => {
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
+  const proposed = { points: [[1, 2]], invisible: [0], source: "proposal" };
+  assert.deepEqual(contentOf(proposed), { points: [null], invisible: [], bar: null });
+  assert.deepEqual(contentOf({ ...proposed, bar }), { points: [null], invisible: [], bar });
 });
 
 const BEFORE = { names: ["a", "b"], revision: "t1" };
@@ -505,6 +505,7 @@ test("marks say which template they are of, and go over to another by their name
   assert.deepEqual(log.sent[1].body, {
     points: [[9, 9], [2, 0], [1, 0]],
     invisible: [1],
+    bar: null,
     revision: "r5",
     template: "t2",
   });

@@ -37,6 +37,23 @@ function marking(state = {}, template = TEMPLATE) {
 
 // Marks -------------------------------------------------------------------------------------------------------------
 
+test("a scale bar is a step to undo, and accepts no points", () => {
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "cm" };
+  for (const source of ["none", "layout", "proposal", "file"]) {
+    const { made, told } = marking({ source });
+    made.change({ bar }, "scale bar");
+    assert.deepEqual([made.state.bar, made.state.source, made.history.undoes], [bar, source, "scale bar"]);
+    made.change({ bar: { ...bar } }, "scale bar"); // the same
+    assert.equal(made.history.past.length, 1);
+    made.commit([[5, 5], ...TRIANGLE.slice(1)], "move");
+    assert.deepEqual([made.state.bar, made.state.source], [bar, "file"]);
+    made.travel("undo");
+    made.travel("undo");
+    assert.equal(made.state.bar ?? null, null);
+    assert.equal(told.filter((each) => each === "change").length, 4);
+  }
+});
+
 test("what was suggested is the person's after the first step, and undo gives it back", () => {
   const { made, told } = marking({ source: "proposal" });
   assert.equal(made.suggested, true);

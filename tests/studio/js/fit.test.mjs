@@ -215,13 +215,6 @@ test("a place over the ball is a direction, never behind the object", () => {
   assert.ok(grazing[0] > 0.99 && grazing[2] > 0 && grazing[2] < 0.1);
 });
 
-test("a soft lamp is smooth where a hard one ends", () => {
-  assert.deepEqual([-0.5, 0, 0.5].map((facing) => geometry.litFrom(facing, 0)), [0, 0, 0.5]);
-  assert.equal(geometry.litFrom(0, 1), 0.25);
-  close(geometry.litFrom(0.2999999, 0.3), 0.3);
-  close(geometry.litFrom(-0.2999999, 0.3), 0);
-});
-
 test("lights are sent with colours as numbers, and presets are valid", () => {
   const lamp = { direction: [0, -0.5, 0.866025], colour: "#ff8000", strength: 1.5, softness: 0.25 };
   const { light, size } = lightQuery({ lamps: [lamp], ambient: 0.25 }, 640);

@@ -61,7 +61,6 @@ interface Model {
 
 interface Training {
   state: "idle" | "running" | "done" | "failed";
-  phase: string | null;
   done: number;
   total: number;
   what: string;
@@ -110,6 +109,8 @@ interface Marks {
   height: number;
   covariances?: number[][][] | null;
   doubtful?: boolean;
+  /** A length in the picture that is known. */
+  bar: { ends: number[][]; length: number; unit: string } | null;
 }
 
 /** What the tabs get from main.js. */

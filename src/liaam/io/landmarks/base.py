@@ -54,7 +54,7 @@ class Landmarks:
     invisible : tuple of int
         Occluded landmarks with known positions, ascending. Only ``.ljson`` and ``.json`` store them.
     scale : float, optional
-        Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` stores it.
+        Length of a pixel in the specimen's units, such as 0.01 mm. Only ``.tps`` and ``.ljson`` store it.
     others : tuple of Landmarks
         Further objects of the same image: the larger ones first where their sizes are known, else in the file's order.
     label : str

@@ -2,7 +2,8 @@
 
 Versions 1 to 3 are read; of several groups in 3, the one that is chosen. The edges of the connectivity are joined into
 contours. Labels in menpo name sets of landmarks. If each landmark has its own label, the labels become the names of the
-landmarks. A further label ``invisible`` holds the occluded landmarks.
+landmarks. A further label ``invisible`` holds the occluded landmarks. The length of a pixel, ``scale``, is an addition
+of liaam, which menpo ignores.
 """
 
 from itertools import chain
@@ -29,7 +30,8 @@ def parse(source: Source) -> Landmarks:
         tuple(check_number(value, f"point {number}") for value in pair) for number, pair in enumerate(pairs, 1)
     ]
     masks, invisible = _split(masks, len(points))
-    return Landmarks(points, chain_edges(edges), _names(masks, len(points)), None, tuple(invisible))
+    scale = None if group.get("scale") is None else float(check_number(group["scale"], "the scale"))
+    return Landmarks(points, chain_edges(edges), _names(masks, len(points)), None, tuple(invisible), scale)
 
 
 def _group(content: Any, wanted: str | None) -> Any:

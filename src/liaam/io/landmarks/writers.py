@@ -33,7 +33,8 @@ def ljson_text(landmarks: Landmarks) -> str:
         labels = [{"label": "all", "mask": list(range(len(landmarks)))}]
     if landmarks.invisible:
         labels.append({"label": "invisible", "mask": list(landmarks.invisible)})
-    return json.dumps({"labels": labels, "landmarks": body, "version": 2}, ensure_ascii=False, indent=1) + "\n"
+    scale = {} if landmarks.scale is None else {"scale": landmarks.scale}
+    return json.dumps({"labels": labels, "landmarks": body, **scale, "version": 2}, ensure_ascii=False, indent=1) + "\n"
 
 
 def csv_text(landmarks: Landmarks) -> str:

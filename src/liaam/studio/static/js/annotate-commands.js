@@ -107,8 +107,13 @@ export function createCommands(tab) {
       say(`${several(tab.doc.selection.size, "point")} selected`);
     },
 
+    ruler() {
+      if (commands.marks) tab.ruler.start();
+    },
+
     escape() {
       tab.tool.cancel();
+      if (tab.ruler.on) tab.ruler.turn(false);
       marking.select([]);
       commands.escaped = true;
     },
@@ -123,7 +128,7 @@ export function createCommands(tab) {
     travel(way) {
       tab.tool.cancel();
       if (tab.editing) {
-        tab.doc.travel(way);
+        tab.templates.doc.travel(way);
         return;
       }
       const what = marking.travel(way);

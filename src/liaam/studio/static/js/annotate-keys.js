@@ -16,7 +16,7 @@ export const SHORTCUTS = [
   { keys: "Delete", what: "Clear the point's position" },
   { keys: "V", what: "Mark the point as visible or invisible" },
   { keys: "X M", what: "Move mirrored points together; flip left and right" },
-  { keys: "B", what: "Select with a box" },
+  { keys: "B S", what: "Select with a box; draw a scale bar" },
   { keys: "L K E", what: "Show names, contours, ellipses" },
   { keys: "R", what: "Loupe where a click places a point: on, off" },
   { keys: "H", what: "Hide all points while held" },
@@ -40,7 +40,7 @@ export function createKeys(tab) {
   };
   const marks = {
     v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
-    p: () => commands.placeChosen(), delete: () => commands.removeChosen(),
+    p: () => commands.placeChosen(), s: () => commands.ruler(), delete: () => commands.removeChosen(),
     backspace: () => commands.removeChosen(),
   };
 

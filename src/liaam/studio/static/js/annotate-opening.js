@@ -22,6 +22,7 @@ export function createOpening(tab, begins) {
     const { width: wasWide, height: wasHigh } = viewer;
     tab.tool.cancel();
     tab.tool.leave();
+    if (tab.ruler.on) tab.ruler.turn(false);
     marking.shown = null;
     marking.select([]);
     if (before && before !== name) tab.leavePicture(before);
@@ -74,7 +75,9 @@ export function createOpening(tab, begins) {
   async function take(name, marks, own = turn) {
     const { saver } = tab;
     const kept = (await tab.saving.inherited(name, marks)) ?? saver.pending(name);
-    const shown = kept ? { ...kept, source: "file" } : await first.of(name, marks);
+    const isBarOnly = kept && marks.source !== "file" && !kept.points.some(Boolean); // drawn on suggested points
+    const known = isBarOnly ? { ...marks, bar: kept.bar } : marks;
+    const shown = kept && !isBarOnly ? { ...kept, source: "file" } : await first.of(name, known);
     if (own !== turn) return;
     const old = books.get(name);
     const before = old?.history.state;

@@ -22,11 +22,14 @@ export function createToolbar({ state, commands, status, act }) {
   const together = () => commands.toggleMirrored();
   const mirror = tool("Move mirrored points together", "mirror", "X", together, { pressed: false });
   const flip = tool("Flip left and right", "swap", "M", () => commands.flip());
-  const switches = { names, contours, ellipses, box, mirror };
+  const ruler = tool("Scale bar", "ruler", "S", () => commands.ruler(), {
+    pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, and enter its length",
+  });
+  const switches = { names, contours, ellipses, box, mirror, ruler };
   const element = h("div.toolbar.annotate-toolbar", { role: "group", "aria-label": "Annotate" },
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
-    rule(), undo, redo, rule(), box, mirror, flip, rule(),
+    rule(), undo, redo, rule(), box, mirror, flip, ruler, rule(),
     h("div.row.tight", { role: "group", "aria-label": "Show" }, names, contours, ellipses),
     h("span.grow"), status.button, status.element);
 
@@ -38,7 +41,7 @@ export function createToolbar({ state, commands, status, act }) {
       redo.disabled = !history?.canRedo;
       undo.title = `Undo${history?.undoes ? `: ${history.undoes}` : ""} (Ctrl+Z)`;
       redo.title = `Redo${history?.redoes ? `: ${history.redoes}` : ""} (Ctrl+Y)`;
-      flip.disabled = !marking;
+      flip.disabled = ruler.disabled = !marking;
       mirror.disabled = editing;
     },
     press: (name, on) => press(switches[name], on),

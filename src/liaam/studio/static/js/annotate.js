@@ -16,6 +16,7 @@ import { Marking } from "./marking.js";
 import { nextMissing } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
+import { ScaleBar } from "./scale-bar.js";
 import { h } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -64,6 +65,13 @@ export class AnnotateTab {
       template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
       onpreview: () => viewer.redraw(), onplaced: (index) => this.goOn(index),
     });
+    this.ruler = new ScaleBar(this.marking, {
+      onturn: () => {
+        this.toolbar.press("ruler", this.ruler.on);
+        this.refresh();
+      },
+      onpreview: () => viewer.redraw(),
+    });
     const commands = createCommands(this);
     this.commands = commands;
     const ondecide = () => this.saving.decide(this.saver.conflicted);
@@ -93,8 +101,8 @@ export class AnnotateTab {
 
   get template() { return this.state.project?.template ?? null; }
   get editing() { return this.templates.editing; }
-  /** The document that gestures edit: the template, or the marks of the picture. */
-  get doc() { return this.editing ? this.templates.doc : this.marking; }
+  /** The document that gestures edit: the template, the scale bar that is being drawn, or the marks of the picture. */
+  get doc() { return this.editing ? this.templates.doc : this.ruler.on ? this.ruler : this.marking; }
 
   focus() {
     this.viewer.canvas.focus({ preventScroll: true });
@@ -209,12 +217,12 @@ export class AnnotateTab {
   /** Show the point to place in the template, and what to do next. */
   showHint() {
     const { cover, editing, hint, marking, prompt, template } = this;
-    hint.hidden = editing || !marking.placing || !template?.points || cover.isShown;
+    hint.hidden = editing || this.ruler.on || !marking.placing || !template?.points || cover.isShown;
     if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
-    const own = () => (marking.book ? promptOf(marking) : "");
+    const own = () => (!marking.book ? "" : this.ruler.on ? this.ruler.prompt : promptOf(marking));
     const text = cover.isShown ? "" : editing ? this.templates.prompt : own();
     prompt.hidden = !text;
-    prompt.dataset.kind = marking.suggested && !editing ? "suggested" : "";
+    prompt.dataset.kind = marking.suggested && !editing && !this.ruler.on ? "suggested" : "";
     if (prompt.textContent !== text) prompt.textContent = text;
   }
 
@@ -245,7 +253,10 @@ export class AnnotateTab {
     const { viewer, tool, marking } = this;
     if (!viewer.width || marking.hidden) return;
     if (this.editing) this.templates.draw(ctx, tool);
-    else if (marking.book) drawMarking(ctx, viewer, tool, marking, this.drawn);
+    else if (marking.book) {
+      drawMarking(ctx, viewer, tool, marking, this.drawn);
+      this.ruler.draw(ctx, viewer);
+    }
     drawGesture(ctx, viewer, tool, marking.suggested);
   }
 
@@ -262,7 +273,7 @@ export class AnnotateTab {
       },
       /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
       source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
-      selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible],
+      selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible], bar: () => this.ruler.bar,
       undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
       loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },

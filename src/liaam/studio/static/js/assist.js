@@ -263,13 +263,13 @@ export function createAssist({ app, accept, skip, confirm }) {
     note(project);
   }
 
-  function showProgress({ phase, done, total, what: doing }) {
+  function showProgress({ done, total, what: doing }) {
     const value = total ? Math.round((100 * done) / total) : null;
     progress.classList.toggle("unknown", value === null);
     bar.style.width = value === null ? "" : `${value}%`;
     if (value === null) progress.removeAttribute("aria-valuenow");
     else progress.setAttribute("aria-valuenow", String(value));
-    const text = doing || (phase === "proposals" ? "Placing points on the other pictures" : "Training");
+    const text = doing || "Training";
     what.textContent = total ? `${text} (${done} of ${total})` : `${text}…`;
   }
 

@@ -19,14 +19,14 @@ export class FirstMarks {
     else this.shapes.delete(name);
   }
 
-  /** {points, invisible, source} for a picture, from the server's marks. */
-  async of(name, { points, invisible, source, width, height }) {
+  /** {points, invisible, source, bar} for a picture, from the server's marks. */
+  async of(name, { points, invisible, source, width, height, bar = null }) {
     const { names } = this.state.project.template;
     const fits = points.length === names.length; // a file may belong to another template
-    if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source };
+    if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source, bar };
     const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
-    if (layout) return { points: layout, invisible: [], source: "layout" };
-    return { points: names.map(() => null), invisible: [], source: "none" };
+    if (layout) return { points: layout, invisible: [], source: "layout", bar };
+    return { points: names.map(() => null), invisible: [], source: "none", bar };
   }
 
   /** Mean of the done pictures, or else the template's layout; null if there is neither. */

@@ -1,7 +1,8 @@
 // The first screen, of an empty folder: a photograph of a face under a lamp that follows the pointer, and ways to begin.
 
-import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
-import { perFrame, button, consume, h, icon } from "./ui.js";
+import { directionAt } from "./fit-geometry.js";
+import { LampHandle } from "./lamp.js";
+import { perFrame, button, h, icon } from "./ui.js";
 
 const AMBIENT = [0.05, 0.065, 0.09]; // linear red, green and blue of the light from everywhere
 const LAMP = [1.2, 1.07, 0.88];
@@ -59,12 +60,10 @@ class RelitFace {
 
   constructor() {
     this.canvas = h("canvas.first-face", { width: 640, height: 640, "aria-hidden": "true" });
-    this.lamp = h("div.first-lamp", {
-      role: "slider", tabindex: "0", "aria-label": "Lamp", "aria-valuemin": "0", "aria-valuemax": "90", testid: "first-lamp",
-      onkeydown: (event) => this._key(event),
-    });
-    this.element = h("div.first-picture", { testid: "first-picture" }, this.canvas, this.lamp);
-    const follow = perFrame((event) => this._follow(event));
+    const move = (direction) => this._move(direction);
+    this.lamp = new LampHandle({ class: "first-lamp", "aria-label": "Lamp", testid: "first-lamp", middle: MIDDLE, onmove: move });
+    this.element = h("div.first-picture", { testid: "first-picture" }, this.canvas, this.lamp.element);
+    const follow = perFrame((event) => this._move(this.lamp.at(event)));
     this.element.addEventListener("pointermove", follow);
     this.element.addEventListener("pointerdown", follow);
     this.ready = this._load();
@@ -106,26 +105,13 @@ class RelitFace {
     requestAnimationFrame(step);
   }
 
-  _follow({ clientX, clientY }) {
-    const { left, top, width, height } = this.canvas.getBoundingClientRect();
-    this._move([(2 * (clientX - left)) / width - 2 * MIDDLE[0], (2 * (clientY - top)) / height - 2 * MIDDLE[1]]);
-  }
-
-  _move(place) {
-    const [x, y] = directionAt(place);
+  _move(/** @type {number[]} */ [x, y]) {
     Object.assign(this, { at: [x, y], moved: true, flat: 0 });
     if (this._layers) this.draw();
   }
 
-  _key(event) {
-    const next = directionAfterKey(directionAt(this.at), event);
-    if (!next) return;
-    consume(event);
-    this._move(next);
-  }
-
   draw() {
-    const { canvas, at: [x, y], flat, lamp } = this;
+    const { canvas, flat } = this;
     const { width, height } = canvas;
     const ctx = canvas.getContext("2d");
     this._layers.draw(this.at, this._image.data);
@@ -140,11 +126,8 @@ class RelitFace {
       ctx.fillStyle = "rgb(255 255 255 / 85%)";
       ctx.fillRect(flat * width - 1, 0, 2, height);
     }
-    lamp.style.left = `${100 * (MIDDLE[0] + x / 2)}%`;
-    lamp.style.top = `${100 * (MIDDLE[1] + y / 2)}%`;
-    lamp.style.opacity = String(1 - flat);
-    lamp.setAttribute("aria-valuetext", directionInWords(directionAt(this.at)));
-    lamp.setAttribute("aria-valuenow", String(Math.round((Math.asin(Math.min(Math.hypot(x, y), 1)) * 180) / Math.PI)));
+    this.lamp.show(directionAt(this.at));
+    this.lamp.element.style.opacity = String(1 - flat);
     this.frames += 1;
   }
 }

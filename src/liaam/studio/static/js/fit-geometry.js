@@ -58,12 +58,6 @@ export function directionAt([x, y]) {
   return [x, y, Math.sqrt(Math.max(0, 1 - x * x - y * y))];
 }
 
-/** Light of a white lamp from the cosine between normal and lamp, as lit() in relighting/lamp.py. */
-export function litFrom(facing, softness) {
-  if (softness > 0 && Math.abs(facing) < softness) return (facing + softness) ** 2 / (4 * softness);
-  return Math.max(0, facing);
-}
-
 /** Direction after an arrow key; null for other keys. */
 export function directionAfterKey(direction, { key, shiftKey = false }) {
   const step = shiftKey ? 0.15 : 0.04;

@@ -22,7 +22,7 @@ const VIEWS = [
   },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
   { name: "invariant", label: "Invariant", after: "Invariant" },
-  { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over the ball." },
+  { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over it." },
 ];
 
 /** Layers that look like pictures: brightness and contrast change them, too. In the others, colours are values. */
@@ -52,6 +52,7 @@ export class FitView {
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
     this.light = new Light(ambient);
+    this.container.append(this.light.stage);
     this.relighter = new Relighter({
       done: (image, fit) => this._relit(image, fit), failed: (error, { fit }) => this._failed("relit", error, fit),
     });
@@ -119,7 +120,7 @@ export class FitView {
 
   key(event) {
     if (this.name === "invariant" && event.key.startsWith("Arrow")) return this.invariant.key(event);
-    if (!this.light.element.hidden && event.key.startsWith("Arrow")) return this.light.key(event);
+    if (!this.light.hidden && event.key.startsWith("Arrow")) return this.light.key(event);
     return this.overlays.key(event) || this.viewer.key(event);
   }
 
@@ -252,7 +253,7 @@ export class FitView {
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
     this._hint.hidden = !this.invariant.controls.hidden;
     this._explain(why ? null : this.fit?.scale?.[this.name]);
-    this.light.element.hidden = this.name !== "relit" || Boolean(why);
+    this.light.hidden = this.name !== "relit" || Boolean(why);
     const isSplit = this._split.has(this.name);
     press(this.splitter, isSplit);
     if (isSplit) this.divider.label("Picture", view.after);
@@ -293,5 +294,6 @@ export class FitView {
     const { fit, opacity, overlays } = this;
     if (fit && !viewer.tool?.hidesFit) drawFit(ctx, viewer, fit, overlays.shown, { ...this.iteration, opacity });
     viewer.tool?.draw(ctx, viewer);
+    if (fit) this.light.place(viewer, fit.shape);
   }
 }

@@ -237,8 +237,7 @@ function status() {
     const now = adding ?? fitting ?? learning;
     const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
     training.hidden = now === learning && learning.state !== "running";
-    const places = fitting || learning.phase === "proposals";
-    training.textContent = `${adding ? "Adding" : places ? "Placing points" : "Training"}${percent}`;
+    training.textContent = `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
     const guest = isGuest(state.project);
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";

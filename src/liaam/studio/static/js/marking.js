@@ -1,12 +1,13 @@
 // The marks of the open picture while they are edited: selection, display and undo history. This is a document that
 // gestures edit (see gestures.js), independent of the page.
 //
-// A *state* {points, invisible, source} is an immutable value in the undo history. Source "file" is placed by the user,
+// A *state* {points, invisible, source, bar} is an immutable value in the undo history. Source "file" is placed by the user,
 // "proposal" by the model, and "layout" is the mean of the done pictures. The last two are saved only when accepted or
-// moved. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
+// moved. `bar` is the scale bar, or null. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
 
 import {
-  expected, flip, flipIndices, missing, nextMissing, place, placed, remove, samePoint, samePoints, toggle, withTwins,
+  expected, flip, flipIndices, missing, nextMissing, place, placed, remove, sameBar, samePoint, samePoints, toggle,
+  withTwins,
 } from "./points.js";
 
 export class Marking {
@@ -80,15 +81,18 @@ export class Marking {
     this.change({ points }, what, key);
   }
 
-  /** Change the marks in one undo step. This accepts a proposal, but the mean shape only if a point moves. */
+  /** Change the marks in one undo step. This accepts a proposal, unless it changes the scale bar, but the mean shape only
+   *  if a point moves. */
   change(change, what, key = null, accepts = false) {
     const before = this.state;
-    const { points, invisible } = { ...before, ...change };
+    const { points, invisible, bar = null } = { ...before, ...change };
     this.shown = null;
     const still = points.every((point, i) => !point || samePoint(point, before.points[i]));
-    const source = before.source === "layout" && still && !accepts ? "layout" : "file";
-    const state = { points, invisible: invisible.filter((i) => points[i]), source };
-    const same = samePoints(points, before.points) && state.invisible.join() === before.invisible.join();
+    const stays = "bar" in change || (before.source === "layout" && still && !accepts);
+    const source = stays ? before.source : "file";
+    const state = { points, invisible: invisible.filter((i) => points[i]), source, bar };
+    const same = samePoints(points, before.points) && state.invisible.join() === before.invisible.join() &&
+      sameBar(before.bar, bar);
     if (before.source === source && same) return;
     this.history.push(state, what, key);
     this.changed();

@@ -217,12 +217,16 @@ export function toggle(indices, changed) {
 export const samePoint = (p, q) => p === q || (isPlaced(p) && isPlaced(q) && p[0] === q[0] && p[1] === q[1]);
 export const samePoints = (p, q) => p.length === q.length && p.every((point, i) => samePoint(point, q[i]));
 
+/** Whether two scale bars, or none, are the same. */
+export const sameBar = (one, other) => JSON.stringify(one ?? null) === JSON.stringify(other ?? null);
+
 /** Whether two contents of a landmark file are equal up to rounding in the file. */
 export function sameMarks(one, other, tolerance = 0.006) {
   const near = (p, q) => {
     if (!isPlaced(p) || !isPlaced(q)) return isPlaced(p) === isPlaced(q);
     return Math.abs(p[0] - q[0]) <= tolerance && Math.abs(p[1] - q[1]) <= tolerance;
   };
-  const same = one.points.length === other.points.length && one.invisible.join() === other.invisible.join();
+  const same = one.points.length === other.points.length && one.invisible.join() === other.invisible.join() &&
+    sameBar(one.bar, other.bar);
   return same && one.points.every((p, i) => near(p, other.points[i]));
 }

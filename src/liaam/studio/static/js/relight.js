@@ -1,15 +1,21 @@
-// Lamps that are moved over a ball beside the picture, and the relit picture.
+// Lamps that are moved over the object in the picture, and the relit picture.
 
 import { api } from "./api.js";
-import { directionAfterKey, directionAt, directionInWords, litFrom } from "./fit-geometry.js";
+import { directionAt, directionInWords } from "./fit-geometry.js";
 import { FrameMeter, LatestWins } from "./fit-schedule.js";
-import { button, consume, h, menu, slider } from "./ui.js";
+import { LampHandle } from "./lamp.js";
+import { bounds, middleOf } from "./points.js";
+import { button, h, menu, slider } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
 /** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
 
 const SIZE_WHILE_MOVING = 800;
 const SIZE_AT_REST = 1600;
+
+const BALL = 1.4; // diameter of the ball that lamps are on, relative to the object's box
+const LEAST = 120; // css pixels of its diameter
+const EDGE = 20; // css pixels between a lamp and the border of the view, if there is room
 
 /** Most lamps that the server takes. */
 const MOST = 8;
@@ -20,7 +26,7 @@ const SLIDERS = [
   { key: "softness", label: "Softness", max: "1", what: "Softness of the lamp: a large lamp wraps around the object" },
 ];
 
-/** A lamp at [x, y] over the ball, from -1 to 1. */
+/** A lamp at [x, y] over the object, from -1 to 1. */
 function lampAt([x, y], colour = "#ffffff", strength = 1, softness = 0) {
   return { direction: directionAt([x, y]), colour, strength, softness };
 }
@@ -50,7 +56,7 @@ export function lightQuery({ lamps, ambient }, size) {
   return { light: JSON.stringify({ lamps: sent, ambient }), ...(size ? { size } : {}) };
 }
 
-/** The panel with the ball, its lamps and their values. Events: "change" and "rest". */
+/** The lamps over the picture, in `stage`, and the panel with their values. Events: "change" and "rest". */
 export class Light extends EventTarget {
   /** ambient: initial fraction of ambient light. */
   constructor(ambient) {
@@ -72,18 +78,27 @@ export class Light extends EventTarget {
 
   /** Move the selected lamp by an arrow key. */
   key(event) {
-    const next = directionAfterKey(this.lamp.direction, event);
-    if (!next) return false;
-    this.lamp.direction = next;
-    this._changed(true);
-    return true;
+    return this._handles[this.selected].key(event);
+  }
+
+  get hidden() { return this.element.hidden; }
+  set hidden(on) { this.element.hidden = this.stage.hidden = on; }
+
+  /** Lay the lamps over the object, inside the view where possible. */
+  place(viewer, shape) {
+    const box = bounds(shape);
+    if (!box || this.hidden) return;
+    const { clientWidth: w, clientHeight: high } = viewer.container;
+    const [x, y] = viewer.toScreen(middleOf(box));
+    const room = 2 * (Math.min(x, y, w - x, high - y) - EDGE);
+    const size = Math.max(LEAST, Math.min(BALL * viewer.scale * Math.max(box[2] - box[0], box[3] - box[1]), room));
+    const css = { left: x - size / 2, top: y - size / 2, width: size, height: size };
+    for (const [side, value] of Object.entries(css)) this.stage.style[side] = `${value}px`;
   }
 
   _build() {
-    this._canvas = h("canvas.light-ball", { width: 120, height: 120, "aria-hidden": "true" });
-    this._dots = h("div.light-dots", { role: "group", "aria-label": "Lamps over a ball" });
-    const how = "Drag a lamp; arrow keys move it";
-    this._sphere = h("div.light-sphere", { title: how, testid: "light-ball" }, this._canvas, this._dots);
+    this._handles = [];
+    this.stage = h("div.light-stage", { role: "group", "aria-label": "Lamps", hidden: true, testid: "light-stage" });
     this._words = h("p.small", { "aria-live": "polite", testid: "light-words" });
     this._add = button("Add", {
       icon: "plus", small: true, testid: "lamp-add", title: "Add a lamp",
@@ -110,10 +125,9 @@ export class Light extends EventTarget {
       this.ambient = value;
       this._changed();
     }));
-    this._drag();
-    const values = h("div.column.tight.grow", this._words, h("div.row.tight", this._colour, this._add, this._remove));
+    const values = h("div.column.tight", this._words, h("div.row.tight", this._colour, this._add, this._remove));
     return h("section.panel.light", { "aria-label": "Light", hidden: true, testid: "light" },
-      presets, h("div.light-top", this._sphere, values), this._sliders.map(({ element }) => element));
+      presets, values, this._sliders.map(({ element }) => element));
   }
 
   _slider({ key, label, max, what }, get, set) {
@@ -129,45 +143,26 @@ export class Light extends EventTarget {
     return { element: h("label.light-slider.small", { title: what }, h("span", label), input, text), show };
   }
 
-  /** Drag over the ball: the lamp under the pointer, or else the selected one. */
-  _drag() {
-    const sphere = this._sphere;
-    const move = (event) => {
-      const { left, top, width } = this._canvas.getBoundingClientRect();
-      const half = width / 2;
-      this._edit("direction", directionAt([(event.clientX - left - half) / half, (event.clientY - top - half) / half]));
-    };
-    sphere.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0) return;
-      const dot = event.target.closest("[role=slider]");
-      if (dot) this.selected = [...this._dots.children].indexOf(dot);
-      else move(event);
-      sphere.setPointerCapture(event.pointerId);
-      this._show();
-      this._dots.children[this.selected].focus({ preventScroll: true });
-      event.preventDefault();
-    });
-    sphere.addEventListener("pointermove", (event) => sphere.hasPointerCapture(event.pointerId) && move(event));
-    sphere.addEventListener("lostpointercapture", () => this._say("rest"));
-  }
-
-  _dot() {
+  _handle() {
     const select = () => {
-      this.selected = [...this._dots.children].indexOf(dot);
+      this.selected = this._handles.indexOf(handle);
       this._show();
     };
-    const dot = h("div.light-lamp", {
-      role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0",
-      "aria-valuemax": "90", testid: "lamp", onfocus: select,
-      onkeydown: (event) => this.key(event) && consume(event),
+    const move = (direction, rested) => {
+      this.lamp.direction = direction;
+      this._changed(rested);
+    };
+    const handle = new LampHandle({
+      class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp", onfocus: select, onmove: move,
+      onrest: () => this._say("rest"),
     });
-    return dot;
+    return handle;
   }
 
   _put(lamps, selected) {
     Object.assign(this, { lamps, selected });
     this._changed(true);
-    this._dots.children[selected].focus({ preventScroll: true });
+    this._handles[selected].element.focus({ preventScroll: true });
   }
 
   _edit(key, value) {
@@ -182,16 +177,15 @@ export class Light extends EventTarget {
   }
 
   _show() {
-    const { lamps, lamp, selected, _dots: dots } = this;
-    while (dots.children.length < lamps.length) dots.append(this._dot());
-    while (dots.children.length > lamps.length) dots.lastChild.remove();
-    lamps.forEach(({ direction: [x, y, z], colour }, i) => {
-      const dot = dots.children[i];
-      Object.assign(dot.style, { left: `${50 + 50 * x}%`, top: `${50 + 50 * y}%`, backgroundColor: colour });
-      dot.classList.toggle("selected", i === selected);
-      dot.setAttribute("aria-label", `Lamp ${i + 1}`);
-      dot.setAttribute("aria-valuetext", directionInWords([x, y, z]));
-      dot.setAttribute("aria-valuenow", String(Math.round((Math.acos(z) * 180) / Math.PI)));
+    const { lamps, lamp, selected, _handles: handles } = this;
+    while (handles.length < lamps.length) this.stage.append(handles[handles.push(this._handle()) - 1].element);
+    while (handles.length > lamps.length) handles.pop().element.remove();
+    lamps.forEach(({ direction, colour }, i) => {
+      const { element } = handles[i];
+      handles[i].show(direction);
+      element.style.backgroundColor = colour;
+      element.classList.toggle("selected", i === selected);
+      element.setAttribute("aria-label", `Lamp ${i + 1}`);
     });
     const which = lamps.length > 1 ? `Lamp ${selected + 1} of ${lamps.length}` : "Lamp";
     this._words.textContent = `${which} ${directionInWords(lamp.direction)}`;
@@ -199,36 +193,11 @@ export class Light extends EventTarget {
     this._add.disabled = lamps.length >= MOST;
     this._remove.disabled = lamps.length < 2;
     for (const { show } of this._sliders) show();
-    drawBall(this._canvas, this);
   }
 
   _say(type) {
     this.dispatchEvent(new Event(type));
   }
-}
-
-/** Draw a matt ball under the lights. */
-function drawBall(canvas, { lamps, ambient }) {
-  const size = canvas.width;
-  const ctx = canvas.getContext("2d");
-  const image = ctx.createImageData(size, size);
-  const half = size / 2;
-  const all = lamps.map((lamp) => ({ ...lamp, channels: channelsOf(lamp.colour).map((value) => value ** 2.2) }));
-  for (let py = 0; py < size; py += 1) {
-    for (let px = 0; px < size; px += 1) {
-      const [x, y] = [(px + 0.5 - half) / (half - 1), (py + 0.5 - half) / (half - 1)];
-      const r = x * x + y * y;
-      if (r > 1) continue;
-      const light = [ambient, ambient, ambient];
-      for (const { direction: [lx, ly, lz], strength, softness, channels } of all) {
-        const lit = (1 - ambient) * strength * litFrom(x * lx + y * ly + Math.sqrt(1 - r) * lz, softness);
-        for (let c = 0; c < 3; c += 1) light[c] += lit * channels[c];
-      }
-      const shades = light.map((value) => 235 * Math.min(1, value) ** (1 / 2.2));
-      image.data.set([...shades, 255 * Math.min(1, (1 - r) * 0.25 * size)], 4 * (py * size + px));
-    }
-  }
-  ctx.putImageData(image, 0, 0);
 }
 
 /** Fetches the relit picture, with at most one request at a time for the newest light. */

@@ -1,5 +1,5 @@
 // Saving after every change: one request at a time per picture, with the latest content, which is kept in the browser
-// while the server is unreachable. The content is {points, invisible}. This module is independent of the page.
+// while the server is unreachable. The content is {points, invisible, bar}. This module is independent of the page.
 
 import { sameMarks } from "./points.js";
 import { carried } from "./template.js";
@@ -17,8 +17,8 @@ const sizeOf = ({ width = null, height = null }) => ({ width, height });
 const mayBeOne = (a, b) => !a?.width || !b?.width || (a.width === b.width && a.height === b.height);
 
 /** The contents of a picture's landmark file, from the server's answer; proposals are not in a file. */
-export const contentOf = ({ points, invisible, source }) =>
-  source === "file" ? { points, invisible } : { points: points.map(() => null), invisible: [] };
+export const contentOf = ({ points, invisible, source, bar = null }) =>
+  source === "file" ? { points, invisible, bar } : { points: points.map(() => null), invisible: [], bar };
 
 /** States of an entry, worst first: the status line shows the worst of all pictures. */
 export const STATES = ["conflict", "refused", "failing", "offline", "saving", "saved"];

@@ -10,6 +10,7 @@ const BESIDE = matchMedia("(min-width: 900px)"); // otherwise the list is above 
 const SIZES = { column: 58, row: 66, wall: 172 }; // css pixels of an item along the list
 const COLUMN = 150; // least css pixels of a column of the wall
 const AHEAD = 6; // items before and after the visible ones
+const THUMBNAIL = 160; // pixels of the longest side
 const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 
 export function mountStrip(root, app) {
@@ -139,7 +140,7 @@ export function mountStrip(root, app) {
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
       ? h("span.no-picture", icon("warning", 20))
-      : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures", name, "thumbnail", { tag }) } });
+      : h("img", { alt: "", draggable: false, dataset: { src: api.url("pictures", name, "image", { tag, size: THUMBNAIL }) } });
     return h("div.strip-item", {
       role: "option", id: `strip-${encodeURIComponent(name)}`,
       title: error ?? slip ?? (why ? `${name}: left out, because ${why}` : checked ? `${name}: checked by ${checked}` : name),

@@ -182,7 +182,7 @@ export function mappingByNames(before, now) {
 
 /**
  * Convert marks of another template to the current one.
- * content: {points, invisible}; before: names of its template, or null if unknown; now: names of the current one;
+ * content: {points, invisible, bar}; before: names of its template, or null if unknown; now: names of the current one;
  * current: the picture's marks on the server, used for new points.
  * Returns {content, lost: names of placed points that the current template lacks}; content is null if the names are
  * unknown.
@@ -197,7 +197,7 @@ export function carried(content, before, now, current, mapping = null) {
   const invisible = indicesOf(points).filter((i) => points[i] && isHidden(origins[i], i));
   const kept = new Set(origins);
   const gone = indicesOf(content.points).filter((i) => content.points[i] && !kept.has(i));
-  return { content: { points, invisible }, lost: gone.map((i) => before?.[i] ?? `point ${i + 1}`) };
+  return { content: { points, invisible, bar: content.bar ?? null }, lost: gone.map((i) => before?.[i] ?? `point ${i + 1}`) };
 }
 
 /** Convert a draft of the template `before` (null: none) to a draft of `now`. */

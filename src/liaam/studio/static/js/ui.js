@@ -48,7 +48,7 @@ const ICONS = {
   compare: "M12 3v18M4 6h5v12H4zM15 6h5v12h-5z",
   strip: "M4 5h16v14H4zM10 5v14M6.5 8.5h1M6.5 12h1", side: "M4 5h16v14H4zM14 5v14M16.5 8.5h1M16.5 12h1",
   adjust: "M12 4a8 8 0 1 0 0 16zM12 4a8 8 0 0 1 0 16M12 8h6.5M12 12h8M12 16h6.5",
-  wall: "M4 4h6v6H4zM14 4h6v6h-6zM4 14h6v6H4zM14 14h6v6h-6z", spark: "M12 3l2 6 6 2-6 2-2 6-2-6-6-2 6-2z",
+  ruler: "M3 15 15 3l6 6L9 21zM7 11l2 2M10 8l3 3M13 5l2 2", wall: "M4 4h6v6H4zM14 4h6v6h-6zM4 14h6v6H4zM14 14h6v6h-6z", spark: "M12 3l2 6 6 2-6 2-2 6-2-6-6-2 6-2z",
 };
 
 /** An element of an SVG. */

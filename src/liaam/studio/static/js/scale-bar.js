@@ -1,0 +1,140 @@
+// The scale bar of the open picture: two clicks along a ruler, and the length between them. It is a document that
+// gestures edit (see gestures.js) while it is drawn; after that it is part of the marks.
+
+import { COLOURS, drawText } from "./drawing.js";
+import { rounded } from "./points.js";
+import { dialog, h, optionsOf } from "./ui.js";
+
+const UNITS = { "µm": "µm", mm: "mm", cm: "cm", m: "m", in: "inches" };
+const KEY = "liaam-studio:scale-bar"; // the last length and unit
+const TICK = 6; // css pixels on each side of the line
+const LEAST = 1; // pixels between the ends
+
+const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
+
+export class ScaleBar {
+  on = false;
+  ends = [null, null]; // while it is drawn
+  points = []; // none that could be moved
+  invisible = new Set();
+  selection = new Set();
+  active = -1;
+
+  /** onturn(): drawing starts or stops; onpreview(): an end moves.
+   *  @param {import("./marking.js").Marking} marking
+   *  @param {{onturn: () => void, onpreview: () => void}} options */
+  constructor(marking, { onturn, onpreview }) {
+    this.marking = marking;
+    this.onturn = onturn;
+    this.onpreview = onpreview;
+  }
+
+  get bar() { return this.marking.state?.bar ?? null; }
+  get history() { return this.marking.history; }
+  get editable() { return this.marking.editable; }
+  get placing() { return this.editable; }
+  get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
+
+  framed() { return []; }
+  press() { return false; }
+  follow(_before, after) { return after; }
+  select() {}
+  commit() {}
+
+  turn(on) {
+    this.on = on;
+    this.ends = [null, null];
+    this.onturn();
+  }
+
+  /** The button: draw a bar, stop drawing, or change the bar that is there. */
+  async start() {
+    if (this.on || !this.bar) {
+      this.turn(!this.on);
+      return;
+    }
+    const { bar } = this;
+    const again = [
+      { label: "Remove", value: "remove", testid: "scale-remove" }, { label: "Draw again", value: "draw" },
+    ];
+    const [answer, change] = await this.ask(bar, again);
+    if (answer === "remove") this.set(null, "remove the scale bar");
+    else if (answer === "draw") this.turn(true);
+    else if (answer) this.set({ ...bar, ...change }, "change the scale bar");
+  }
+
+  preview(ends) {
+    this.ends = ends;
+    this.onpreview();
+  }
+
+  adding(xy) {
+    const before = this.ends;
+    const at = before[0] ? 1 : 0;
+    const show = (place) => this.preview(before.map((end, i) => (i === at ? rounded(place) : end)));
+    show(xy);
+    const gesture = {
+      loupe: xy,
+      move: (place) => { show(gesture.loupe = place); },
+      up: () => { if (at) this.finish(); else this.onturn(); },
+      cancel: () => this.preview(before),
+    };
+    return gesture;
+  }
+
+  async finish() {
+    const { ends, marking: { book } } = this;
+    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) {
+      this.preview([ends[0], null]);
+      return;
+    }
+    const [answer, bar] = await this.ask(known());
+    if (this.marking.book !== book) return;
+    this.turn(false);
+    if (answer !== "save") return;
+    localStorage.setItem(KEY, JSON.stringify(bar));
+    this.set({ ends, ...bar }, "scale bar");
+  }
+
+  /** Ask for the length; resolves to the answer and {length, unit}. */
+  async ask(bar, more = []) {
+    const length = h("input.text", {
+      type: "number", min: "0", step: "any", value: String(bar.length), testid: "scale-length", "aria-label": "Length",
+    });
+    const unit = h("select.text", { "aria-label": "Unit", testid: "scale-unit" }, optionsOf(UNITS));
+    unit.value = bar.unit;
+    const note = h("p.small.muted", "Measurements of this picture are then in millimetres.");
+    const body = h("div.column", h("div.row", length, unit), note);
+    const actions = [...more, { label: "Set the scale", kind: "primary", value: "save", testid: "scale-save" }];
+    const answer = await dialog("Length of the scale bar", body, actions);
+    const value = Number(length.value);
+    return [answer === "save" && !(value > 0) ? null : answer, { length: value, unit: unit.value }];
+  }
+
+  set(bar, what) {
+    this.marking.change({ bar }, what);
+  }
+
+  draw(ctx, viewer) {
+    const ends = (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
+    if (!ends.length) return;
+    const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
+    const away = Math.hypot(x1 - x0, y1 - y0) || 1;
+    const [nx, ny] = [(TICK * (y1 - y0)) / away, (TICK * (x0 - x1)) / away];
+    ctx.beginPath();
+    for (const [x, y] of ends) {
+      ctx.moveTo(x - (nx || (ny ? 0 : TICK)), y - ny);
+      ctx.lineTo(x + (nx || (ny ? 0 : TICK)), y + ny);
+    }
+    ctx.moveTo(x0, y0);
+    ctx.lineTo(x1, y1);
+    for (const [colour, width] of [["rgb(0 0 0 / 75%)", 4.5], [COLOURS.placed, 2]]) {
+      ctx.strokeStyle = colour;
+      ctx.lineWidth = width;
+      ctx.stroke();
+    }
+    if (this.on || !this.bar) return;
+    const text = `${this.bar.length} ${this.bar.unit}`;
+    drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });
+  }
+}

@@ -1,0 +1,103 @@
+"""A scale bar drawn on the picture: two clicks along a ruler, and a length with its unit."""
+
+import pytest
+from people import annotate, client, open_picture, opened, saved, shoot, violations, wait_for, wait_until
+
+from liaam.io import read_landmarks
+
+pytestmark = pytest.mark.slow
+
+ENDS = [[60.0, 130.0], [220.0, 130.0]]
+
+
+def draw(page, length, unit, press):
+    """Draw a bar along ENDS, and enter its length."""
+    page.locator("[data-testid=scale-bar]").click()
+    assert "one end" in page.locator(".annotate-prompt").inner_text()
+    press(*client(page, ENDS[0]))
+    wait_for(page, "() => document.querySelector('.annotate-prompt').textContent.includes('other end')")
+    press(*client(page, ENDS[1]))
+    page.locator("[data-testid=scale-length]").fill(length)
+    page.locator("[data-testid=scale-unit]").select_option(unit)
+
+
+def scale_of(root, name):
+    return read_landmarks((root / name).with_suffix(".ljson")).scale
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (820, 1180), (390, 844)], ids=str)
+def test_a_scale_bar_is_drawn_undone_changed_and_exported(marked, serve, open_page, artefacts, size):
+    touch = size[0] < 1280
+    server = serve(marked)
+    page = open_page(*size, has_touch=touch)
+    page.goto(server.address)
+    opened(page, "portrait-01.png")
+    press = page.touchscreen.tap if touch else page.mouse.click
+    points = annotate(page, "points()")
+
+    draw(page, "2", "cm", press)
+    assert violations(page) == {}
+    shoot(page, artefacts, f"scale-bar-{size[0]}-dialog")
+    page.locator("[data-testid=scale-save]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.unit === 'cm'")
+    bar = annotate(page, "bar()")
+    assert abs(bar["ends"][1][0] - bar["ends"][0][0] - 160) < 2
+    saved(page)
+    assert scale_of(marked, "portrait-01.png") == pytest.approx(20 / 160, rel=0.02)
+    assert annotate(page, "points()") == points  # no point was placed or moved
+    shoot(page, artefacts, f"scale-bar-{size[0]}")
+    assert violations(page) == {}
+
+    page.locator("[data-testid=undo]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.bar() === null")
+    saved(page)
+    assert scale_of(marked, "portrait-01.png") is None
+    page.keyboard.press("Control+y")
+    saved(page)
+    page.reload()
+    opened(page, "portrait-01.png")
+    assert annotate(page, "bar()") == bar
+
+    page.locator("[data-testid=scale-bar]").click()  # another length
+    assert page.locator("[data-testid=scale-length]").input_value() == "2"
+    page.locator("[data-testid=scale-length]").fill("40")
+    page.locator("[data-testid=scale-unit]").select_option("mm")
+    page.locator("[data-testid=scale-save]").click()
+    wait_until(page, lambda: scale_of(marked, "portrait-01.png") == pytest.approx(40 / 160, rel=0.02))
+
+    with page.expect_download() as waited:
+        page.locator("[data-testid=export-all]").select_option("tps")
+    tps = waited.value.path().read_text()
+    assert tps.count("SCALE=0.2") == 1
+    page.locator("[data-testid=export-all]").select_option("measure")
+    with page.expect_download() as waited:
+        page.locator("[data-testid=measure-save]").click()
+    assert "scale" in waited.value.path().read_text().splitlines()[0]
+
+    page.locator("[data-testid=scale-bar]").click()
+    page.locator("[data-testid=scale-remove]").click()
+    wait_until(page, lambda: scale_of(marked, "portrait-01.png") is None)
+
+
+def test_escape_ends_drawing_and_the_bar_of_a_picture_is_its_own(marked, serve, page):
+    server = serve(marked)
+    page.goto(server.address)
+    opened(page, "portrait-01.png")
+    page.locator("[data-testid=scale-bar]").click()
+    page.mouse.click(*client(page, ENDS[0]))
+    page.keyboard.press("Escape")
+    assert page.locator("[data-testid=scale-bar]").get_attribute("aria-pressed") == "false"
+    assert annotate(page, "bar()") is None
+    draw(page, "5", "mm", page.mouse.click)
+    page.locator("[data-testid=scale-save]").click()
+    saved(page)
+    page.keyboard.press("s")  # the dialog of the bar that is there
+    page.locator("[data-testid=scale-length]").wait_for()
+    page.keyboard.press("Escape")
+    page.locator("[data-testid=scale-bar]").click()
+    page.get_by_role("button", name="Draw again").click()
+    open_picture(page, "portrait-02.png")
+    assert page.locator("[data-testid=scale-bar]").get_attribute("aria-pressed") == "false"
+    assert annotate(page, "bar()") is None
+    open_picture(page, "portrait-01.png")
+    assert annotate(page, "bar()")["length"] == 5

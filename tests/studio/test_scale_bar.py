@@ -1,0 +1,97 @@
+"""Scale bars: the scale that follows from them is in the landmark file, the export, and the measurements."""
+
+import numpy as np
+import pytest
+from small_projects import POINTS, TRIANGLE, proposal, refused
+
+from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
+from liaam.morphometry import measure, read_specimens
+from liaam.studio.export import export_of, measurements_of
+from liaam.studio.project import Project
+
+BAR = {"ends": [[2.0, 5.0], [22.0, 5.0]], "length": 5, "unit": "mm"}  # 0.25 mm a pixel
+CM = {"ends": [[2.0, 5.0], [2.0, 25.0]], "length": 1, "unit": "cm"}  # 0.5
+
+
+def put(project, name, points=POINTS, **more):
+    return project.save_marks(name, {"points": points, "revision": project.marks(name)["revision"], **more})
+
+
+def test_the_scale_is_saved_with_the_landmarks_exported_and_measured(small):
+    put(small, "p1.png", bar=BAR)
+    put(small, "p2.png", bar=CM)
+    assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.25)
+    assert small.marks("p1.png")["bar"] == Project(small.root).marks("p1.png")["bar"] == BAR
+    _, tps = export_of(small, "tps")
+    (small.root / "all.tps").write_bytes(tps)
+    scales = [landmarks.scale for landmarks in read_collection(small.root / "all.tps").values()]
+    assert scales == pytest.approx([0.25, 0.5])
+    specimens = [one for name in ("p1", "p2") for one in read_specimens(small.root / f"{name}.ljson")]
+    lengths = measure(specimens, ["distance:1-2"])
+    (lengths,) = [values for name, values in lengths.items() if "distance" in name]
+    assert lengths == pytest.approx(np.linalg.norm(np.subtract(*POINTS[:2])) * np.array([0.25, 0.5]))
+    assert "0.25" in measurements_of(small, "distance:1-2", "")[1].decode()
+
+
+def test_points_are_moved_and_the_bar_stays(small):
+    put(small, "p1.png", bar=BAR)
+    put(small, "p1.png", [[5.0, 5.0], *POINTS[1:]])  # does not name it
+    assert small.marks("p1.png")["bar"] == BAR
+    small.save_template({**TRIANGLE, "mapping": [1, 0, 2]})
+    assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.25)
+    put(small, "p1.png", small.marks("p1.png")["points"], bar=None)
+    assert small.marks("p1.png")["bar"] is None
+    assert read_landmarks(small.root / "p1.ljson").scale is None
+
+
+def test_a_bar_is_drawn_before_there_are_points(small):
+    small.add_proposals({"p1.png": proposal()})
+    put(small, "p1.png", [None] * 3, bar=BAR)
+    marks = small.marks("p1.png")
+    assert (marks["source"], marks["bar"], marks["revision"]) == ("proposal", BAR, None)
+    assert small.history("p1.png") == [] and not (small.root / "p1.ljson").exists()
+    small.review({"pictures": ["p1.png"], "did": "accepted"})
+    assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.25)
+    for did in ("deleted", "undeleted"):
+        assert small.review({"pictures": ["p1.png"], "did": did})["changed"]
+    assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.25)
+
+
+def test_the_scale_of_a_file_stays(small):
+    write_landmarks(small.root / "p1.tps", Landmarks(np.array(POINTS), scale=0.1, image_name="p1.png"))
+    put(small, "p1.png", [[5.0, 5.0], *POINTS[1:]])
+    assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.1)
+    for did in ("deleted", "undeleted"):
+        assert small.review({"pictures": ["p1.png"], "did": did})["changed"]
+    assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.1)
+
+
+def test_a_pts_file_has_no_room_for_it_but_the_studio_knows_it(small):
+    write_landmarks(small.root / "p1.pts", Landmarks(np.array(POINTS)))
+    put(small, "p1.png", bar=CM)
+    assert b"SCALE=0.5" in export_of(small, "tps")[1]
+
+
+def test_a_picture_that_was_replaced_has_no_bar(small):
+    put(small, "p1.png", bar=BAR)
+    (small.root / "p1.png").write_bytes((small.root / "p2.png").read_bytes() + b"\0")
+    assert small.marks("p1.png")["bar"] is None
+
+
+def test_a_bar_that_was_changed_elsewhere_is_a_conflict(small):
+    put(small, "p1.png")
+    before = small.marks("p1.png")["revision"]
+    put(small, "p1.png", bar=BAR)
+    late = {"points": POINTS, "revision": before, "bar": CM}
+    assert refused(small.save_marks, "p1.png", late).details["current"]["bar"] == BAR
+    small.save_marks("p1.png", {**late, "bar": BAR})  # sent again: there is nothing to change
+
+
+@pytest.mark.parametrize(
+    "bar",
+    [7, {}, {**BAR, "unit": "ell"}, {**BAR, "length": 0}, {**BAR, "length": float("nan")}, {**BAR, "length": True},
+     {**BAR, "ends": [[1, 1]]}, {**BAR, "ends": [[1, 1], None]}, {**BAR, "ends": [[1, 1], [1.5, 1]]}],
+)  # fmt: skip
+def test_bars_that_make_no_sense_are_refused(small, bar):
+    assert refused(small.save_marks, "p1.png", {"points": POINTS, "revision": None, "bar": bar}).status == 422
+    assert small.marks("p1.png")["source"] == "none"
