@@ -25,7 +25,6 @@ from liaam.io.landmarks import (
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
 from liaam.io.results import fit_text, write_fit
-from liaam.io.starts import check_start, read_start, start_file
 from liaam.io.tables import to_dataframe, write_columns
 from liaam.io.video import VideoFrame, VideoReader
 from liaam.io.video_writer import VideoWriter, video_writer
@@ -42,7 +41,6 @@ __all__ = [
     "VideoReader",
     "VideoWriter",
     "atomic_path",
-    "check_start",
     "decode_image",
     "encoded_size",
     "fit_text",
@@ -55,8 +53,6 @@ __all__ = [
     "read_landmarks",
     "read_preview",
     "read_raw",
-    "read_start",
-    "start_file",
     "to_dataframe",
     "video_writer",
     "write_bytes_atomically",
