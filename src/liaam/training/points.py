@@ -16,8 +16,8 @@ from liaam.training.entries import Entry, image_of
 from liaam.training.left_out import folds_of
 
 Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Sequence[np.ndarray | None] | np.ndarray
-"""A folder of landmark files or a name of :data:`liaam.fitting.landmarkers.LANDMARKERS`; a function from an image to its
-points; or the points of each image."""
+"""A folder of landmark files or a name of :data:`liaam.fitting.landmarkers.LANDMARKERS`; a function from an image to
+its points; or the points of each image."""
 
 
 def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) -> PointMap:
