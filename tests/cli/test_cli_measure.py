@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from liaam.io import Landmarks, write_collection, write_fit
+from liaam.fitting.files import write_fit
+from liaam.io import Landmarks, write_collection
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22], [1, 22]])
 

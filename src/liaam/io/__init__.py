@@ -24,7 +24,6 @@ from liaam.io.landmarks import (
     write_landmarks,
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
-from liaam.io.results import fit_text, write_fit
 from liaam.io.tables import to_dataframe, write_columns
 from liaam.io.video import VideoFrame, VideoReader
 from liaam.io.video_writer import VideoWriter, video_writer
@@ -43,7 +42,6 @@ __all__ = [
     "atomic_path",
     "decode_image",
     "encoded_size",
-    "fit_text",
     "image_size",
     "is_image",
     "is_raw",
@@ -58,7 +56,6 @@ __all__ = [
     "write_bytes_atomically",
     "write_collection",
     "write_columns",
-    "write_fit",
     "write_image",
     "write_landmarks",
     "write_text_atomically",
