@@ -4,7 +4,6 @@ import importlib
 import itertools
 import struct
 import threading
-import time
 from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
@@ -541,31 +540,6 @@ def test_the_decoder_refuses_what_is_larger_still(growing, monkeypatch):
     assert "could not be decoded" in reader.fault
 
 
-def test_fewer_large_frames_are_decoded_ahead(video, monkeypatch):
-    size = picture(0).nbytes
-    for n_bytes, n_ahead in ((1, 1), (3 * size, 3), (10**9, io_video.AHEAD)):
-        monkeypatch.setattr(io_video, "AHEAD_BYTES", n_bytes)
-        with VideoReader(video) as reader:
-            deadline = time.monotonic() + 10
-            while len(reader._queue.queue) < n_ahead and time.monotonic() < deadline:
-                time.sleep(0.01)
-            time.sleep(0.05)
-            assert len(reader._queue.queue) == n_ahead
-            assert len(list(reader)) == N
-
-
-def test_a_larger_frame_waits_until_the_smaller_ones_are_taken(growing, monkeypatch):
-    monkeypatch.setattr(io_video, "AHEAD_BYTES", 4 * picture(0, 48, 64).nbytes - 1)
-    with VideoReader(growing) as reader:
-        frames = iter(reader)
-        for limit in (1, 1, 3, 3):
-            deadline = time.monotonic() + 10
-            while reader._queue.maxsize != limit and time.monotonic() < deadline:
-                time.sleep(0.01)
-            assert reader._queue.maxsize == limit
-            next(frames)
-
-
 # Cameras
 
 
@@ -610,10 +584,9 @@ def camera(monkeypatch):
     return plug
 
 
-def test_a_camera_gives_pictures_until_it_is_unplugged(camera, monkeypatch):
+def test_a_camera_gives_pictures_until_it_is_unplugged(camera):
     import cv2
 
-    monkeypatch.setattr(io_video, "AHEAD_LIVE", 16)
     capture = camera()
     with VideoReader(91) as video:
         assert (video.name, video.live, video.n_frames) == ("camera 91", True, None)
@@ -633,24 +606,12 @@ def test_the_rate_of_a_camera_that_tells_none_is_assumed(camera, told, rate):
     assert VideoReader(91).rate == rate
 
 
-def test_a_part_of_what_a_camera_gives(camera, monkeypatch):
-    monkeypatch.setattr(io_video, "AHEAD_LIVE", 16)
+def test_a_part_of_what_a_camera_gives(camera):
     camera(n=9)
     with VideoReader(91, 2, 5) as video:
         assert video.n_frames == 3
         assert [frame.index for frame in video] == [2, 3, 4]
     assert video.fault == ""
-
-
-def test_pictures_of_a_camera_that_nobody_takes_are_dropped(camera, monkeypatch):
-    monkeypatch.setattr(io_video, "_WAIT", 0.001)
-    camera(n=20)
-    with VideoReader(91) as video:
-        video._thread.join(10)
-        assert not video._thread.is_alive() or video._queue.full()
-        indices = [frame.index for frame in video]
-    assert len(indices) <= 2
-    assert all(index >= 18 for index in indices)
 
 
 def test_a_camera_that_is_not_there_names_those_that_are(camera, monkeypatch):

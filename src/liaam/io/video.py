@@ -6,13 +6,12 @@ Frames are 8-bit RGB, upright.
 
 import importlib
 import os
-import queue
-import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -23,23 +22,13 @@ from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
 from liaam.io.files import as_8_bits, existing_file, natural_key
 from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
-
-AHEAD = 16
-"""Number of frames decoded ahead."""
-
-AHEAD_BYTES = 200_000_000
-"""Bytes of frames decoded ahead, so that there are fewer than :data:`AHEAD` large frames. One frame always fits."""
+from liaam.workers import in_order
 
 MAX_PIXELS = 50_000_000
 """Largest width times height of a frame, checked before it is decoded; 8K has 33 million."""
 
-AHEAD_LIVE = 2
-"""The same for a camera, whose older frames are dropped if the reader is slow."""
-
 DEFAULT_RATE = Fraction(25)
 """Frames per second of files that do not specify a rate, and of folders of frames."""
-
-_WAIT, _PATIENCE = 0.2, 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,40 +103,57 @@ class VideoReader:
         known = self._source.n_frames
         last = stop if not known else min(known, stop or known)
         self.n_frames = None if last is None else max(0, last - start)
-        self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue()
-        self._closed = threading.Event()
-        self._n_given, self._all_given = 0, False
-        self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
+        self._frames: Generator[VideoFrame, None, None] | None = None
+        self._closed = False
 
     def __enter__(self) -> "VideoReader":
-        self._thread.start()
+        self._frames = self._given()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closed.set()
-        self._thread.join(_PATIENCE)
-        if not self._thread.is_alive():  # do not close a stalled camera while the thread reads it
-            self._source.close()
+        if self._frames is not None:
+            self._frames.close()
+        self._frames = None
+        self._source.close()
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Iterate over the frames once. A second loop continues where the first one stopped."""
-        while not self._all_given:
-            if self._thread.ident is None or self._closed.is_set():
+        while True:
+            if self._frames is None:
                 raise VideoError(
                     f"{self.name}: frames can be read only inside a with block; write 'with VideoReader(...) as "
                     "video:' around the loop"
                 )
-            item = self._queue.get()
-            if isinstance(item, VideoFrame):
-                self._n_given += 1
-                yield item
-                continue
-            self._all_given = True
-            if item is not None:
-                raise item
-            if not self._n_given:
-                raise VideoError(self._why_nothing())
-            self.fault = self._source.fault or self._source.damage
+            frame = next(self._frames, None)
+            if frame is None:
+                return
+            yield frame
+
+    def _given(self) -> Generator[VideoFrame, None, None]:
+        """Yield the frames, which a thread decodes ahead; not those of a camera, which should be new."""
+        frames, n_given = self._decoded(), 0
+        ahead = frames if self.live else in_order(lambda _: next(frames, None), repeat(None), 1)
+        try:
+            for frame in ahead:
+                if frame is None:
+                    break
+                n_given += 1
+                yield frame
+        finally:
+            self._closed = True
+            ahead.close()
+        if not n_given:
+            raise VideoError(self._why_nothing())
+        self.fault = self._source.fault or self._source.damage
+
+    def _decoded(self) -> Generator[VideoFrame, None, None]:
+        for time, picture in self._source:
+            index = self._source.n_seen - 1
+            if self._closed or (self._stop is not None and index >= self._stop):
+                return
+            image = picture() if index >= self._start else None
+            if image is not None:
+                yield VideoFrame(index, time, image)
 
     def _why_nothing(self) -> str:
         seen = self._source.n_seen
@@ -157,33 +163,6 @@ class VideoReader:
             f"{self.name} has no frame that can be decoded: it is damaged or cut short, or its frames have more than "
             f"{MAX_PIXELS:,} pixels; export it again"
         )
-
-    def _decode(self) -> None:
-        """Put all frames into the queue, then None or the error raised."""
-        try:
-            for time, picture in self._source:
-                index = self._source.n_seen - 1
-                if self._closed.is_set() or (self._stop is not None and index >= self._stop):
-                    break
-                image = picture() if index >= self._start else None
-                if image is not None:
-                    self._put(VideoFrame(index, time, image))
-            self._put(None)
-        except BaseException as error:
-            self._put(error)
-
-    def _put(self, item: VideoFrame | BaseException | None) -> None:
-        if isinstance(item, VideoFrame):
-            most = AHEAD_LIVE if self.live else AHEAD
-            self._queue.maxsize = max(1, min(most, AHEAD_BYTES // item.image.nbytes))
-        while not self._closed.is_set():
-            try:
-                self._queue.put(item, timeout=_WAIT)
-                return
-            except queue.Full:
-                if self.live:  # prefer the newest frame
-                    with suppress(queue.Empty):
-                        self._queue.get_nowait()
 
 
 class _Source:

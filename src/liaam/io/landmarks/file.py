@@ -17,7 +17,7 @@ from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.formats import Format, format_of, formats_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, in_objects
-from liaam.io.landmarks.text import decode_text, read_text
+from liaam.io.landmarks.text import read_text
 
 Size = tuple[float, float]
 
@@ -42,11 +42,8 @@ class LandmarkFile(Source):
     ) -> "LandmarkFile":
         """Read a file, or take its content from memory."""
         formats_of(path)
-        if data is None:
-            text = read_text(existing_file(path, LandmarkError, "landmark file"))
-        else:
-            text = decode_text(path, data)
-        return cls(path, text, reading, notes or Notes(reading.strict))
+        path = existing_file(path, LandmarkError, "landmark file") if data is None else path
+        return cls(path, read_text(path, data), reading, notes or Notes(reading.strict))
 
     @cached_property
     def form(self) -> Format:
