@@ -708,7 +708,7 @@ def test_invisible_points_have_to_be_there(tmp_path: Path) -> None:
     with pytest.raises(LandmarkError, match=r"marked as invisible is landmark 2 .*but there are 2"):
         Landmarks(np.zeros((2, 2)), invisible=(2,))
     content = {**ljson([[1, 2], [3, 4]]), "labels": [{"label": "invisible", "mask": [7]}]}
-    with pytest.raises(LandmarkError, match=r"a\.ljson: landmark 7"):
+    with pytest.raises(LandmarkError, match=r"a\.ljson: marked as invisible is landmark 7"):
         read_landmarks(save(tmp_path, "a.ljson", content))
 
 
