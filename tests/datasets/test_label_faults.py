@@ -178,6 +178,11 @@ def test_one_misplaced_point_is_named(n):
     assert n < 6 or fault.points == (1,)
 
 
+def test_four_points_that_look_alike_from_both_ends_are_not_taken_for_shifted(rng):
+    corners = np.array([[0, 0], [100, 0], [101, 99], [0, 100.0]])
+    assert find_label_faults(list(corners + rng.uniform(-2, 2, (30, 4, 2)))) == []
+
+
 def test_a_misplaced_point_of_four_is_nearly_always_found_and_nothing_else():
     found, alarms = 0, 0
     for seed in range(20):
