@@ -37,11 +37,6 @@ _MOST_MISSING = 20
 # COCO ---------------------------------------------------------------------------------------------
 
 
-def is_coco(source: Source) -> bool:
-    """Whether it is an object with images or annotations."""
-    return isinstance(source.json, dict) and bool({"images", "annotations"} & source.json.keys())
-
-
 def parse_coco(source: Source) -> list[Landmarks]:
     """Parse annotations with keypoints, each an object of its image, the largest first.
 
@@ -118,11 +113,6 @@ def _outline(source: Source, categories: Any, category: str, n: int) -> tuple[tu
 # LabelMe ------------------------------------------------------------------------------------------
 
 
-def is_labelme(source: Source) -> bool:
-    """Whether it is an object with shapes."""
-    return isinstance(source.json, dict) and isinstance(source.json.get("shapes"), list)
-
-
 def parse_labelme(source: Source) -> list[Landmarks]:
     """Parse the shapes of an image.
 
@@ -163,12 +153,6 @@ def _shape(content: Any, group: str, pairs: list[tuple[str, Any]]) -> Landmarks:
 
 
 # Label Studio -------------------------------------------------------------------------------------
-
-
-def is_label_studio(source: Source) -> bool:
-    """Whether it is a list of tasks, or a task."""
-    content = source.json
-    return isinstance(content, list) or (isinstance(content, dict) and {"data", "annotations"} <= content.keys())
 
 
 def parse_label_studio(source: Source) -> list[Landmarks]:
@@ -281,11 +265,6 @@ def _names_of_masks(masks: list[_Mask], n_points: int) -> tuple[str, ...]:
 
 
 # CVAT ---------------------------------------------------------------------------------------------
-
-
-def is_cvat(source: Source) -> bool:
-    """Whether the root element is that of CVAT."""
-    return source.xml.tag == "annotations"
 
 
 def parse_cvat(source: Source) -> list[Landmarks]:

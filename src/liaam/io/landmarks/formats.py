@@ -7,11 +7,8 @@ from pathlib import Path
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import annotations as an, lists, morphometrics as morph, plain, tables, writers as out
 from liaam.io.landmarks.base import Landmarks
+from liaam.io.landmarks.columns import has_points, pairs_of
 from liaam.io.landmarks.reading import Source, UnrecognisedError
-
-
-def _always(_: Source) -> bool:
-    return True
 
 
 @dataclass(frozen=True)
@@ -30,8 +27,6 @@ class Format:
     names: bool
     parse: Callable[[Source], list[Landmarks]]
     """Make the landmarks of each object, as the file counts them."""
-    is_it: Callable[[Source], bool] = _always
-    """Tell a file of this format from others of its suffix."""
     text: Callable[[Landmarks], str] | None = None
     """Format landmarks as a file's text; None if the format is read-only. y of ``.tps`` counts upwards."""
     text_of_many: Callable[[Mapping[str, Landmarks], out.Sizes], str] | None = None
@@ -46,8 +41,6 @@ _UP = "(0, 0) is the centre of the bottom-left pixel, y upwards; needs the image
 _IMAGEJ = f"{_CENTRES}; ImageJ's results: corners"
 _MENPO = f"[y, x], {_CENTRES}"
 _TABLES = (".csv", ".tsv", ".txt")
-_LIST = lists.parse, lists.is_it
-_COCO, _TPS, _CSV = (None, out.coco_collection), (out.tps_text, out.tps_collection), (out.csv_text, out.csv_collection)
 _IMAGES, _LINES, _NAMES = True, True, True  # whether a format holds many images, contours, names
 
 FORMATS: tuple[Format, ...] = (
@@ -55,23 +48,39 @@ FORMATS: tuple[Format, ...] = (
     Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, text=out.ljson_text),
     Format("WebMorph template", (".tem",), _TAKEN, False, _LINES, False, plain.parse_tem),
     Format("AAM-API shape", (".asf",), _FRACTIONS, False, _LINES, False, plain.parse_asf),
-    Format("LabelMe", (".json",), _TAKEN, False, False, _NAMES, an.parse_labelme, an.is_labelme),
-    Format("CVAT for images", (".xml",), _TAKEN, _IMAGES, False, _NAMES, an.parse_cvat, an.is_cvat),
+    Format("LabelMe", (".json",), _TAKEN, False, False, _NAMES, an.parse_labelme),
+    Format("CVAT for images", (".xml",), _TAKEN, _IMAGES, False, _NAMES, an.parse_cvat),
     Format("dlib imglab", (".xml",), _CENTRES, _IMAGES, False, _NAMES, an.parse_dlib),
-    Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio, an.is_label_studio),
-    Format("COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, an.is_coco, *_COCO),
-    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, _always, *_TPS),
+    Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio),
+    Format(
+        "COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, text_of_many=out.coco_collection
+    ),
+    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, out.tps_text, out.tps_collection),
     Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, morph.parse_nts),
-    Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes, plain.is_shapes),
-    Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc, tables.is_dlc),
-    Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide, tables.is_wide),
-    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, tables.is_long, *_CSV),
-    Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, *_LIST),
-    Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines, plain.is_lines),
+    Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes),
+    Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
+    Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
+    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_collection),
+    Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, lists.parse),
+    Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines),
 )
 """Formats, in order of preference where an image has several files, and in the order that they are tried for a suffix.
 
 A file of its own takes precedence over one for many images."""
+
+_TOLD: dict[str, Callable[[Source], bool]] = {
+    "LabelMe": lambda file: isinstance(file.object.get("shapes"), list),
+    "CVAT for images": lambda file: file.xml.tag == "annotations",
+    "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
+    "COCO keypoints": lambda file: bool({"images", "annotations"} & file.object.keys()),
+    "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
+    "DeepLabCut table": lambda file: tables.rows_of(file)[0][1][:1] == ["scorer"],
+    "table of one row an image": lambda file: len(pairs_of(tables.rows_of(file)[0][1])) > 1,
+    "table": lambda file: has_points(tables.header_of(file)),
+    "list of lines with an image's name": lists.is_it,
+    "lines of x and y, HELEN's": plain.is_lines,
+}
+"""What tells a file of a format from others of its suffix that come later."""
 
 LANDMARK_SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
 """Suffixes (lower case) of the landmark files that can be read, in order of preference."""
@@ -99,7 +108,7 @@ def formats_of(path: Path) -> list[Format]:
 def format_of(source: Source) -> Format:
     """Return the format that a file has, of those of its suffix. Raise if it has none."""
     for form in formats_of(source.path):
-        if form.is_it(source):
+        if form.title not in _TOLD or _TOLD[form.title](source):
             return form
     suffix = source.path.suffix.lower()
     if suffix == ".json":

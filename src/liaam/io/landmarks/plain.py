@@ -103,11 +103,6 @@ def _next(stream: Iterator[str]) -> int:
     return parse_count(token, "a line template")
 
 
-def is_shapes(source: Source) -> bool:
-    """Whether it has elements of landmarks in pixels."""
-    return "<landmarks.pixel" in source.text
-
-
 def parse_shapes(source: Source) -> list[Landmarks]:
     """Parse StereoMorph's matrix ``landmarks.pixel`` of name, x and y: centres counted from 0. Curves are not read."""
     start, image = _SHAPES.search(source.text), _IMAGE.search(source.text)

@@ -109,6 +109,11 @@ class Source:
             why = short(str(fault), 100)
             raise LandmarkError(f"this is not complete JSON ({why}): it may be cut short; export it again.") from fault
 
+    @property
+    def object(self) -> dict[str, Any]:
+        """Its content as a JSON object; empty if it is something else."""
+        return self.json if isinstance(self.json, dict) else {}
+
     @cached_property
     def xml(self) -> Any:
         """Its root element as XML. What could define entities or read other files is refused."""

@@ -23,7 +23,6 @@ from liaam.io.landmarks.columns import (
     Columns,
     columns_of,
     filled,
-    has_points,
     name_column,
     pairs_of,
     plain,
@@ -41,6 +40,11 @@ _SUMMARY = {"Mean", "SD", "Min", "Max"}
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 """Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
+
+
+def rows_of(source: Source) -> list[Row]:
+    """Split a table into rows of cells."""
+    return _rows_of(source.text)
 
 
 @lru_cache(maxsize=1)
@@ -74,9 +78,9 @@ def _rows_of(text: str) -> list[Row]:
     return rows
 
 
-def _header_of(source: Source) -> list[str]:
+def header_of(source: Source) -> list[str]:
     """Return the first row in lower case, without units in brackets and marks between words."""
-    return [plain(cell) for cell in _rows_of(source.text)[0][1]]
+    return [plain(cell) for cell in rows_of(source)[0][1]]
 
 
 def _check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
@@ -89,19 +93,14 @@ def _check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
 # One row a landmark -------------------------------------------------------------------------------
 
 
-def is_long(source: Source) -> bool:
-    """Whether the first line names columns x and y."""
-    return has_points(_header_of(source))
-
-
 def parse_long(source: Source) -> list[Landmarks]:
     """Parse landmarks of one image, or of many images if a column names the image.
 
     Rows without names are in the order of the landmarks; numbered ones are sorted. Empty x and y mean a missing
     landmark. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
     """
-    header = _header_of(source)
-    rows = [(number, row) for number, row in _rows_of(source.text)[1:] if any(row) or len(row) == len(header)]
+    header = header_of(source)
+    rows = [(number, row) for number, row in rows_of(source)[1:] if any(row) or len(row) == len(header)]
     _check_widths(header, rows)
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
@@ -135,7 +134,7 @@ def _without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
 
 def _is_imagej(source: Source) -> bool:
     """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
-    header = _rows_of(source.text)[0][1]
+    header = rows_of(source)[0][1]
     return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
 
 
@@ -175,18 +174,13 @@ _Pairs = dict[str, dict[str, int]]
 """Indices of columns by landmark and axis."""
 
 
-def is_wide(source: Source) -> bool:
-    """Whether the first line has x and y of at least two landmarks."""
-    return len(pairs_of(_rows_of(source.text)[0][1])) > 1
-
-
 def parse_wide(source: Source) -> list[Landmarks]:
     """Parse a row of landmarks for each image, such as ml-morph's and MorphoJ's (``id,X1,Y1,X2,...``).
 
     Columns of x and y have a number or the landmark's name before or behind the axis. Rows are named by a column for
     the image or specimen, or else by the only other column with text.
     """
-    (_, header), *rows = _rows_of(source.text)
+    (_, header), *rows = rows_of(source)
     rows = [(number, row) for number, row in rows if any(row)]
     _check_widths(header, rows)
     given = pairs_of(header)
@@ -195,15 +189,10 @@ def parse_wide(source: Source) -> list[Landmarks]:
     if any("z" in axes for axes in pairs.values()):
         raise LandmarkError("it has columns of z: export x and y only.")
     used = {i for axes in pairs.values() for i in axes.values()}
-    name = name_column(_header_of(source), [row for _, row in rows], used)
+    name = name_column(header_of(source), [row for _, row in rows], used)
     # Numbers out of order may be the names of landmarks in another order.
     named = not numbered or list(pairs) != list(given)
     return _of_rows(source, rows, {"": pairs}, lambda row: None if name is None else row[name].strip(), named)
-
-
-def is_dlc(source: Source) -> bool:
-    """Whether the first cell says ``scorer``."""
-    return _rows_of(source.text)[0][1][:1] == ["scorer"]
 
 
 def parse_dlc(source: Source) -> list[Landmarks]:
@@ -211,7 +200,7 @@ def parse_dlc(source: Source) -> list[Landmarks]:
 
     Of several scorers the first is read. Individuals are the objects of an image. Likelihoods are not used.
     """
-    rows = [row for row in _rows_of(source.text) if any(row[1])]
+    rows = [row for row in rows_of(source) if any(row[1])]
     headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
     if not {"scorer", "bodyparts", "coords"} <= headers.keys():
         raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
