@@ -23,9 +23,11 @@ RISK = 0.015
 PRECISION = 0.003
 """Usual precision of landmarks, as a fraction of the shape's diagonal."""
 
-LEAST_SPREAD, LEAST, ALWAYS = 3.5, 0.02, 0.05
-"""Least distance of a misplaced landmark in its standard deviations, at least and at most these fractions of the
-diagonal. The last allows for turned faces and open mouths, and is that for fewer images than MANY."""
+LEAST_SPREAD, ALWAYS = 3.5, 0.05
+LEAST = LEAST_SPREAD * PRECISION
+"""Least distance of a misplaced landmark in its standard deviations, or in the usual precision where landmarks are
+placed more precisely; and at most this fraction of the diagonal, which allows for turned faces and open mouths, and is
+that for fewer images than MANY."""
 
 MANY = 30
 """Least number of images whose landmarks' standard deviations are relied on."""
