@@ -4,7 +4,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import count, groupby
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.matching import names_picture
@@ -138,7 +138,8 @@ def _numbered(header: list[str]) -> list[str]:
     plain = [cell for cell in header if cell in ("x", "y", "X", "Y")]
     if len(plain) == len({*plain}) and not any(re.fullmatch(r"[xyXY]\.1", cell) for cell in header):
         return header
-    return [f"{cell}.{header[:i].count(cell)}" if cell in plain else cell for i, cell in enumerate(header)]
+    numbers = defaultdict(count)
+    return [f"{cell}.{next(numbers[cell])}" if cell in ("x", "y", "X", "Y") else cell for cell in header]
 
 
 def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]) -> int | None:
