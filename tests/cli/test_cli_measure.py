@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from liaam.io import Landmarks, write_collection, write_fit
+from liaam.fitting.files import write_fit
+from liaam.io import Landmarks, write_collection
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22], [1, 22]])
 
@@ -94,3 +95,23 @@ def test_wrong_input_is_one_line(run, fits, tmp_path, monkeypatch, arguments, wo
 def test_pixels_are_named(run, fits, tmp_path):
     _, out, _ = run("measure", fits, "-o", tmp_path / "t.csv")
     assert "3 specimens in pixels (give --scale for other units)" in out
+
+
+@pytest.mark.parametrize(("count", "suffix"), [(1, ".svg"), (5, ".png"), (70, ".pdf")])
+def test_shapes_are_drawn(run, tmp_path, rng, count, suffix):
+    marks = {f"$wing{i}.png": Landmarks(POINTS + rng.normal(size=(4, 2))) for i in range(count)}
+    write_collection(tmp_path / "all.csv", marks)
+    figure = tmp_path / f"shapes{suffix}"
+    code, out, _ = run("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--plot", figure)
+    assert code == 0 and out.endswith(f"{figure}: shapes\n")
+    assert figure.stat().st_size > 1000
+
+
+def test_figures_that_cannot_be_drawn_are_refused(run, tmp_path):
+    marks = {f"{i}.png": Landmarks([[1, 2], [np.nan, np.nan], [5, 6]]) for i in range(3)}
+    write_collection(tmp_path / "all.csv", marks)
+    given = ("measure", tmp_path / "all.csv", "-o", tmp_path / "t.csv", "--plot")
+    for name, words in (("a.txt", "written as .png, .pdf or .svg"), ("a.png", "no specimen has a shape to draw")):
+        code, _, err = run(*given, tmp_path / name)
+        assert code == 1 and words in err
+        assert not (tmp_path / name).exists()

@@ -178,6 +178,14 @@ def test_one_misplaced_point_is_named(n):
     assert n < 6 or fault.points == (1,)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_four_points_that_look_alike_when_turned_by_a_half_are_not_taken_for_shifted(seed):
+    corners = np.array([[61, -6], [13, 75], [-59, 4], [-16, -77.0]])
+    spread = 0.015 * np.linalg.norm(np.ptp(corners, axis=0))
+    deviations = np.random.default_rng(seed).uniform(-spread, spread, (30, 4, 2))
+    assert find_label_faults(list(corners + deviations)) == []
+
+
 def test_a_misplaced_point_of_four_is_nearly_always_found_and_nothing_else():
     found, alarms = 0, 0
     for seed in range(20):

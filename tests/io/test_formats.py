@@ -1,6 +1,7 @@
 """Situations from the documentation and trackers of annotation tools; experiments/notes/formats.md lists all tried."""
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -188,3 +189,11 @@ def test_names_are_the_same_in_another_case_with_blanks_or_in_another_unicode_fo
 
 def test_help_and_messages_name_every_format() -> None:
     assert all(form.title in KNOWN_FILES and ", ".join(form.suffixes) in KNOWN_FILES for form in FORMATS)
+
+
+def test_many_columns_of_one_name_take_no_time():
+    """They took seconds: each was counted among all before it."""
+    begun = time.process_time()
+    with pytest.raises(LandmarkError):
+        parse_landmark_data("a.csv", f"{'x,' * 100_000}y\n".encode(), SIZE)
+    assert time.process_time() - begun < 1

@@ -8,7 +8,8 @@ import pytest
 
 from liaam.batch.tables import Table, write_table
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, read_collection, write_collection, write_fit, write_landmarks
+from liaam.fitting.files import write_fit
+from liaam.io import Landmarks, read_collection, write_collection, write_landmarks
 from liaam.io.landmarks import Contour
 from liaam.morphometry import Specimen, alike, measure, read_specimens
 

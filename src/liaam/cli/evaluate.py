@@ -17,7 +17,8 @@ from liaam.cli.inputs import (
 )
 from liaam.cli.terminal import cell, say, show_table, table_of
 from liaam.errors import LiaamError
-from liaam.io import image_size, make_folder, read_start, write_columns
+from liaam.fitting.starts import read_start
+from liaam.io import image_size, make_folder, write_columns
 from liaam.io.atomic import check_output
 from liaam.io.files import real_path
 from liaam.io.landmarks.reading import Reading

@@ -58,15 +58,22 @@ def measure(
             "(to the least Procrustes distance)."
         ),
     ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Figure of all shapes on each other and of their principal components: .png, .pdf, .svg."),
+    ] = None,
     strict: StrictOption = False,
     category: CategoryOption = None,
 ) -> None:
     """Measure specimens: distances, angles, areas, centroid size and Procrustes coordinates, with standard errors."""
     from liaam import morphometry
 
-    check_output(output)
-    if real_path(output).is_relative_to(real_path(results)):
-        raise LiaamError(f"{output} is the input, or a file in it; give a name elsewhere with -o")
+    for path in (output,) if plot is None else (output, plot):
+        check_output(path)
+        if real_path(path).is_relative_to(real_path(results)):
+            raise LiaamError(f"{path} is the input, or a file in it; give a name elsewhere")
+    if plot is not None and plot.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise LiaamError(f"{plot}: figures are written as .png, .pdf or .svg; give a name that ends so")
     reading = Reading(strict, category)
     specimens = morphometry.read_specimens(results, complain, reading, replicates is not None)
     specimens = specimens if resample is None else morphometry.with_even_curves(specimens, resample)
@@ -80,6 +87,12 @@ def measure(
     morphometry.write_measurements(output, columns)
     unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
     say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
+    if plot is not None:
+        from liaam.plotting import save_figure
+        from liaam.plotting.specimens import figure_of_specimens
+
+        save_figure(figure_of_specimens(columns), plot)
+        say(f"{plot}: shapes")
     if error is not None:
         beside = output.with_name(f"{output.stem}_replicates.csv")
         morphometry.write_measurements(beside, error)

@@ -18,7 +18,8 @@ from liaam.cli.inputs import CameraOption, EllipsesOption, camera_for, model_and
 from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.evaluation import ranges_of
-from liaam.io import VideoFrame, VideoReader, VideoWriter, read_start, video_writer
+from liaam.fitting.starts import read_start
+from liaam.io import VideoFrame, VideoReader, VideoWriter, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path
 from liaam.io.video import is_video

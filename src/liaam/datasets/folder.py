@@ -7,12 +7,11 @@ images, then the order of `liaam.io.LANDMARK_SUFFIXES` decides.
 """
 
 import os
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import overload
 
 import numpy as np
 
@@ -27,13 +26,13 @@ from liaam.datasets.advice import (
     unread_images,
     unread_landmarks,
 )
-from liaam.errors import ImageError, LandmarkError, LiaamError, MissingImageError
-from liaam.evaluation import short_repr
-from liaam.io.files import count_of, natural_key, some_names
-from liaam.io.images import read_image, size_and_orientation
-from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, in_pixels, parse_landmark_file
+from liaam.datasets.dataset import Dataset, LeftOut, Sample
+from liaam.errors import ImageError, LandmarkError, MissingImageError
+from liaam.io.files import natural_key, some_names
+from liaam.io.images import size_and_orientation
+from liaam.io.landmarks import LANDMARK_SUFFIXES, LandmarkFile, Landmarks
 from liaam.io.landmarks.base import Placing
-from liaam.io.landmarks.formats import may_hold_many, rank_of, titles_of
+from liaam.io.landmarks.formats import may_hold_many, rank_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
 
@@ -44,172 +43,6 @@ _SAME = 1.5
 
 _LESSER = "another landmark file takes precedence"
 _PARTIAL = "one of several objects in an image lacks landmarks"
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One landmarked object in an image.
-
-    Attributes
-    ----------
-    name : str
-        Unique in its data set: the path inside the folder, without suffix. If the image holds several objects, those
-        after the largest have a number: ``party``, ``party#2``, ``party#3``.
-    image : (height, width, 3) uint8, uint16 or float32, or Path
-        The image in RGB order, or the file to read it from.
-    landmarks : Landmarks
-        Landmarks of the object, pixels.
-    landmark_file : Path, optional
-        Where the landmarks were read from.
-    """
-
-    name: str
-    image: np.ndarray | Path
-    landmarks: Landmarks
-    landmark_file: Path | None = None
-
-    __repr__ = short_repr
-
-    def read_image(self) -> np.ndarray:
-        """Return the image, (height, width, 3). A file is read at each call.
-
-        Raises
-        ------
-        ImageError
-            If the file cannot be read (see :func:`liaam.io.read_image`).
-        """
-        return read_image(self.image) if isinstance(self.image, str | os.PathLike) else self.image
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A file that was not used.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    reason : str
-        One sentence; the part before the first colon groups files in the report.
-    partly : bool
-        Whether other parts of the file are used.
-    """
-
-    path: Path
-    reason: str
-    partly: bool = False
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Dataset:
-    """Landmarked images with the same number of landmarks.
-
-    Attributes
-    ----------
-    samples : tuple of Sample
-        The landmarked objects, in order.
-    left_out : tuple of LeftOut
-        Files that were not used, with the reason.
-    source : str
-        Origin of the samples, for the report.
-    notes : tuple of str
-        Lines about records that were left out, and about what was done with others, for the report.
-    """
-
-    samples: tuple[Sample, ...]
-    left_out: tuple[LeftOut, ...] = ()
-    source: str = ""
-    notes: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def __repr__(self) -> str:
-        return f"Dataset({count_of(len(self), 'sample')}, {len(self.left_out)} left out, source={self.source!r})"
-
-    def __iter__(self) -> Iterator[Sample]:
-        return iter(self.samples)
-
-    @overload
-    def __getitem__(self, index: int) -> Sample: ...
-    @overload
-    def __getitem__(self, index: slice) -> "Dataset": ...
-    def __getitem__(self, index: int | slice) -> "Sample | Dataset":
-        if isinstance(index, slice):
-            return replace(self, samples=self.samples[index])
-        return self.samples[index]
-
-    def select(self, which: str | Iterable[str] | Callable[[Sample], bool]) -> "Dataset":
-        """Keep some of the samples, in their order.
-
-        Parameters
-        ----------
-        which : str, iterable of str, or callable
-            Patterns such as ``"01-*"`` (``*``, ``?``, ``[...]``): keep samples whose name matches one of them. Or a
-            predicate.
-
-        Raises
-        ------
-        LiaamError
-            If no sample matches.
-        """
-        patterns = [which] if isinstance(which, str) or callable(which) else list(which)
-        kept = tuple(
-            sample
-            for sample in self.samples
-            if any(each(sample) if callable(each) else fnmatchcase(sample.name, each) for each in patterns)
-        )
-        if not kept:
-            some = some_names([sample.name for sample in self.samples])
-            wanted = ", ".join(repr(each) for each in patterns)
-            raise LiaamError(
-                f"no sample of {self.source or 'the data set'} matches {wanted}: the names are like {some}."
-            )
-        return replace(self, samples=kept)
-
-    def report(self) -> str:
-        """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
-        source = f" from {self.source}" if self.source else ""
-        lines = [
-            f"{count_of(len(self), 'sample')}{source}",
-            *self._landmark_lines(),
-            *self._shared_lines(),
-            *self.notes,
-        ]
-        groups: dict[str, list[LeftOut]] = defaultdict(list)
-        for left in self.left_out:
-            if left.partly:
-                lines.append(f"{left.path.name}: {left.reason}")
-            else:
-                groups[left.reason.partition(":")[0]].append(left)
-        for reason, members in groups.items():
-            detail = members[0].reason.partition(": ")[2]
-            lines.append(f"left out {len(members)}: {reason} ({some_names([left.path.name for left in members])})")
-            lines += [f"  first: {detail}"] if detail else []
-        return "\n".join(lines)
-
-    def _shared_lines(self) -> list[str]:
-        counts = Counter(sample.image for sample in self.samples if isinstance(sample.image, Path))
-        shared = [image for image, count in counts.items() if count > 1]
-        if not shared:
-            return []
-        n_objects, names = sum(counts[image] for image in shared), some_names([image.name for image in shared])
-        holds = "image holds" if len(shared) == 1 else "images hold"
-        return [f"{len(shared)} {holds} {n_objects} objects, each a sample, such as {shared[0].stem}#2 ({names})"]
-
-    def _landmark_lines(self) -> list[str]:
-        if not self.samples:
-            return []
-        kinds = Counter(
-            f"{sample.landmarks.format or titles_of(suffix)} ({suffix})"
-            for sample in self.samples
-            if sample.landmark_file and (suffix := sample.landmark_file.suffix.lower())
-        )
-        formats = ", ".join(f"{kind}: {n}" for kind, n in kinds.items())
-        n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
-        missing = f", {n_missing} missing in total" if n_missing else ""
-        count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
-        return [f"{count}; {formats}" if formats else count]
 
 
 def load_folder(
@@ -371,23 +204,23 @@ class _Pairing:
             if image is None:
                 self._leave_out(file, NO_IMAGE)
             return
-        notes = Notes(self.reading.strict)
+        notes = Notes(self.reading.strict, done=self.notes.done)
         try:
-            parsed = parse_landmark_file(file, self.reading, notes)
-        except UnrecognisedError as fault:
-            if file.suffix.lower() == ".txt":
+            read = LandmarkFile.read(file, self.reading, notes=notes)
+            entries = read.entries
+        except LandmarkError as fault:
+            if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
                 self.unrecognised.append(file)
             else:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
-        except LandmarkError as fault:
-            self._leave_out(file, f"{_UNREAD}: {fault}", image)
+            return
+        if notes.left_out:
+            self.left_out.append(LeftOut(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
+        if read.is_single:
+            (entry,) = entries
+            self._add_single(read, image, entry)
         else:
-            for what, which in notes.done.items():
-                self.notes.done.setdefault(what, []).extend(which)
-            if notes.left_out:
-                line = Notes(left_out=notes.left_out).lines()[0]
-                self.left_out.append(LeftOut(file, line, partly=True))
-            self._add_parsed(file, image, parsed)
+            self._add_collection(read)
 
     def finish(self) -> list[Sample]:
         """Choose the landmarks of each image, and record the files that are not used."""
@@ -435,39 +268,36 @@ class _Pairing:
             winners.setdefault(image.with_suffix(""), image)
         return winners
 
-    def _add_parsed(self, file: Path, image: Path | None, parsed: Landmarks | dict[str, Landmarks]) -> None:
-        if isinstance(parsed, dict):
-            self._add_collection(file, parsed)
-            return
-        if image is None and parsed.image_name:
-            image = self._find(file.parent, parsed.image_name)
-        elif image is not None and parsed.image_name:
-            other, _ = self.names.find(parsed.image_name, file.parent)
-            if other is not None and other.with_suffix("") != image.with_suffix(""):
-                self.notes.repair(
-                    "landmark files name another image than that of their own name, which is used", file.name
-                )
+    def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
+        """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""
         if image is None:
-            self._leave_out(file, NO_IMAGE)
+            image = self._find(file.path.parent, entry) if entry else None
+        elif entry:
+            other, _ = self.names.find(entry, file.path.parent)
+            if other is not None and other.with_suffix("") != image.with_suffix(""):
+                what = "landmark files name another image than that of their own name, which is used"
+                self.notes.repair(what, file.path.name)
+        if image is None:
+            self._leave_out(file.path, NO_IMAGE)
         else:
-            self._add_option(file, image, parsed, own=True)
+            self._add_option(file, image, entry)
 
-    def _add_collection(self, file: Path, collection: dict[str, Landmarks]) -> None:
+    def _add_collection(self, file: LandmarkFile) -> None:
         absent = []
-        for entry, landmarks in collection.items():
-            image = self._find(file.parent, entry)
+        for entry in file.entries:
+            image = self._find(file.path.parent, entry)
             if image is None:
                 absent.append(entry)
             else:
-                self._add_option(file, image, landmarks, own=False)
-        if len(absent) == len(collection):
-            self._leave_out(file, f"{ABSENT}: {some_names(absent)}")
+                self._add_option(file, image, entry)
+        if len(absent) == len(file.entries):
+            self._leave_out(file.path, f"{ABSENT}: {some_names(absent)}")
         elif absent:
             verb = "is" if len(absent) == 1 else "are"
-            some = f"{len(absent)} of its {len(collection)} images {verb} not in the folder ({some_names(absent)})"
-            self.left_out.append(LeftOut(file, f"{some}; the others are used", partly=True))
+            some = f"{len(absent)} of its {len(file.entries)} images {verb} not in the folder ({some_names(absent)})"
+            self.left_out.append(LeftOut(file.path, f"{some}; the others are used", partly=True))
 
-    def _add_option(self, file: Path, image: Path, landmarks: Landmarks, own: bool) -> None:
+    def _add_option(self, file: LandmarkFile, image: Path, entry: str) -> None:
         """Add candidate landmarks of an image, in pixels."""
         if image not in self.options:
             return
@@ -475,15 +305,15 @@ class _Pairing:
             try:
                 size, orientation = size_and_orientation(image)
             except ImageError:
-                if landmarks.placing != Placing():
+                if file.entries[entry].placing != Placing():
                     raise
                 size, orientation = None, 1
-            placed = in_pixels(file, landmarks, size, None, self.reading, self.notes, image.name, orientation)
-            self.options[image].append(_Option(file, placed, own))
+            placed = file.placed(entry, size, orientation, image.name)
+            self.options[image].append(_Option(file.path, placed, file.is_single))
         except ImageError as fault:
-            self._leave_out(file, f"its image cannot be read: {fault}", image)
+            self._leave_out(file.path, f"its image cannot be read: {fault}", image)
         except LandmarkError as fault:
-            self._leave_out(file, f"{_UNREAD}: {fault}", image)
+            self._leave_out(file.path, f"{_UNREAD}: {fault}", image)
 
     def _find(self, folder: Path, entry: str) -> Path | None:
         """Find the image that an entry names, and note what was done to find it."""

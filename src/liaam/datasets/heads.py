@@ -5,7 +5,8 @@
 
 from pathlib import Path
 
-from liaam.datasets.folder import Dataset, Sample, load_folder
+from liaam.datasets.dataset import Dataset, Sample
+from liaam.datasets.folder import load_folder
 
 SOFT_LIGHT, HARD_LIGHT, FACE = (
     Path(__file__).with_name("pictures") / name for name in ("soft-light", "hard-light", "face")

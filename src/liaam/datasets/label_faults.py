@@ -144,10 +144,11 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
     expected = np.array([_expected(shape, upright, i) for i, shape in enumerate(upright)])
     off = np.linalg.norm(upright - expected, axis=2) / sizes[:, 0]
     usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a fraction of the diagonal
+    orders = _orders(mean, mirrored, float(np.median(_fit(upright / sizes, mean))))
     wrong = [
         _reflected(picture, own[i], kinds[i], mean)
         if kinds[i]
-        else _order_fault(picture, upright, i, expected[i], float(sizes[i, 0, 0]) * usual, mean, mirrored)
+        else _order_fault(picture, upright, i, expected[i], float(sizes[i, 0, 0]) * usual, mean, orders)
         for i, picture in enumerate(pictures)
     ]
     ordered = np.array([shape[fault.order] if fault else shape for shape, fault in zip(upright, wrong, strict=True)])
@@ -246,14 +247,14 @@ def _order_fault(
     expected: np.ndarray,
     usual: np.ndarray,
     mean: np.ndarray,
-    mirrored: np.ndarray | None,
+    orders: dict[str, np.ndarray],
 ) -> LabelFault | None:
     """Return the fault of ``shapes[own]``, the shape of image ``picture``, that another order corrects, if any."""
     shape = shapes[own]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
-    if np.median(distances / usual) > ALL_OFF:
-        kind, order, elsewhere = _best_whole(shapes, own, usual, mean, mirrored)
+    if orders and np.median(distances / usual) > ALL_OFF:
+        kind, order, elsewhere = _best_whole(shapes, own, usual, mean, orders)
         after = np.linalg.norm(shape[order] - elsewhere, axis=1)
         if np.median(after / usual) * ALL_OFF < np.median(distances / usual):
             far, near = root_mean_square(distances), root_mean_square(after)
@@ -276,17 +277,26 @@ def _turns(n: int) -> dict[str, np.ndarray]:
     return {"shifted": rolls, "reversed": rolls[:, ::-1]}
 
 
-def _best_whole(
-    shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, mirrored: np.ndarray | None
-) -> tuple[str, np.ndarray, np.ndarray]:
-    """Kind, order and expected landmarks for the order of all landmarks that is nearest to its neighbours.
+def _orders(mean: np.ndarray, mirrored: np.ndarray | None, natural: float) -> dict[str, np.ndarray]:
+    """Orders of all landmarks by kind that change the mean shape by more than the natural deviations of shapes.
 
-    Of each kind only the order nearest to the mean shape is tried.
+    Turned by a half, four landmarks may look as before.
     """
     turns = _turns(len(mean))
     orders = {"shifted": turns["shifted"][1:], "reversed": turns["reversed"]}  # the first shift is the identity
     if mirrored is not None:
         orders = {"left-right": mirrored[None], **orders}
+    told = {kind: each[_fit(mean[each], mean) > ALL_OFF * natural] for kind, each in orders.items()}
+    return {kind: each for kind, each in told.items() if len(each)}
+
+
+def _best_whole(
+    shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, orders: dict[str, np.ndarray]
+) -> tuple[str, np.ndarray, np.ndarray]:
+    """Kind, order and expected landmarks for the order of all landmarks that is nearest to its neighbours.
+
+    Of each kind only the order nearest to the mean shape is tried.
+    """
     tried = []
     for kind, each in orders.items():
         placed = resistant_fit(shapes[own][each], mean)

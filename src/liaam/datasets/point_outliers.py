@@ -23,9 +23,11 @@ RISK = 0.015
 PRECISION = 0.003
 """Usual precision of landmarks, as a fraction of the shape's diagonal."""
 
-LEAST_SPREAD, LEAST, ALWAYS = 3.5, 0.02, 0.05
-"""Least distance of a misplaced landmark in its standard deviations, at least and at most these fractions of the
-diagonal. The last allows for turned faces and open mouths, and is that for fewer images than MANY."""
+LEAST_SPREAD, ALWAYS = 3.5, 0.05
+LEAST = LEAST_SPREAD * PRECISION
+"""Least distance of a misplaced landmark in its standard deviations, or in the usual precision where landmarks are
+placed more precisely; and at most this fraction of the diagonal, which allows for turned faces and open mouths, and is
+that for fewer images than MANY."""
 
 MANY = 30
 """Least number of images whose landmarks' standard deviations are relied on."""
@@ -33,8 +35,9 @@ MANY = 30
 SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Candidate variances of independent points, as fractions of the mean variance of a coordinate."""
 
-POOLED = 100
-"""Images that the landmarks' common scale counts for, when each landmark's own scale is estimated."""
+POOLED = 30
+"""Images that the landmarks' common scale counts for, when each landmark's own scale is estimated: as many as tell the
+scale from an upper decile to a quarter, which is about how much landmarks differ."""
 
 ALIKE = 6.0
 """Points whose test statistics differ by less may each explain an unusual shape."""
@@ -166,7 +169,9 @@ def _normal(own: np.ndarray, rigid: np.ndarray) -> _Normal:
             best, kept = score, (precision, squares, float((values / (values + noise)).mean()))
     precision, squares, share = kept
     # Normal deviations have exponentially distributed squares of mean 2, of which the lower nine tenths have 1.488.
-    each, most = np.median(squares, axis=0) / np.log(4), np.quantile(squares, 0.9)
+    # Of landmarks that slide along a contour, such as the ends of a jaw, most lie near and a few far: the upper decile
+    # says how far, the median does not.
+    each, most = np.quantile(squares, 0.9, axis=0) / np.log(100), np.quantile(squares, 0.9)
     common = max(squares[squares <= most].mean() / 1.488, most / np.log(100))
     scales = (m + POOLED) / np.maximum(m * each + POOLED * common, 1e-3)
     # The variances are those of single modes by this share; the rest is one variance of all coordinates.

@@ -8,6 +8,7 @@ from liaam.fitting.result import FitResult, FitStatus, Iteration
 from liaam.fitting.search import Finder, find
 from liaam.fitting.single import fit, fit_all
 from liaam.fitting.solver import SolverOptions
+from liaam.fitting.starts import check_start, read_start, start_file
 
 __all__ = [
     "METHODS",
@@ -19,6 +20,7 @@ __all__ = [
     "Iteration",
     "Method",
     "SolverOptions",
+    "check_start",
     "features_method",
     "find",
     "fit",
@@ -26,4 +28,6 @@ __all__ = [
     "fit_each",
     "fit_many",
     "get_method",
+    "read_start",
+    "start_file",
 ]

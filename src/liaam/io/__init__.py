@@ -24,8 +24,6 @@ from liaam.io.landmarks import (
     write_landmarks,
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
-from liaam.io.results import fit_text, write_fit
-from liaam.io.starts import check_start, read_start, start_file
 from liaam.io.tables import to_dataframe, write_columns
 from liaam.io.video import VideoFrame, VideoReader
 from liaam.io.video_writer import VideoWriter, video_writer
@@ -42,10 +40,8 @@ __all__ = [
     "VideoReader",
     "VideoWriter",
     "atomic_path",
-    "check_start",
     "decode_image",
     "encoded_size",
-    "fit_text",
     "image_size",
     "is_image",
     "is_raw",
@@ -55,14 +51,11 @@ __all__ = [
     "read_landmarks",
     "read_preview",
     "read_raw",
-    "read_start",
-    "start_file",
     "to_dataframe",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",
     "write_columns",
-    "write_fit",
     "write_image",
     "write_landmarks",
     "write_text_atomically",

@@ -72,6 +72,8 @@ _EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of 
 class _Opened:
     """Header of an image file, whose pixels are not decoded yet."""
 
+    file: Any
+    name: object
     kind: str
     image: Any
     """Pillow's image; None for a TIFF of more than 8 bits per channel."""
@@ -118,27 +120,38 @@ def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> n
         If the file is missing, a folder, empty, truncated, damaged or in another format, has more than `max_pixels`
         pixels, or holds several pictures, or values of an unsupported type, such as 32-bit or signed integers.
     """
-    return _read(path, max_pixels)
+    return read_preview(path, None, max_pixels)
 
 
-def read_preview(path: str | os.PathLike[str], size: int, max_pixels: int | None = None) -> np.ndarray:
+def read_preview(
+    path: str | os.PathLike[str] | bytes, size: int | None, max_pixels: int | None = None, name: str = "image"
+) -> np.ndarray:
     """Read an image for display, with sides of at least `size` pixels; see :func:`read_image`.
 
-    A JPEG may be decoded faster at a half, a quarter or an eighth of its size.
+    A JPEG may be decoded faster at a half, a quarter or an eighth of its size. Bytes are those of an image file, except
+    RAW files; errors call it `name`.
     """
-    return _read(path, max_pixels, size)
+    if not isinstance(path, bytes) and is_raw(path):
+        return read_raw(path, max_pixels)
+    with _opened(path, name) as opened:
+        check_size(opened.name, opened.width, opened.height, max_pixels)
+        if opened.fault:
+            raise ImageError(f"{opened.name} {opened.fault}")
+        if opened.deep:
+            return _upright(_decode_deep(opened), opened)
+        if size is not None:
+            opened.image.draft(None, (size, size))  # affects JPEG only
+        return _upright(rgb_of(opened.image), opened)
 
 
 def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None) -> np.ndarray:
     """Decode the bytes of an image file, except RAW files. Errors call it `name`. See :func:`read_image`."""
-    file = io.BytesIO(data)
-    with _opened(file, name) as opened:
-        return _decode(file, name, opened, max_pixels)
+    return read_preview(data, None, max_pixels, name)
 
 
 def encoded_size(data: bytes, name: str = "image") -> tuple[int, int]:
     """Return (width, height) of an image file given as bytes, as :func:`image_size` does for a path."""
-    with _opened(io.BytesIO(data), name) as opened:
+    with _opened(data, name) as opened:
         return opened.size
 
 
@@ -162,7 +175,7 @@ def size_and_orientation(path: str | os.PathLike[str]) -> tuple[tuple[int, int],
     """Return (width, height) of an image as :func:`image_size` does, and its EXIF orientation, 1 to 8."""
     if is_raw(path):
         return raw_size(path), 1
-    with _file(path) as file, _opened(file, path) as opened:
+    with _opened(path) as opened:
         return opened.size, opened.orientation
 
 
@@ -176,38 +189,32 @@ def image_kind(path: Path) -> str | None:
 
 
 @contextmanager
-def _file(path: str | os.PathLike[str]) -> Iterator[Any]:
-    """Open an image file to read."""
-    path = existing_file(path, ImageError, "image")
+def _opened(path: str | os.PathLike[str] | bytes, name: object = "") -> Iterator[_Opened]:
+    """Yield the header of a file. Raise what Pillow and OpenCV raise in the block as ImageError."""
+    name = name if isinstance(path, bytes) else path
+    path = path if isinstance(path, bytes) else existing_file(path, ImageError, "image")
     try:
-        file = path.open("rb")
+        file = io.BytesIO(path) if isinstance(path, bytes) else path.open("rb")
     except OSError as fault:
-        raise ImageError(f"{path} cannot be read ({fault.strerror}): check its permissions.") from fault
+        raise ImageError(f"{name} cannot be read ({fault.strerror}): check its permissions.") from fault
     with file:
-        yield file
-
-
-@contextmanager
-def _opened(file: Any, name: str | os.PathLike[str]) -> Iterator[_Opened]:
-    """Yield the header of an open file. Raise what Pillow and OpenCV raise in the block as ImageError."""
-    kind = _kind_of(file.read(16))
-    if kind is None:
-        raise ImageError(f"{name} {_why_no_image(str(name))}")
-    file.seek(0)
-    try:
-        opened = _open_tiff(file) if kind == "TIFF" else _open(file, kind)
-        if opened.width < 1 or opened.height < 1:
-            raise ValueError(f"a size of {opened.width} x {opened.height} pixels")
-        yield opened
-    except (ImageError, MemoryError):
-        raise
-    except ImportError as fault:
-        needs = _NEEDS.get(kind, f"image of a format that needs another Pillow ({kind})")
-        raise ImageError(f"{name} is an {needs}, or save the image as PNG.") from fault
-    except Exception as fault:  # Pillow's parsers and decoders raise many classes on bad bytes
-        raise ImageError(
-            f"{name} is damaged or cut short ({fault}): copy it again, or save it again from the program that made it."
-        ) from fault
+        kind = _kind_of(file.read(16))
+        if kind is None:
+            raise ImageError(f"{name} {_why_no_image(str(name))}")
+        file.seek(0)
+        try:
+            opened = _open_tiff(file, name) if kind == "TIFF" else _open(file, name, kind)
+            if opened.width < 1 or opened.height < 1:
+                raise ValueError(f"a size of {opened.width} x {opened.height} pixels")
+            yield opened
+        except (ImageError, MemoryError):
+            raise
+        except ImportError as fault:
+            needs = _NEEDS.get(kind, f"image of a format that needs another Pillow ({kind})")
+            raise ImageError(f"{name} is an {needs}, or save the image as PNG.") from fault
+        except Exception as fault:  # Pillow's parsers and decoders raise many classes on bad bytes
+            remedy = "copy it again, or save it again from the program that made it."
+            raise ImageError(f"{name} is damaged or cut short ({fault}): {remedy}") from fault
 
 
 def _why_no_image(name: str) -> str:
@@ -239,7 +246,7 @@ def _pillow(file: Any, kind: str) -> Any:
     return Image.OPEN[kind][0](file, "")
 
 
-def _open(file: Any, kind: str) -> _Opened:
+def _open(file: Any, name: object, kind: str) -> _Opened:
     """Open a file of any kind but TIFF."""
     from PIL import Image
 
@@ -260,7 +267,7 @@ def _open(file: Any, kind: str) -> _Opened:
     orientation = 1
     with suppress(Exception):  # of damaged EXIF data, which programs that show the image ignore
         orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
-    return _Opened(kind, image, width, height, deep, orientation, fault)
+    return _Opened(file, name, kind, image, width, height, deep, orientation, fault)
 
 
 def _png_exif(file: Any) -> bytes | None:
@@ -288,7 +295,7 @@ def _white_of(image: Any) -> int:
     return 65535 if arguments == "I;16B" else 255
 
 
-def _open_tiff(file: Any) -> _Opened:
+def _open_tiff(file: Any, name: object) -> _Opened:
     """Read the tags before Pillow does, because it cannot open a float RGB file."""
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -301,7 +308,8 @@ def _open_tiff(file: Any) -> _Opened:
     fault, deep = _tiff_fault(tags, file.seek(0, os.SEEK_END)), max(tags.get(_BITS, (1,))) > 8
     file.seek(0)
     image = None if deep or fault else _pillow(file, "TIFF")
-    return _Opened("TIFF", image, int(tags[_WIDTH]), int(tags[_HEIGHT]), deep, _orientation(tags), fault)
+    width, height = int(tags[_WIDTH]), int(tags[_HEIGHT])
+    return _Opened(file, name, "TIFF", image, width, height, deep, _orientation(tags), fault)
 
 
 def _orientation(tags: Any) -> int:
@@ -332,30 +340,13 @@ def _tiff_fault(tags: Any, n_bytes: int) -> str:
 # Decoding -----------------------------------------------------------------------------------------
 
 
-def _read(path: str | os.PathLike[str], max_pixels: int | None, preview: int | None = None) -> np.ndarray:
-    """Read an image; see :func:`read_preview` for the size."""
-    if is_raw(path):
-        return read_raw(path, max_pixels)
-    with _file(path) as file, _opened(file, path) as opened:
-        return _decode(file, path, opened, max_pixels, preview)
-
-
-def _decode(file: Any, name: object, opened: _Opened, max_pixels: int | None, preview: int | None = None) -> np.ndarray:
-    """Decode an opened file; see :func:`read_preview` for the size."""
-    check_size(name, opened.width, opened.height, max_pixels)
-    if opened.fault:
-        raise ImageError(f"{name} {opened.fault}")
-    if opened.kind != "PPM" or not opened.deep:
-        if opened.image is not None and preview is not None:
-            opened.image.draft(None, (preview, preview))  # affects JPEG only
-        return _upright(_decode_deep(file, opened) if opened.deep else rgb_of(opened.image), opened)
-    return _decode_deep_ppm(file, opened.image)
-
-
-def _decode_deep(file: Any, opened: _Opened) -> np.ndarray:
-    """Decode 16-bit PNG and JPEG 2000, and 16-bit and float TIFF."""
+def _decode_deep(opened: _Opened) -> np.ndarray:
+    """Decode images of more than 8 bits per channel."""
     import cv2
 
+    file = opened.file
+    if opened.kind == "PPM":
+        return _decode_deep_ppm(file, opened.image)
     if opened.image is not None:  # Pillow detects truncation, where OpenCV may fill missing pixels with zeros
         opened.image.load()
     if file.seek(0, os.SEEK_END) > _MAX_BYTES:

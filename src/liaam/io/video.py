@@ -6,14 +6,12 @@ Frames are 8-bit RGB, upright.
 
 import importlib
 import os
-import queue
-import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
-from itertools import islice
+from itertools import repeat
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -24,29 +22,13 @@ from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
 from liaam.io.files import as_8_bits, existing_file, natural_key
 from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
-
-AHEAD = 16
-"""Number of frames decoded ahead."""
-
-AHEAD_BYTES = 200_000_000
-"""Bytes of frames decoded ahead, so that there are fewer than :data:`AHEAD` large frames. One frame always fits."""
+from liaam.workers import in_order
 
 MAX_PIXELS = 50_000_000
 """Largest width times height of a frame, checked before it is decoded; 8K has 33 million."""
 
-AHEAD_LIVE = 2
-"""The same for a camera, whose older frames are dropped if the reader is slow."""
-
-SOUGHT = 100
-"""From this start frame on, seek to a key frame instead of decoding from the beginning."""
-
-_REORDERED = 32
-"""Maximum number of frames by which common codecs store packets out of display order."""
-
 DEFAULT_RATE = Fraction(25)
 """Frames per second of files that do not specify a rate, and of folders of frames."""
-
-_WAIT, _PATIENCE = 0.2, 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,45 +95,65 @@ class VideoReader:
         self.name = f"camera {source}" if self.live else str(source)
         self.fault = ""
         self._start, self._stop = start, stop
-        self._source = _source_of(source)
+        if isinstance(source, int):
+            self._source = _Camera(source)
+        else:
+            self._source = _Folder(Path(source)) if Path(source).is_dir() else _File(source)
         self.rate = self._source.rate
         known = self._source.n_frames
         last = stop if not known else min(known, stop or known)
         self.n_frames = None if last is None else max(0, last - start)
-        self._queue: queue.Queue[VideoFrame | BaseException | None] = queue.Queue()
-        self._closed = threading.Event()
-        self._n_given, self._all_given = 0, False
-        self._thread = threading.Thread(target=self._decode, name=f"decode {self.name}", daemon=True)
+        self._frames: Generator[VideoFrame, None, None] | None = None
+        self._closed = False
 
     def __enter__(self) -> "VideoReader":
-        self._thread.start()
+        self._frames = self._given()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._closed.set()
-        self._thread.join(_PATIENCE)
-        if not self._thread.is_alive():  # do not close a stalled camera while the thread reads it
-            self._source.close()
+        if self._frames is not None:
+            self._frames.close()
+        self._frames = None
+        self._source.close()
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """Iterate over the frames once. A second loop continues where the first one stopped."""
-        while not self._all_given:
-            if self._thread.ident is None or self._closed.is_set():
+        while True:
+            if self._frames is None:
                 raise VideoError(
                     f"{self.name}: frames can be read only inside a with block; write 'with VideoReader(...) as "
                     "video:' around the loop"
                 )
-            item = self._queue.get()
-            if isinstance(item, VideoFrame):
-                self._n_given += 1
-                yield item
-                continue
-            self._all_given = True
-            if item is not None:
-                raise item
-            if not self._n_given:
-                raise VideoError(self._why_nothing())
-            self.fault = self._source.fault or self._source.damage
+            frame = next(self._frames, None)
+            if frame is None:
+                return
+            yield frame
+
+    def _given(self) -> Generator[VideoFrame, None, None]:
+        """Yield the frames, which a thread decodes ahead; not those of a camera, which should be new."""
+        frames, n_given = self._decoded(), 0
+        ahead = frames if self.live else in_order(lambda _: next(frames, None), repeat(None), 1)
+        try:
+            for frame in ahead:
+                if frame is None:
+                    break
+                n_given += 1
+                yield frame
+        finally:
+            self._closed = True
+            ahead.close()
+        if not n_given:
+            raise VideoError(self._why_nothing())
+        self.fault = self._source.fault or self._source.damage
+
+    def _decoded(self) -> Generator[VideoFrame, None, None]:
+        for time, picture in self._source:
+            index = self._source.n_seen - 1
+            if self._closed or (self._stop is not None and index >= self._stop):
+                return
+            image = picture() if index >= self._start else None
+            if image is not None:
+                yield VideoFrame(index, time, image)
 
     def _why_nothing(self) -> str:
         seen = self._source.n_seen
@@ -162,37 +164,9 @@ class VideoReader:
             f"{MAX_PIXELS:,} pixels; export it again"
         )
 
-    def _decode(self) -> None:
-        """Put all frames into the queue, then None or the error raised."""
-        try:
-            if self._start >= SOUGHT:
-                self._source.skip_to(self._start)
-            for time, picture in self._source:
-                index = self._source.n_seen - 1
-                if self._closed.is_set() or (self._stop is not None and index >= self._stop):
-                    break
-                if index >= self._start:
-                    self._put(VideoFrame(index, time, picture()))
-            self._put(None)
-        except BaseException as error:
-            self._put(error)
-
-    def _put(self, item: VideoFrame | BaseException | None) -> None:
-        if isinstance(item, VideoFrame):
-            most = AHEAD_LIVE if self.live else AHEAD
-            self._queue.maxsize = max(1, min(most, AHEAD_BYTES // item.image.nbytes))
-        while not self._closed.is_set():
-            try:
-                self._queue.put(item, timeout=_WAIT)
-                return
-            except queue.Full:
-                if self.live:  # prefer the newest frame
-                    with suppress(queue.Empty):
-                        self._queue.get_nowait()
-
 
 class _Source:
-    """Where frames come from. Iterates over (seconds, function that returns the image)."""
+    """Where frames come from. Iterates over (seconds, function that returns the image, or None if damaged)."""
 
     rate = DEFAULT_RATE
     n_frames: int | None = None
@@ -205,10 +179,6 @@ class _Source:
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         raise NotImplementedError
-
-    def skip_to(self, start: int) -> bool:
-        """Skip most of the frames before a frame. Return whether that is possible."""
-        return False
 
     def close(self) -> None:
         """Release the file or the camera."""
@@ -224,20 +194,18 @@ class _Folder(_Source):
             raise VideoError(f"{folder} is a folder without images; give a video, or a folder of frames such as 1.png")
         self.n_frames = len(self.files)
 
-    def skip_to(self, start: int) -> bool:
-        self.n_seen = min(start, len(self.files))
-        return start < len(self.files)
-
     def __iter__(self) -> Iterator[tuple[float, Any]]:
-        for i in range(self.n_seen, len(self.files)):
+        for i, file in enumerate(self.files):
             self.n_seen += 1
-            try:
-                image = as_8_bits(read_image(self.files[i], MAX_PIXELS))
-            except ImageError as fault:
-                self.n_damaged += 1
-                self.damage = self.damage or f"a frame is left out: {fault}"
-                continue
-            yield float(i / self.rate), lambda image=image: image
+            yield float(i / self.rate), partial(self._picture, file)
+
+    def _picture(self, file: Path) -> np.ndarray | None:
+        try:
+            return as_8_bits(read_image(file, MAX_PIXELS))
+        except ImageError as fault:
+            self.n_damaged += 1
+            self.damage = self.damage or f"a frame is left out: {fault}"
+            return None
 
 
 class _Camera(_Source):
@@ -283,10 +251,12 @@ class _File(_Source):
 
     def __init__(self, path: str | os.PathLike[str]):
         self.path = existing_file(path, VideoError, "video")
-        self.av = pyav(f"{path} is a video")
-        self.errors = self.av.error.FFmpegError
+        av = pyav(f"{path} is a video")
+        self.errors, self.reformatter = av.error.FFmpegError, av.video.reformatter.VideoReformatter()
+        # FFmpeg decodes some frames to open a file. Some decoders count what they pad frames with.
+        options = {"max_pixels": str(2 * MAX_PIXELS)}
         try:
-            self.container = self._opened()
+            self.container = av.open(str(path), metadata_errors="replace", options=options)
         except self.errors as fault:
             raise VideoError(
                 f"{path} is not a video that FFmpeg can open ({fault.strerror}): it has another format or is cut short "
@@ -294,15 +264,14 @@ class _File(_Source):
             ) from fault
         try:
             self._check_stream()
-            self._begin()
-            self._check_size(self.stream, "its frames have")
+            self.stream = stream = self.container.streams.video[0]
+            stream.thread_type, stream.codec_context.options = "AUTO", options
+            self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
+            self.n_frames, self.n_packets = self._announced(stream)
+            self._check_size(stream, "its frames have")
         except VideoError:
             self.close()
             raise
-
-    def _opened(self) -> Any:
-        """Open the file. FFmpeg decodes some frames for that, hence the options."""
-        return self.av.open(str(self.path), metadata_errors="replace", options=_decoding())
 
     def _check_stream(self) -> None:
         """Refuse sound, images and unknown codecs."""
@@ -324,16 +293,6 @@ class _File(_Source):
                 "make the video smaller"
             )
 
-    def _begin(self) -> None:
-        self.stream = stream = self.container.streams.video[0]
-        stream.thread_type = "AUTO"
-        stream.codec_context.options = _decoding()
-        self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
-        self.n_frames, self.n_packets = self._announced(stream)
-        self.n_seen = self.n_read = 0
-        self.begun: float | None = None
-        self.reformatter = self.av.video.reformatter.VideoReformatter()
-
     def _announced(self, stream: Any) -> tuple[int | None, int]:
         """Return the number of frames and of packets that the file announces. A trimmed .mp4 hides some frames."""
         entries = getattr(stream, "index_entries", ()) if "mp4" in self.container.format.name else ()  # of PyAV 16 on
@@ -341,50 +300,11 @@ class _File(_Source):
             return stream.frames or None, stream.frames
         return sum(not entry.is_discard for entry in entries) or None, min(stream.frames, len(entries))
 
-    def skip_to(self, start: int) -> bool:
-        """Seek to the last key frame well before a frame, if the times of the packets tell its number."""
-        try:
-            pieces = self._pieces(start + 4 * _REORDERED)
-            order, times = [time for time, _ in pieces], sorted(time for time, shown in pieces if shown)
-            if len(set(times)) < len(times):
-                return False
-            del times[: times.index(self._next_times()[1])]  # earlier ones cannot be decoded
-            # Seek earlier: frames shown just before a key frame may be stored after it and not be decodable.
-            sooner = times[max(0, min(start, len(times)) - _REORDERED)]
-            self.container.seek(sooner, stream=self.stream)
-            stored, shown = self._next_times()
-            self.container.seek(sooner, stream=self.stream)
-            seen, read = times.index(shown), order.index(stored)
-            if seen < start < len(times):
-                self.n_seen, self.n_read, self.begun = seen, read, float(times[0] * self.stream.time_base)
-                return True
-        except (self.errors, LookupError, TypeError, ValueError):
-            pass  # times are missing, or the seek went elsewhere
-        self.close()
-        self.container = self._opened()
-        self._begin()
-        return False
-
-    def _pieces(self, count: int) -> list[tuple[Any, bool]]:
-        """Return the time of the first packets in stored order, and whether they are shown, without decoding."""
-        with self._opened() as container:
-            pieces = (piece for piece in container.demux(container.streams.video[0]) if piece.size)
-            return [(piece.pts, not piece.is_discard) for piece in islice(pieces, count)]
-
-    def _next_times(self) -> tuple[int | None, int | None]:
-        """Return the times of the next packet and of the next decoded frame, None where there is none."""
-        stored = None
-        for packet in self.container.demux(self.stream):
-            stored = packet.pts if stored is None else stored
-            for frame in packet.decode():
-                return stored, frame.pts
-        return stored, None
-
     def __iter__(self) -> Iterator[tuple[float, Any]]:
-        first, last = self.begun, -1.0
+        first, last, n_read = None, -1.0, 0
         try:
             for packet in self.container.demux(self.stream):
-                self.n_read += bool(packet.size)
+                n_read += bool(packet.size)
                 for frame in self._frames_of(packet):
                     self._check_size(frame, f"frame {self.n_seen} has")
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
@@ -394,8 +314,8 @@ class _File(_Source):
                     last = seconds = seconds if seconds > last else last + float(1 / self.rate)
                     self.n_seen += 1
                     yield seconds, partial(self._picture, frame)
-            if not self.n_damaged and self.n_read < self.n_packets:
-                self.fault = f"{self.path} is cut short: it has {self.n_read} of its {self.n_packets} frames"
+            if not self.n_damaged and n_read < self.n_packets:
+                self.fault = f"{self.path} is cut short: it has {n_read} of its {self.n_packets} frames"
         except self.errors as fault:
             why = f"is damaged after frame {self.n_seen} ({fault.strerror})"
             self.fault = f"{self.path} {why}; only earlier frames were read"
@@ -416,18 +336,6 @@ class _File(_Source):
 
     def close(self) -> None:
         self.container.close()
-
-
-def _source_of(source: str | os.PathLike[str] | int) -> _Source:
-    if isinstance(source, int):
-        return _Camera(source)
-    return _Folder(Path(source)) if Path(source).is_dir() else _File(source)
-
-
-def _decoding() -> dict[str, str]:
-    """Options of decoders, which refuse frames of too many pixels."""
-    # Some count what they pad frames with.
-    return {"max_pixels": str(2 * MAX_PIXELS)}
 
 
 def is_video(path: Path) -> bool:

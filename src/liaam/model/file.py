@@ -104,7 +104,7 @@ def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str,
     Of a shape that is the mirror image of the one before, return the index of each landmark's mirror image, (n,) int.
     Raises like ``load_model``.
     """
-    from liaam.io.tensors import read_tensors
+    from liaam.model.tensors import read_tensors
 
     path, make = Path(path), "liaam train FOLDER -o MODEL"
     broken = (

@@ -15,11 +15,11 @@ import numpy as np
 from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
+from liaam.fitting.files import corrected_file, points_of_fit, read_fit
 from liaam.io.files import existing_file, natural_key
-from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, Landmarks, in_pixels, parse_landmark_file
+from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile
 from liaam.io.landmarks.matching import stem_of
-from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
-from liaam.io.results import corrected_file, points_of_fit, read_fit
+from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
 from liaam.io.tables import Columns, landmark_columns
 
 _MOST = 1e9
@@ -205,17 +205,15 @@ def _numbers(values: Any) -> np.ndarray:
 
 
 def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object]) -> Iterator[Specimen]:
-    notes = Notes(reading.strict)
-    parsed = parse_landmark_file(path, reading, notes)
-    for entry, landmarks in ({path.stem: parsed} if isinstance(parsed, Landmarks) else parsed).items():
+    file = LandmarkFile.read(path, reading)
+    for entry, landmarks in file.entries.items():
         # Measures depend on neither the height of the image nor its orientation.
         placing = landmarks.placing
-        size = placing.size or (None if placing.fractions else (1, 1))
-        placed = in_pixels(path, landmarks, size, reading=reading)
+        placed = file.placed(entry, placing.size or (None if placing.fractions else (1, 1)))
         try:
-            for name, own in placed.objects(stem_of(entry)):
+            for name, own in placed.objects(path.stem if file.is_single else stem_of(entry)):
                 yield Specimen(name, own.points, names=own.names, scale=own.scale, curves=own.contours)
         except LandmarkError as fault:
             raise LandmarkError(f"{path}: {fault}") from fault
-    for line in notes.lines():
+    for line in file.notes.lines():
         complain(f"{path.name}: {line}")

@@ -20,7 +20,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
-from liaam.datasets.folder import PICTURE_SUFFIXES
+from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.io import Contour, Landmarks, fit_text
+from liaam.fitting.files import fit_text
+from liaam.io import Contour, Landmarks
 from liaam.io.landmarks import collection_text
 from liaam.io.tables import columns_text
 from liaam.morphometry import Specimen, measure

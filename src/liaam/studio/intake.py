@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from liaam.datasets.folder import PICTURE_SUFFIXES
+from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import LiaamError
 from liaam.io import is_raw
 from liaam.io.atomic import write_bytes_atomically

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from liaam.datasets.folder import PICTURE_SUFFIXES
+from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.files import count_of, natural_key, some_names
 from liaam.io.images import UNREAD_SUFFIXES, image_size

@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.datasets.folder import PICTURE_SUFFIXES
+from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import Folder, checked_folder, revision_of

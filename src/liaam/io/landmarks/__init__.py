@@ -1,29 +1,26 @@
-"""Landmark files: one module per format, and a table of formats (:mod:`liaam.io.landmarks.formats`).
+"""Landmark files: readers by kind of file, and a table of formats (:mod:`liaam.io.landmarks.formats`).
 
-Every format is converted to liaam's convention, pixel centres counted from 0. The docstring of each format's module
+Every format is converted to liaam's convention, pixel centres counted from 0. The docstring of each format's reader
 describes the conversion.
 """
 
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
-from liaam.errors import ImageError, LandmarkError
+from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
-from liaam.io.files import existing_file
-from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
-from liaam.io.landmarks import placing, writers
-from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks import writers
+from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.contours import Contour
-from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES, Parsed, formats_of, parse_source, writer_of
+from liaam.io.landmarks.file import LandmarkFile, Size, size_beside
+from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES, writer_of
 from liaam.io.landmarks.matching import ImageNames
-from liaam.io.landmarks.reading import USUAL, Notes, Reading, Source
-from liaam.io.landmarks.text import decode_text, read_text
+from liaam.io.landmarks.reading import USUAL, Notes, Reading
 
 __all__ = [
     "FORMATS",
@@ -31,20 +28,17 @@ __all__ = [
     "USUAL",
     "Contour",
     "ImageNames",
+    "LandmarkFile",
     "Landmarks",
     "Notes",
     "Reading",
     "collection_text",
-    "in_pixels",
     "parse_landmark_data",
-    "parse_landmark_file",
     "read_collection",
     "read_landmarks",
     "write_collection",
     "write_landmarks",
 ]
-
-Size = tuple[float, float]
 
 
 def read_landmarks(
@@ -80,29 +74,28 @@ def read_landmarks(
         If the file is missing, empty, cut short, inconsistent, has an unknown suffix, holds invalid numbers, or holds
         several images.
     """
-    path, notes = Path(path), Notes(reading.strict)
-    parsed = parse_landmark_file(path, reading, notes)
-    found = parsed if isinstance(parsed, Landmarks) else _one_of(path, parsed, image_name)
-    placed = in_pixels(path, found, image_size, reading=reading, notes=notes)
-    _warn(path, notes)
+    file = LandmarkFile.read(Path(path), reading)
+    placed = file.placed(_entry_of(file, image_name), image_size)
+    _warn(file)
     return placed
 
 
-def _one_of(path: Path, parsed: dict[str, Landmarks], image_name: str | None) -> Landmarks:
-    """Return the landmarks of the only image, or of that with a name."""
-    if len(parsed) == 1:
-        return next(iter(parsed.values()))
+def _entry_of(file: LandmarkFile, image_name: str | None) -> str:
+    """Return the only image of a file, or that with a name."""
+    entries = list(file.entries)
+    if len(entries) == 1:
+        return entries[0]
     if image_name is None:
-        some = ", ".join(list(parsed)[:3])
         raise LandmarkError(
-            f"{path} holds the landmarks of {len(parsed)} images ({some} ...): use read_collection, or load its folder."
+            f"{file.path} holds the landmarks of {len(entries)} images ({', '.join(entries[:3])} ...): use "
+            "read_collection, or load its folder."
         )
     names = ImageNames([Path(image_name)])
-    entry = next((entry for entry in parsed if PureWindowsPath(entry).name == image_name), None)
-    entry = entry or next((entry for entry in parsed if names.find(entry)[0] is not None), None)
-    if entry is None:
-        raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
-    return parsed[entry]
+    same = [entry for entry in entries if PureWindowsPath(entry).name == image_name]
+    alike = same or [entry for entry in entries if names.find(entry)[0] is not None]
+    if not alike:
+        raise LandmarkError(f"{file.path} has no landmarks of {image_name}: add them, or name another file.")
+    return alike[0]
 
 
 def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> dict[str, Landmarks]:
@@ -120,103 +113,26 @@ def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> d
     LandmarkError
         As :func:`read_landmarks`, or if the file holds one unnamed image.
     """
-    path, notes = Path(path), Notes(reading.strict)
-    parsed = parse_landmark_file(path, reading, notes)
-    if isinstance(parsed, Landmarks) and parsed.image_name:
-        parsed = {parsed.image_name: parsed}
-    if isinstance(parsed, Landmarks):
+    file = LandmarkFile.read(Path(path), reading)
+    if file.is_single and "" in file.entries:
         raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
-    beside = cache(partial(_images_in, path.parent))
-    placed = {
-        name: in_pixels(path, landmarks, None, beside, reading, notes, name) for name, landmarks in parsed.items()
-    }
-    _warn(path, notes)
+    placed = {entry: file.placed(entry) for entry in file.entries}
+    _warn(file)
     return placed
 
 
-def _warn(path: Path, notes: Notes) -> None:
-    for line in notes.lines():
-        warnings.warn(f"{path}: {line}", stacklevel=3)
-
-
-def parse_landmark_file(path: str | os.PathLike[str], reading: Reading = USUAL, notes: Notes | None = None) -> Parsed:
-    """Read a landmark file as `Landmarks`, or as a dict of them if the file names its images.
-
-    The points are as in the file; :func:`in_pixels` converts them. What has to be said is added to the notes.
-    """
-    formats_of(Path(path))
-    path = existing_file(path, LandmarkError, "landmark file")
-    return parse_source(Source(path, read_text(path), reading, notes or Notes(reading.strict)))
+def _warn(file: LandmarkFile) -> None:
+    for line in file.notes.lines():
+        warnings.warn(f"{file.path}: {line}", stacklevel=3)
 
 
 def parse_landmark_data(
     name: str, data: bytes, image_size: Size | None = None, reading: Reading = USUAL, notes: Notes | None = None
-) -> Parsed:
-    """Parse the content of a landmark file in memory. All its images have the same size."""
-    path = Path(name)
-    formats_of(path)
-    parsed = parse_source(Source(path, decode_text(path, data), reading, notes or Notes(reading.strict)))
-    if isinstance(parsed, Landmarks):
-        return in_pixels(path, parsed, image_size, reading=reading, notes=notes)
-    return {image: in_pixels(path, own, image_size, None, reading, notes, image) for image, own in parsed.items()}
-
-
-def in_pixels(
-    path: str | os.PathLike[str],
-    landmarks: Landmarks,
-    image_size: Size | None,
-    beside: Callable[[], ImageNames] | None = None,
-    reading: Reading = USUAL,
-    notes: Notes | None = None,
-    name: str | None = None,
-    orientation: int = 1,
-) -> Landmarks:
-    """Convert parsed landmarks to pixels; raise if that needs the image's size, and it is unknown.
-
-    ``beside`` gives the images beside the file, which then are listed once for many entries. ``name`` is that of the
-    image in notes.
-    """
-    path, how = Path(path), landmarks.placing
-    if image_size is None and (how.upwards or how.fractions or how.size is not None):
-        try:
-            image_size, orientation = _size_beside(path.parent, name or landmarks.image_name, beside)
-        except LandmarkError as fault:
-            if how.size is None:
-                raise LandmarkError(f"{path}: {fault}") from fault
-            image_size = how.size
-    if image_size is None:
-        return landmarks if how == Placing() else replace(landmarks, placing=Placing())
-    say = partial((notes or Notes()).say, which=name or landmarks.image_name or path.name)
-    try:
-        return placing.place(landmarks, image_size, orientation, reading, say)
-    except LandmarkError as fault:
-        raise LandmarkError(f"{path}: {fault}") from fault
-
-
-def _size_beside(
-    folder: Path, image: str | None, beside: Callable[[], ImageNames] | None
-) -> tuple[tuple[int, int], int]:
-    """Return the size and orientation of the image that a landmark file names, perhaps on another computer."""
-    fault = ""
-    if image:
-        try:
-            found, _ = (beside or partial(_images_in, folder))().find(image, folder)
-            return size_and_orientation(found or folder / image)
-        except ImageError as error:
-            fault = f" ({error})"
-    raise LandmarkError(
-        f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, height) in "
-        "pixels."
-    )
-
-
-def _images_in(folder: Path) -> ImageNames:
-    """Return the images in a folder, lossless formats first."""
-    try:
-        files = [file for file in folder.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
-    except OSError:
-        files = []
-    return ImageNames(sorted(files, key=lambda file: (PICTURE_SUFFIXES.index(file.suffix.lower()), file.name)))
+) -> Landmarks | dict[str, Landmarks]:
+    """Parse the content of a landmark file in memory, of one image, or of many by name. All have the same size."""
+    file = LandmarkFile.read(Path(name), reading, data, notes)
+    placed = {entry: file.placed(entry, image_size) for entry in file.entries}
+    return next(iter(placed.values())) if file.is_single else placed
 
 
 def write_landmarks(
@@ -224,8 +140,9 @@ def write_landmarks(
 ) -> None:
     """Write the landmarks of one image atomically as ``.pts``, ``.csv``, ``.ljson`` or ``.tps``.
 
-    Only ``.ljson`` stores contours and invisible landmarks. Only ``.ljson`` and ``.csv`` store names. Only ``.tps``
-    stores the scale, the image's name, and open contours of the last landmarks (as curves).
+    Only ``.ljson`` stores contours and invisible landmarks; ``.ljson`` and ``.csv`` store names; ``.tps`` and
+    ``.ljson`` store the scale; and ``.tps`` stores the image's name, and open contours of the last landmarks (as
+    curves).
 
     Parameters
     ----------
@@ -244,23 +161,19 @@ def write_landmarks(
     path = Path(path)
     text = writer_of(path).text
     assert text is not None
-    write_text_atomically(path, text(_to_write(path, _as_landmarks(landmarks), image_size)), LandmarkError)
+    write_text_atomically(path, text(_to_write(path, landmarks, image_size)), LandmarkError)
 
 
-def _to_write(
-    path: Path, landmarks: Landmarks, size: Size | None, beside: Callable[[], ImageNames] | None = None
-) -> Landmarks:
+def _to_write(path: Path, landmarks: Landmarks | np.ndarray, size: Size | None, name: str | None = None) -> Landmarks:
     """Return landmarks in pixels as the format of a file counts them."""
+    landmarks = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
+    landmarks = landmarks if name is None else replace(landmarks, image_name=name)
     if path.suffix.lower() != ".tps":
         return landmarks
     try:
-        return writers.upwards(landmarks, size or _size_beside(path.parent, landmarks.image_name, beside)[0])
+        return writers.upwards(landmarks, size or size_beside(path.parent, landmarks.image_name or "")[0])
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
-
-
-def _as_landmarks(points: Landmarks | np.ndarray) -> Landmarks:
-    return points if isinstance(points, Landmarks) else Landmarks(points)
 
 
 def write_collection(
@@ -292,9 +205,5 @@ def collection_text(
     assert text is not None
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    sizes, beside = image_sizes or {}, cache(partial(_images_in, path.parent))
-    placed = {
-        name: _to_write(path, replace(_as_landmarks(own), image_name=name), sizes.get(name), beside)
-        for name, own in collection.items()
-    }
-    return text(placed, sizes)
+    sizes = image_sizes or {}
+    return text({name: _to_write(path, own, sizes.get(name), name) for name, own in collection.items()}, sizes)

@@ -20,21 +20,14 @@ from liaam.io.landmarks.contours import Contour
 
 @dataclass(frozen=True)
 class Placing:
-    """What the positions in a file count from.
-
-    Attributes
-    ----------
-    size : (float, float), optional
-        Width and height of the image that the positions are for, if the file states it.
-    upwards : bool
-        Whether y counts upwards from the bottom row.
-    fractions : bool
-        Whether x and y are fractions of the width and height.
-    """
+    """What the positions in a file count from."""
 
     size: tuple[float, float] | None = None
+    """Width and height of the image that the positions are for, if the file states it."""
     upwards: bool = False
+    """Whether y counts upwards from the bottom row."""
     fractions: bool = False
+    """Whether x and y are fractions of the width and height."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,21 +78,15 @@ class Landmarks:
     def __post_init__(self) -> None:
         points = _checked_points(self.points)
         object.__setattr__(self, "points", points)
+        object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
         if self.names and len(self.names) != len(points):
             raise LandmarkError(f"there are {len(self.names)} names for {len(points)} landmarks: give one name each.")
-        wrong = [i for contour in self.contours for i in contour.indices if not 0 <= i < len(points)]
-        if wrong:
-            raise LandmarkError(
-                f"a contour names landmark {wrong[0]} (counting from 0), but there are {len(points)} landmarks: "
-                "correct the contour."
-            )
-        object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
-        wrong = [index for index in self.invisible if not 0 <= index < len(points)]
-        if wrong:
-            raise LandmarkError(
-                f"landmark {wrong[0]} (counting from 0) is marked invisible, but there are {len(points)} landmarks: "
-                "correct the indices."
-            )
+        in_contours = [i for contour in self.contours for i in contour.indices]
+        for what, indices in (("a contour names", in_contours), ("marked as invisible is", self.invisible)):
+            wrong = [i for i in indices if not 0 <= i < len(points)]
+            if wrong:
+                there = f"there are {len(points)} landmarks: correct the indices"
+                raise LandmarkError(f"{what} landmark {wrong[0]} (counting from 0), but {there}.")
         if self.scale is not None and not 0 < self.scale < math.inf:
             raise LandmarkError(f"the scale is {self.scale:g}: give the length of a pixel, a positive number.")
 
@@ -107,9 +94,7 @@ class Landmarks:
         return len(self.points)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        if copy is False and np.dtype(dtype or self.points.dtype) != self.points.dtype:
-            raise ValueError(f"landmarks are float64: an array of {dtype} is a copy")  # as NumPy asks for
-        return np.array(self.points, dtype) if copy else np.asarray(self.points, dtype)
+        return np.array(self.points, dtype, copy=copy)
 
     def __repr__(self) -> str:
         points, contours = count_of(len(self), "point"), count_of(len(self.contours), "contour")
@@ -170,8 +155,7 @@ def _checked_points(points: Any) -> np.ndarray:
         raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
     if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
         raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
-    absent = np.isnan(points)
-    half = np.flatnonzero(absent[:, 0] != absent[:, 1])
+    half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
     if len(half):
         raise LandmarkError(
             f"landmark {half[0] + 1} (counting from 1) has only one of x and y: give both, or leave out both."

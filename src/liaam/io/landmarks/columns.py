@@ -4,11 +4,10 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import count, groupby
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.tables import filled, plain
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
 IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
@@ -45,6 +44,20 @@ class Columns:
     visible: int | None = None
     size: tuple[int, ...] = ()
     """Those of the width and height of the images."""
+
+
+def plain(cell: str) -> str:
+    """Return a column's name in lower case, without a unit in brackets, with words joined by underscores."""
+    return re.sub(r"[\s_.-]+", "_", re.sub(r"[(\[].*[)\]]", "", cell).strip().casefold()).strip("_")
+
+
+def filled(values: Sequence[str]) -> list[str]:
+    """Fill empty cells with those above them, as merged cells are exported."""
+    last, made = "", []
+    for value in values:
+        last = value or last
+        made.append(last)
+    return made
 
 
 def has_points(header: Sequence[str]) -> bool:
@@ -125,7 +138,27 @@ def _numbered(header: list[str]) -> list[str]:
     plain = [cell for cell in header if cell in ("x", "y", "X", "Y")]
     if len(plain) == len({*plain}) and not any(re.fullmatch(r"[xyXY]\.1", cell) for cell in header):
         return header
-    return [f"{cell}.{header[:i].count(cell)}" if cell in plain else cell for i, cell in enumerate(header)]
+    numbers = defaultdict(count)
+    return [f"{cell}.{next(numbers[cell])}" if cell in ("x", "y", "X", "Y") else cell for cell in header]
+
+
+def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]) -> int | None:
+    """Return the column that names the images in a table of one row an image; `used` are those of x and y."""
+    others = [i for i in range(len(header)) if i not in used]
+    for known in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
+        found = [i for i in others if header[i] in known and all(row[i].strip() for row in rows)]
+        pixels = [header[i] for i in found if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for row in rows)]
+        if pixels:
+            raise LandmarkError(
+                f"the column '{pixels[0]}' holds the images' pixels: put the images' names in its place."
+            )
+        if found:
+            return found[0]
+    texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for row in rows)]
+    if len(texts) == 1 or len(rows) < 2:
+        return texts[0] if len(texts) == 1 else None
+    named = f" (the columns {', '.join(repr(header[i]) for i in texts)} may)" if texts else ""
+    raise LandmarkError(f"no column names the images{named}: name it 'image'.")
 
 
 def _check_one_image(header: list[str], values: list[list[str]], texts: list[int], landmark: int | None) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,8 @@ def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
 
 def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
     """List the edges between neighbours along the contours."""
-    edges = []
-    for contour in contours:
-        edges += zip(contour.indices, contour.indices[1:], strict=False)
-        if contour.closed:
-            edges.append((contour.indices[-1], contour.indices[0]))
-    return edges
+    closed = (contour.indices + contour.indices[: int(contour.closed)] for contour in contours)
+    return [edge for indices in closed for edge in pairwise(indices)]
 
 
 def edges_from(pairs: Iterable[object], n: int) -> list[tuple[int, int]]:
@@ -58,35 +55,23 @@ def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
     Lines end at loose ends and where three or more edges meet; lines without ends are closed. Repeated edges
     count once, and edges from a landmark to itself are ignored.
     """
-    neighbours = _neighbours(edges)
-    used: set[frozenset[int]] = set()
-    ends = [node for node, others in neighbours.items() if len(others) != 2]
-    chains = [_walk(node, other, neighbours, used) for node in ends for other in neighbours[node]]
-    chains += [_walk(node, others[0], neighbours, used) for node, others in neighbours.items() if others]
-    contours = (contour_of(chain, closed=False) for chain in chains)
-    found = [contour for contour in contours if contour is not None]
-    order = {node: number for number, node in enumerate(neighbours)}
-    return tuple(sorted(found, key=lambda contour: min(order[node] for node in contour.indices)))
-
-
-def _neighbours(edges: Iterable[tuple[int, int]]) -> dict[int, list[int]]:
-    neighbours: dict[int, dict[int, None]] = {}
+    neighbours: dict[int, dict[int, None]] = {}  # sets in order
     for start, end in edges:
         if start != end:
             neighbours.setdefault(start, {})[end] = None
             neighbours.setdefault(end, {})[start] = None
-    return {node: list(others) for node, others in neighbours.items()}
-
-
-def _walk(start: int, following: int, neighbours: dict[int, list[int]], used: set[frozenset[int]]) -> list[int]:
-    """Follow unused edges from `start` through `following` up to a loose end or a junction."""
-    chain = [start]
-    node, target = start, following
-    while frozenset((node, target)) not in used:
-        used.add(frozenset((node, target)))
-        chain.append(target)
-        others = neighbours[target]
-        if len(others) != 2:
-            break
-        node, target = target, others[0] if others[1] == node else others[1]
-    return chain
+    used: set[frozenset[int]] = set()
+    chains = []
+    # From ends and junctions first: what is left are closed lines.
+    for start in sorted(neighbours, key=lambda node: len(neighbours[node]) == 2):
+        for node in neighbours[start]:
+            chain = [start]
+            while (edge := frozenset((chain[-1], node))) not in used and len(edge) == 2:
+                used.add(edge)
+                chain.append(node)
+                if len(neighbours[node]) == 2:  # else this is the last
+                    node = next(other for other in neighbours[node] if other != chain[-2])
+            chains.append(chain)
+    contours = (contour_of(chain, closed=False) for chain in chains)
+    order = {node: number for number, node in enumerate(neighbours)}
+    return tuple(sorted(filter(None, contours), key=lambda contour: min(order[node] for node in contour.indices)))

@@ -1,35 +1,14 @@
 """The table of landmark formats. Documentation, help, messages, the studio and tests are made from it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks import (
-    asf,
-    coco,
-    csv_points,
-    cvat,
-    deeplabcut,
-    dlib_xml,
-    label_studio,
-    labelme,
-    lists,
-    ljson,
-    nts,
-    pts,
-    stereomorph,
-    tem,
-    text_points,
-    tps,
-    wide,
-    writers,
-)
+from liaam.io.landmarks import annotations as an, lists, morphometrics as morph, plain, tables, writers as out
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.reading import LACKING, Source, UnrecognisedError, in_objects
-
-Parsed = Landmarks | dict[str, Landmarks]
+from liaam.io.landmarks.columns import has_points, pairs_of
+from liaam.io.landmarks.reading import Source, UnrecognisedError
 
 
 @dataclass(frozen=True)
@@ -40,49 +19,68 @@ class Format:
     """Name of the format."""
     suffixes: tuple[str, ...]
     """Suffixes of its files, lower case."""
-    reader: ModuleType
-    """Its `parse` makes landmarks of a source; `is_it`, if there is one, tells it from others of the same suffix."""
     origin: str
     """What its numbers count from, for the documentation."""
-    many: bool = False
+    many: bool
     """Whether one file can hold many images."""
-    contours: bool = False
-    names: bool = False
+    contours: bool
+    names: bool
+    parse: Callable[[Source], list[Landmarks]]
+    """Make the landmarks of each object, as the file counts them."""
     text: Callable[[Landmarks], str] | None = None
     """Format landmarks as a file's text; None if the format is read-only. y of ``.tps`` counts upwards."""
-    text_of_many: Callable[[Mapping[str, Landmarks], writers.Sizes], str] | None = None
+    text_of_many: Callable[[Mapping[str, Landmarks], out.Sizes], str] | None = None
     """Format the landmarks of many images, of these sizes, as a file's text."""
 
 
 _CENTRES = "centres counted from 0"
 _TAKEN = f"taken as {_CENTRES}"
-_TPS = "(0, 0) is the centre of the bottom-left pixel, y upwards; needs the image"
+_FIRST = "(1, 1) is the centre of the top-left pixel"
+_PERCENT, _FRACTIONS = "percent of width and height", "fractions of width and height; needs the image"
+_UP = "(0, 0) is the centre of the bottom-left pixel, y upwards; needs the image"
 _IMAGEJ = f"{_CENTRES}; ImageJ's results: corners"
+_MENPO = f"[y, x], {_CENTRES}"
 _TABLES = (".csv", ".tsv", ".txt")
-_CSV = (writers.csv_text, writers.csv_collection)
+_IMAGES, _LINES, _NAMES = True, True, True  # whether a format holds many images, contours, names
 
 FORMATS: tuple[Format, ...] = (
-    Format("300-W points", (".pts",), pts, "(1, 1) is the centre of the top-left pixel", text=writers.pts_text),
-    Format("menpo landmarks", (".ljson",), ljson, f"[y, x], {_CENTRES}", False, True, True, writers.ljson_text),
-    Format("WebMorph template", (".tem",), tem, _TAKEN, contours=True),
-    Format("AAM-API shape", (".asf",), asf, "fractions of width and height; needs the image", contours=True),
-    Format("LabelMe", (".json",), labelme, _TAKEN, names=True),
-    Format("CVAT for images", (".xml",), cvat, _TAKEN, many=True, names=True),
-    Format("dlib imglab", (".xml",), dlib_xml, _CENTRES, many=True, names=True),
-    Format("Label Studio", (".json",), label_studio, "percent of width and height", many=True, names=True),
-    Format("COCO keypoints", (".json",), coco, _TAKEN, True, True, True, text_of_many=writers.coco_collection),
-    Format("tpsDig points", (".tps",), tps, _TPS, True, True, False, writers.tps_text, writers.tps_collection),
-    Format("NTSYS matrix", (".nts",), nts, "as .tps", many=True),
-    Format("StereoMorph shapes", (".txt",), stereomorph, _CENTRES, names=True),
-    Format("DeepLabCut table", _TABLES, deeplabcut, _CENTRES, many=True, names=True),
-    Format("table of one row an image", _TABLES, wide, _CENTRES, many=True, names=True),
-    Format("table", _TABLES, csv_points, _IMAGEJ, True, False, True, *_CSV),
-    Format("list of lines with an image's name", (".txt", ".csv"), lists, _CENTRES, many=True),
-    Format("lines of x and y, HELEN's", (".txt",), text_points, _CENTRES, names=True),
+    Format("300-W points", (".pts",), _FIRST, False, False, False, plain.parse_pts, text=out.pts_text),
+    Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, text=out.ljson_text),
+    Format("WebMorph template", (".tem",), _TAKEN, False, _LINES, False, plain.parse_tem),
+    Format("AAM-API shape", (".asf",), _FRACTIONS, False, _LINES, False, plain.parse_asf),
+    Format("LabelMe", (".json",), _TAKEN, False, False, _NAMES, an.parse_labelme),
+    Format("CVAT for images", (".xml",), _TAKEN, _IMAGES, False, _NAMES, an.parse_cvat),
+    Format("dlib imglab", (".xml",), _CENTRES, _IMAGES, False, _NAMES, an.parse_dlib),
+    Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio),
+    Format(
+        "COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, text_of_many=out.coco_collection
+    ),
+    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, out.tps_text, out.tps_collection),
+    Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, morph.parse_nts),
+    Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes),
+    Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
+    Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
+    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_collection),
+    Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, lists.parse),
+    Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines),
 )
 """Formats, in order of preference where an image has several files, and in the order that they are tried for a suffix.
 
 A file of its own takes precedence over one for many images."""
+
+_TOLD: dict[str, Callable[[Source], bool]] = {
+    "LabelMe": lambda file: isinstance(file.object.get("shapes"), list),
+    "CVAT for images": lambda file: file.xml.tag == "annotations",
+    "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
+    "COCO keypoints": lambda file: bool({"images", "annotations"} & file.object.keys()),
+    "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
+    "DeepLabCut table": lambda file: tables.rows_of(file)[0][1][:1] == ["scorer"],
+    "table of one row an image": lambda file: len(pairs_of(tables.rows_of(file)[0][1])) > 1,
+    "table": lambda file: has_points(tables.header_of(file)),
+    "list of lines with an image's name": lists.is_it,
+    "lines of x and y, HELEN's": plain.is_lines,
+}
+"""What tells a file of a format from others of its suffix that come later."""
 
 LANDMARK_SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
 """Suffixes (lower case) of the landmark files that can be read, in order of preference."""
@@ -107,6 +105,19 @@ def formats_of(path: Path) -> list[Format]:
     return found
 
 
+def format_of(source: Source) -> Format:
+    """Return the format that a file has, of those of its suffix. Raise if it has none."""
+    for form in formats_of(source.path):
+        if form.title not in _TOLD or _TOLD[form.title](source):
+            return form
+    suffix = source.path.suffix.lower()
+    if suffix == ".json":
+        raise UnrecognisedError(f"this is none of {titles_of(suffix)}: export it as one of these.")
+    raise UnrecognisedError(
+        "there are no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
+    )
+
+
 def may_hold_many(path: Path) -> bool:
     """Return whether files of this suffix may hold many images, or one that does not have the file's name."""
     return path.suffix.lower() == ".asf" or any(form.many for form in formats_of(path))
@@ -125,40 +136,6 @@ def writer_of(path: Path, many: bool = False) -> Format:
     holds_many = any(form.text_of_many is not None for form in known)
     fault = "holds many images, so it is written by write_collection" if holds_many else "is only read"
     raise LandmarkError(f"{path} cannot be written: {path.suffix} {fault}. Use {use}.")
-
-
-def parse_source(source: Source) -> Parsed:
-    """Parse a file in the format that it has, of those of its suffix. Errors name the file."""
-    form, suffix = None, source.path.suffix.lower()
-    try:
-        form = next((form for form in formats_of(source.path) if _is_in(source, form)), None)
-        if form is None:
-            unknown = f"this is none of {titles_of(suffix)}: export it as one of these."
-            untitled = "there are no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
-            raise UnrecognisedError(unknown if suffix == ".json" else untitled)
-        parsed = form.reader.parse(source)
-        if isinstance(parsed, Landmarks):
-            return _titled(parsed, form.title)
-        if not parsed:
-            raise LandmarkError(
-                f"no landmarks in it ({form.title}): place those of at least one image, or export it again."
-            )
-    except LandmarkError as fault:
-        raise type(fault)(f"{source.path}: {fault}") from fault
-    except LACKING as fault:
-        if "json" not in suffix or form is None:
-            raise
-        raise LandmarkError(f"{source.path} lacks the parts of a {form.title} file: export it again.") from fault
-    return {image: _titled(own, form.title) for image, own in in_objects(parsed).items()}
-
-
-def _titled(landmarks: Landmarks, title: str) -> Landmarks:
-    return replace(landmarks, format=title, others=tuple(_titled(other, title) for other in landmarks.others))
-
-
-def _is_in(source: Source, form: Format) -> bool:
-    is_it = getattr(form.reader, "is_it", None)
-    return is_it is None or is_it(source)
 
 
 def rank_of(landmarks: Landmarks) -> int:

@@ -17,6 +17,7 @@ from liaam.io.landmarks.text import decimal
 _WFLW = 10
 """Numbers of a box and of attributes."""
 
+_SEPARATORS = r"\t;", r"\t,;", r"\s,;"
 _FEW = 3
 """Least number of lines, and of points in each, to tell boxes from landmarks."""
 
@@ -28,12 +29,11 @@ def is_it(source: Source) -> bool:
 
 def _words(line: str) -> list[str]:
     """Split a line; a name may hold blanks if others separate, and commas may be decimal if these do not."""
-    cells = [word.strip() for word in re.split(r"[\t;]", line) if word.strip()]
-    words = [decimal(cell) for cell in cells]
-    if words != cells:
+    tabbed, marked, every = ([word.strip() for word in re.split(f"[{by}]", line) if word.strip()] for by in _SEPARATORS)
+    words = [decimal(cell) for cell in tabbed]
+    if words != tabbed:
         return words
-    cells, words = ([word.strip() for word in re.split(by, line) if word.strip()] for by in (r"[\t,;]", r"[\s,;]"))
-    return words if _name_at(cells) is None else cells
+    return every if _name_at(marked) is None else marked
 
 
 def _name_at(words: list[str]) -> int | None:
@@ -65,19 +65,23 @@ def parse(source: Source) -> list[Landmarks]:
     return list(source.each(((f"line {i}", pair) for i, pair in pairs), make))
 
 
-def _has_attributes(numbers: list[str]) -> bool:
-    if len(numbers) < _WFLW + 4 or len(numbers) % 2 or not all(map(is_number, numbers)):
-        return False
-    left, top, right, bottom = map(float, numbers[-_WFLW:-6])
-    return set(numbers[-6:]) <= {"0", "1"} and left < right and top < bottom
+def _numbers(words: list[str], least: int) -> np.ndarray | None:
+    """Return pairs of numbers, if there are so many."""
+    if len(words) < least or len(words) % 2 or not all(map(is_number, words)):
+        return None
+    return np.array(words, np.float64).reshape(-1, 2)
 
 
-def _has_box(numbers: list[str]) -> bool:
+def _has_attributes(words: list[str]) -> bool:
+    pairs = _numbers(words, _WFLW + 4)
+    return pairs is not None and set(words[-6:]) <= {"0", "1"} and bool((pairs[-5] < pairs[-4]).all())
+
+
+def _has_box(words: list[str]) -> bool:
     """Whether the first four numbers are a box around all points: two corners, or one and the size."""
-    if len(numbers) < 4 + 2 * _FEW or len(numbers) % 2 or not all(map(is_number, numbers)):
+    pairs = _numbers(words, 4 + 2 * _FEW)
+    if pairs is None:
         return False
-    corner, other, *points = np.array(numbers, np.float64).reshape(-1, 2)
-    low, high = np.min(points, axis=0), np.max(points, axis=0)
-    return bool(
-        (corner <= low).all() and ((other >= high).all() or (corner + other >= high).all()) and (other > 0).all()
-    )
+    corner, other, low, high = pairs[0], pairs[1], pairs[2:].min(axis=0), pairs[2:].max(axis=0)
+    around = (other >= high).all() or (corner + other >= high).all()
+    return bool((corner <= low).all() and around and (other > 0).all())

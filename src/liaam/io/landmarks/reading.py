@@ -2,12 +2,12 @@
 
 import json
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 from liaam.errors import LandmarkError
@@ -109,6 +109,11 @@ class Source:
             why = short(str(fault), 100)
             raise LandmarkError(f"this is not complete JSON ({why}): it may be cut short; export it again.") from fault
 
+    @property
+    def object(self) -> dict[str, Any]:
+        """Its content as a JSON object; empty if it is something else."""
+        return self.json if isinstance(self.json, dict) else {}
+
     @cached_property
     def xml(self) -> Any:
         """Its root element as XML. What could define entities or read other files is refused."""
@@ -137,7 +142,7 @@ class Source:
                 first = first or fault
                 self.notes.leave_out(which, fault)
             else:
-                some = True
+                some = some or made is not None
                 yield made
         if first is not None and not some:
             raise first
@@ -161,20 +166,13 @@ def area_of(*sides: Any) -> float:
     return area if math.isfinite(area) else 0.0
 
 
-def by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
-    """Return records by number, and the numbers of several records that differ, which are left out."""
-    found: dict[str, Any] = {}
-    several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
-    return {key: record for key, record in found.items() if key not in several}, several
-
-
 def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
     """Return landmarks by image; further ones of an image are its others, unless they have no point."""
     found: dict[str, list[Landmarks]] = {}
     for own in landmarks:
         found.setdefault(own.image_name or "", []).append(own)
     return {
-        image: replace(first, others=tuple(other for other in others if not other.missing.all()))
+        image: replace(first, others=(*first.others, *(other for other in others if not other.missing.all())))
         for image, (first, *others) in found.items()
     }
 
@@ -188,6 +186,14 @@ def names_of(labels: Sequence[str]) -> tuple[str, ...]:
     if twice:
         raise LandmarkError(f"there are several points '{short(twice[0])}' in an object: group the points by object.")
     return tuple(labels)
+
+
+def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
+    """Return landmarks of these names, in this order; those that lack are missing."""
+    at = {name: i for i, name in enumerate(own.names)}
+    points: Any = [tuple(own.points[at[name]]) if name in at else MISSING for name in names]
+    invisible = tuple(i for i, name in enumerate(names) if at.get(name) in own.invisible)
+    return replace(own, points=points, names=tuple(names), invisible=invisible, contours=())
 
 
 def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
@@ -207,60 +213,55 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     plain = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
 
     def alike(own: Landmarks) -> Landmarks:
-        if not own.names:
-            return own
         odd = [name for name in own.names if name not in usual or own.names.count(name) > 1]
         if odd:
             raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
-        if len(own) == len(usual) and not numbers:
+        if not own.names or (len(own) == len(usual) and not numbers):
             return own
-        at = {name: i for i, name in enumerate(own.names)}
-        points = [tuple(own.points[at[name]]) if name in at else MISSING for name in usual]
-        invisible = tuple(i for i, name in enumerate(usual) if at.get(name) in own.invisible)
-        names = () if plain else tuple(usual)
-        return replace(own, points=points, names=names, invisible=invisible, contours=())
+        return replace(with_names(own, usual), names=() if plain else tuple(usual))
 
     return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
 
 
 @dataclass(frozen=True)
-class Labelled(Generic[T]):
+class Found:
     """An object of an image, before it is decided which category is read."""
 
+    landmarks: Landmarks
     category: str
     """Number or name of its category."""
-    name: str
-    """Name of its category."""
-    landmarks: tuple[str, ...] | int
-    """Names, or else number, of its landmarks. Categories with the same are one."""
-    n: int
-    image: str
-    record: T
+    title: str = ""
+    """Name of its category, if it is another."""
+    kind: object = None
+    """Categories of one kind are one."""
 
 
-def of_category(source: Source, found: Sequence[Labelled[T]]) -> list[T]:
-    """Return the records of the category that is asked for, or else that has more landmarks, then more images."""
-    groups: dict[str, list[Labelled[T]]] = defaultdict(list)
+def of_category(source: Source, objects: Iterable[Found]) -> list[Landmarks]:
+    """Return the landmarks of the category that is asked for, or else that has more of them, then more images."""
+    groups: dict[str, list[Found]] = {}
+    found = list(objects)
     for each in found:
-        groups[each.category].append(each)
+        groups.setdefault(each.category, []).append(each)
+    titles = {key: own[0].title or key for key, own in groups.items()}
     wanted = source.reading.category
     if wanted is not None:
-        kept = [each for each in found if wanted.casefold() in (each.category.casefold(), each.name.casefold())]
+        kept = {key for key in groups if wanted.casefold() in (key.casefold(), titles[key].casefold())}
         if not kept:
-            has = some_names(list(dict.fromkeys(each.name for each in found)))
+            has = some_names(list(dict.fromkeys(titles.values())))
             raise LandmarkError(f"no landmarks of the category '{wanted}': it has {has}.")
-        return [each.record for each in kept]
+        return [each.landmarks for each in found if each.category in kept]
 
     def rank(key: str) -> tuple[int, int]:
-        return Counter(each.n for each in groups[key]).most_common(1)[0][0], len({each.image for each in groups[key]})
+        usual = Counter(len(each.landmarks) for each in groups[key]).most_common(1)[0][0]
+        return usual, len({each.landmarks.image_name for each in groups[key]})
 
     first, *others = sorted(groups, key=rank, reverse=True) if groups else [""]
-    others = [key for key in others if groups[key][0].landmarks != groups[first][0].landmarks]
+    others = [key for key in others if groups[key][0].kind != groups[first][0].kind]
     if others and rank(others[0]) == rank(first):
-        both = f"'{groups[first][0].name}' and '{groups[others[0]][0].name}'"
+        both = f"'{titles[first]}' and '{titles[others[0]]}'"
         raise LandmarkError(f"the categories {both} have as many landmarks and images: choose one with --category.")
     for key in others:
+        what = f"left out the category '{titles[key]}', because '{titles[first]}' has more (--category chooses)"
         for each in groups[key]:
-            more = f"because '{groups[first][0].name}' has more (--category chooses)"
-            source.notes.say(f"left out the category '{each.name}', {more}", each.image)
-    return [each.record for each in found if each.category not in others]
+            source.notes.say(what, each.landmarks.image_name or "")
+    return [each.landmarks for each in found if each.category not in others]

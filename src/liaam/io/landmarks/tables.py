@@ -1,14 +1,35 @@
-"""Tables as text: the separator, decimal commas, and the meaning of columns."""
+"""Tables of landmarks (``.csv``, ``.tsv``, ``.txt``): a row for each landmark, or for each image, or DeepLabCut's.
+
+Positions are centres counted from 0, x to the right and y downwards, but for ImageJ's results. The separator is a
+comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out what the columns mean.
+"""
 
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
+from typing import Any
+
+import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks.reading import Source
-from liaam.io.landmarks.text import decimal
+from liaam.io.files import natural_key
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.columns import (
+    LANDMARKS,
+    UNCLEAR,
+    Columns,
+    columns_of,
+    filled,
+    name_column,
+    pairs_of,
+    plain,
+    without_title,
+)
+from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
+from liaam.io.landmarks.text import decimal, parse_point
 
 Row = tuple[int, list[str]]
 """A line number, and the cells of the line."""
@@ -17,14 +38,18 @@ _SEPARATORS = ";\t,"
 _SUMMARY = {"Mean", "SD", "Min", "Max"}
 """Labels of rows that ImageJ adds below its results."""
 
+_HEADERS = ("scorer", "individuals", "bodyparts", "coords")
+"""Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
+
 
 def rows_of(source: Source) -> list[Row]:
-    """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
+    """Split a table into rows of cells."""
     return _rows_of(source.text)
 
 
 @lru_cache(maxsize=1)
 def _rows_of(text: str) -> list[Row]:
+    """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
     text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text), ""
     declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
     if declared is not None:  # as Excel writes it
@@ -54,33 +79,51 @@ def _rows_of(text: str) -> list[Row]:
 
 
 def header_of(source: Source) -> list[str]:
-    """Return the first row in lower case, without units in brackets and marks between words, or nothing."""
-    rows = rows_of(source)
-    return [plain(cell) for cell in rows[0][1]] if rows else []
+    """Return the first row in lower case, without units in brackets and marks between words."""
+    return [plain(cell) for cell in rows_of(source)[0][1]]
 
 
-def plain(cell: str) -> str:
-    """Return a column's name in lower case, without a unit in brackets, with words joined by underscores."""
-    return re.sub(r"[\s_.-]+", "_", re.sub(r"[(\[].*[)\]]", "", cell).strip().casefold()).strip("_")
-
-
-def check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
+def _check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
     """Raise unless all rows have as many cells as the header."""
     for number, row in rows:
         if len(row) != len(header):
             raise LandmarkError(f"line {number} has {len(row)} cells but the header {len(header)}: correct the line.")
 
 
-def filled(values: Sequence[str]) -> list[str]:
-    """Fill empty cells with those above them, as merged cells are exported."""
-    last, made = "", []
-    for value in values:
-        last = value or last
-        made.append(last)
-    return made
+# One row a landmark -------------------------------------------------------------------------------
 
 
-def without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
+def parse_long(source: Source) -> list[Landmarks]:
+    """Parse landmarks of one image, or of many images if a column names the image.
+
+    Rows without names are in the order of the landmarks; numbered ones are sorted. Empty x and y mean a missing
+    landmark. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
+    """
+    header = header_of(source)
+    rows = [(number, row) for number, row in rows_of(source)[1:] if any(row) or len(row) == len(header)]
+    _check_widths(header, rows)
+    columns = columns_of(header, [row for _, row in rows])
+    if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
+        column = header[columns.landmark]
+        source.notes.say("landmarks are named by a column that has the same values in all images", column)
+    for column in (columns.image, columns.specimen):
+        rows = rows if column is None else _without_gaps(source, rows, column)
+    shift = 0.5 if _is_imagej(source) else 0.0
+
+    def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
+        (image, specimen), own = group
+        points = np.array([_point(number, row, columns) for number, row in own]) - shift
+        names = [row[columns.landmark] for _, row in own] if columns.landmark is not None else []
+        placing = size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else Placing()
+        return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen, placing=placing)
+
+    groups = ((group[0][0] or "its table", group) for group in _grouped(rows, columns))
+    made = list(source.each(groups, make))
+    numbers = columns.landmark is not None and header[columns.landmark] != "name"
+    return named_points(source, made, numbers) if columns.image is not None or numbers else made
+
+
+def _without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
     """Name the image or specimen in rows that lack it, as exports of merged cells do."""
     names = filled([row[column] for _, row in rows])
     for name, (_, row) in zip(names, rows, strict=True):
@@ -89,7 +132,106 @@ def without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
     return [(n, [*row[:column], name, *row[column + 1 :]]) for name, (n, row) in zip(names, rows, strict=True)]
 
 
-def is_imagej(source: Source) -> bool:
+def _is_imagej(source: Source) -> bool:
     """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
     header = rows_of(source)[0][1]
     return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
+
+
+def _grouped(rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
+    """Yield the image and the specimen of each object, and its rows.
+
+    The rows of an image whose every landmark occurs as often are those of several specimens or replicates.
+    """
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for number, row in rows:
+        image = "" if columns.image is None else without_title(row[columns.image])
+        specimen = "" if columns.specimen is None else row[columns.specimen].strip()
+        groups.setdefault((image, specimen), []).append((number, row))
+    for (image, specimen), own in groups.items():
+        parts: dict[int, list[Row]] = {}
+        seen: Counter[str] = Counter()
+        for number, row in own:
+            name = "" if columns.landmark is None else row[columns.landmark].strip()
+            seen[name] += 1
+            parts.setdefault(seen[name], []).append((number, row))
+        if columns.image is None or "" in seen or len({*map(len, parts.values())}) > 1:
+            parts = {1: own}
+        for i, part in parts.items():
+            yield (image, specimen if i == 1 else f"{specimen}{i}"), part
+
+
+def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]:
+    """Return the point of a row; missing if it is marked invisible and has no position."""
+    point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
+    seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
+    return MISSING if point == (0.0, 0.0) and seen in ("0", "false") else point
+
+
+# One row an image ---------------------------------------------------------------------------------
+
+_Pairs = dict[str, dict[str, int]]
+"""Indices of columns by landmark and axis."""
+
+
+def parse_wide(source: Source) -> list[Landmarks]:
+    """Parse a row of landmarks for each image, such as ml-morph's and MorphoJ's (``id,X1,Y1,X2,...``).
+
+    Columns of x and y have a number or the landmark's name before or behind the axis. Rows are named by a column for
+    the image or specimen, or else by the only other column with text.
+    """
+    (_, header), *rows = rows_of(source)
+    rows = [(number, row) for number, row in rows if any(row)]
+    _check_widths(header, rows)
+    given = pairs_of(header)
+    numbered = all(map(str.isdigit, given))
+    pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
+    if any("z" in axes for axes in pairs.values()):
+        raise LandmarkError("it has columns of z: export x and y only.")
+    used = {i for axes in pairs.values() for i in axes.values()}
+    name = name_column(header_of(source), [row for _, row in rows], used)
+    # Numbers out of order may be the names of landmarks in another order.
+    named = not numbered or list(pairs) != list(given)
+    return _of_rows(source, rows, {"": pairs}, lambda row: None if name is None else row[name].strip(), named)
+
+
+def parse_dlc(source: Source) -> list[Landmarks]:
+    """Parse DeepLabCut's rows of landmarks for each image, which have several header rows.
+
+    Of several scorers the first is read. Individuals are the objects of an image. Likelihoods are not used.
+    """
+    rows = [row for row in rows_of(source) if any(row[1])]
+    headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
+    if not {"scorer", "bodyparts", "coords"} <= headers.keys():
+        raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
+    rows, coords = rows[len(headers) :], headers["coords"]
+    _check_widths(coords, [*((0, header) for header in headers.values()), *rows])
+    first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
+    scorers = list(dict.fromkeys(headers["scorer"][first:]))
+    if len(scorers) > 1:
+        source.notes.say(f"of several scorers '{scorers[0]}' is read", source.path.name)
+    objects: dict[str, _Pairs] = {}
+    for i in range(first, len(coords)):
+        if headers["scorer"][i] == scorers[0] and coords[i] in ("x", "y"):
+            individual = headers["individuals"][i] if "individuals" in headers else ""
+            objects.setdefault(individual, {}).setdefault(headers["bodyparts"][i], {})[coords[i]] = i
+    found = _of_rows(source, rows, objects, lambda row: "/".join(cell for cell in row[:first] if cell))
+    return [own for own in found if not own.missing.all()]
+
+
+def _of_rows(
+    source: Source,
+    rows: list[Row],
+    objects: dict[str, _Pairs],
+    image_of: Callable[[list[str]], str | None],
+    named: bool = True,
+) -> list[Landmarks]:
+    """Return the landmarks of the objects of each row."""
+
+    def make(part: tuple[Row, str]) -> Landmarks:
+        (number, row), label = part
+        pairs = objects[label]
+        points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
+        return Landmarks(points, names=tuple(pairs) if named else (), image_name=image_of(row), label=label)
+
+    return list(source.each(((f"line {row[0]}", (row, label)) for row in rows for label in objects), make))

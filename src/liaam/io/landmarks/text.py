@@ -2,18 +2,22 @@
 
 import math
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from liaam.errors import LandmarkError
-from liaam.io.files import read_bytes
+from liaam.io.files import is_number, read_bytes
 
 MAX_BYTES = 500_000_000
 """Size limit of landmark files, in bytes."""
 
 _SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
 """A line of x and y with a comma or semicolon between them."""
+
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")
+"""Control characters, which binary files hold and text does not."""
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
@@ -23,13 +27,9 @@ _ABSENT = (-999.0, -9999.0)
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
 
 
-def read_text(path: Path) -> str:
-    """Read a text file as UTF-8, UTF-16, or Latin-1. Raise if it is binary."""
-    return decode_text(path, read_bytes(path, LandmarkError, MAX_BYTES))
-
-
-def decode_text(path: Path, data: bytes) -> str:
-    """Decode a file's content as :func:`read_text` does; `path` is for messages."""
+def read_text(path: Path, data: bytes | None = None) -> str:
+    """Read a text file, or decode its content, as UTF-8, UTF-16, or Latin-1. Raise if it is binary."""
+    data = read_bytes(path, LandmarkError, MAX_BYTES) if data is None else data
     binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
     encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
     if len(data) > 3 and encoding == "utf-8-sig" and not any(data[1:200:2]) and all(data[:200:2]):
@@ -37,7 +37,7 @@ def decode_text(path: Path, data: bytes) -> str:
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as fault:
-        if encoding.startswith("utf-16") or _has_control_characters(data):
+        if encoding.startswith("utf-16") or _CONTROL.search(data):
             raise binary from fault
         text = data.decode("latin-1")
     if "\0" in text:
@@ -45,11 +45,6 @@ def decode_text(path: Path, data: bytes) -> str:
     if not text.strip():
         raise LandmarkError(f"{path} is empty (only blank lines): copy or export it again.")
     return text
-
-
-def _has_control_characters(data: bytes) -> bool:
-    """Return whether data hold control characters, as binary files do and text does not."""
-    return len(data.translate(None, bytes(set(range(32)) - set(b"\t\n\f\r")))) < len(data)
 
 
 def parse_count(token: str, what: str) -> int:
@@ -68,16 +63,11 @@ def check_count(where: str, count: int, rows: Sequence[object]) -> None:
 
 def parse_number(token: str, where: str) -> float:
     """Parse one coordinate, NaN for the usual words for a missing value."""
-    token = token.strip()
-    if token.lower() in _MISSING_WORDS:
+    if token.strip().lower() in _MISSING_WORDS:
         return math.nan
-    try:
-        value = float(token) if "_" not in token else math.inf
-    except ValueError:
-        value = math.inf
-    if not math.isfinite(value):
+    if not is_number(token) or "_" in token:
         raise LandmarkError(f"'{short(token)}' in {where} is not a number: correct it (decimal points, as in 12.5).")
-    return value
+    return float(token)
 
 
 def decimal(cell: str) -> str:
@@ -108,13 +98,9 @@ def check_number(value: Any, where: str) -> float:
     """Check one coordinate from JSON, a number or null for a missing value."""
     if value is None:
         return math.nan
-    try:
-        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.inf
-    except OverflowError:
-        number = math.inf
-    if math.isinf(number):
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > sys.float_info.max:
         raise LandmarkError(f"'{short(str(value))}' in {where} is not a number: correct it, or use null.")
-    return number
+    return float(value)
 
 
 def short(text: str, length: int = 40) -> str:

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from liaam.errors import LandmarkError, StartError
-from liaam.io import Landmarks, check_start, read_start, start_file, write_landmarks
+from liaam.fitting.starts import check_start, read_start, start_file
+from liaam.io import Landmarks, write_landmarks
 
 IMAGE, SIZE = Path("faces/anna.png"), (100, 80)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import LandmarkError
-from liaam.io import Landmarks, fit_text, read_landmarks, write_fit, write_landmarks
-from liaam.io.results import corrected_file, points_of_fit, read_fit
+from liaam.fitting.files import corrected_file, fit_text, points_of_fit, read_fit, write_fit
+from liaam.io import Landmarks, read_landmarks, write_landmarks
 
 POINTS = np.array([[1.5, 2.0], [3.25, -4.0]])
 

@@ -5,9 +5,9 @@ import stat
 from pathlib import Path
 
 from liaam.errors import StartError
+from liaam.fitting.landmarkers import LANDMARKERS
 from liaam.io.files import existing_file, read_bytes
 from liaam.io.images import read_image
-from liaam.io.landmarkers import LANDMARKERS
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 
 _SHOWN = 100
@@ -25,7 +25,7 @@ def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | lis
     text : str
         A box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file; a text file ``.box`` with such
         numbers; a folder that holds such a file with the image's name; or a name of
-        :data:`liaam.io.landmarkers.LANDMARKERS`.
+        :data:`liaam.fitting.landmarkers.LANDMARKERS`.
     image : Path
     size : (int, int)
         Width and height of the image.

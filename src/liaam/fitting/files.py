@@ -9,7 +9,7 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import json_object
-from liaam.io.landmarks import Landmarks, in_pixels, parse_landmark_file, write_landmarks
+from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
 from liaam.io.landmarks.text import read_text
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
@@ -72,11 +72,10 @@ def corrected_file(path: Path, fit: dict) -> Path | None:
 
 def points_of_fit(file: Path, fit: dict) -> np.ndarray:
     """Read the points (n, 2), in pixels, of a landmark file beside a fit's .json file."""
-    parsed = parse_landmark_file(file)
-    entries = [parsed] if isinstance(parsed, Landmarks) else list(parsed.values())
-    if len(entries) != 1:
-        raise LandmarkError(f"{file} holds the landmarks of {len(entries)} images, not of one fit")
-    return in_pixels(file, entries[0], _image_size(fit)).points
+    read = LandmarkFile.read(file)
+    if len(read.entries) != 1:
+        raise LandmarkError(f"{file} holds the landmarks of {len(read.entries)} images, not of one fit")
+    return read.placed(next(iter(read.entries)), _image_size(fit)).points
 
 
 def _image_size(fit: dict) -> tuple[float, float] | None:

@@ -1,0 +1,155 @@
+"""Files of the landmarks of one image, as text: 300-W ``.pts``, ``.tem``, ``.asf``, StereoMorph, and lines of x and y.
+
+A missing landmark is written ``nan nan``, or by another of the usual words.
+"""
+
+import operator
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from liaam.errors import LandmarkError
+from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.contours import Contour, chain_edges, contour_of
+from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import check_count, decimal, parse_count, parse_number, parse_pair, parse_point
+
+_COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
+_COMMENT = re.compile(r"(#|//|%).*")
+_ASF_COLUMNS = 7  # path, type, x, y, point, from, to; further columns are optional
+_SHAPES = re.compile(r"<landmarks\.pixel\b[^<>]*>")
+_IMAGE = re.compile(r"<image\.name\b[^<>]*>([^<]*)</image\.name\s*>")
+_NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
+_LINE = re.compile(
+    rf"(?:\"?(?P<name>[^\"\t,;]*?[^\"\s,;])\"?[\s,;]+)?(?P<x>{_NUMBER})[\s,;]+(?P<y>{_NUMBER})", re.IGNORECASE
+)
+_FEWEST, _LONGEST = 2, 300
+
+
+def parse_pts(source: Source) -> list[Landmarks]:
+    """Parse 300-W: a header, then one ``x y`` per line between braces. (1, 1) is the centre of the top-left pixel."""
+    text = "\n".join(_COMMENT.sub("", line) for line in source.text.splitlines())
+    header, brace, rest = text.partition("{")
+    if not brace:
+        raise LandmarkError("there is no '{' before its points, so it is not a 300-W .pts file: export it again.")
+    body, brace, _ = rest.partition("}")
+    lines = [line for line in body.splitlines() if line.strip()]
+    count = _COUNT.search(header)
+    if count is not None:
+        check_count("header", parse_count(count[1], "points"), lines)
+    if not brace:
+        raise LandmarkError("there is no '}' after its points; it may be cut short: export it again.")
+    pairs = [parse_pair(line, f"point {number}") for number, line in enumerate(lines, 1)]
+    points: Any = [(x - 1, y - 1) for x, y in pairs]
+    return [Landmarks(points)]
+
+
+def parse_asf(source: Source) -> list[Landmarks]:
+    """Parse the AAM-API's rows of points, in fractions of the image's size.
+
+    x is multiplied by the width and y by the height (not by width - 1), as the AAM-API does; the result is a pixel
+    centre counted from 0. ``connects from`` and ``connects to`` become contours. The last line names the image.
+    """
+    lines = [line for line in source.lines if not line.startswith("#")]
+    if not lines:
+        raise LandmarkError("it holds comments only; it may be cut short: export it again.")
+    count = parse_count(lines[0], "points")
+    columns = [line.split() for line in lines[1:]]
+    rows = [row for row in columns if len(row) >= _ASF_COLUMNS]
+    check_count("header", count, rows)
+    points, edges = {}, []
+    for row in rows:
+        index, _, target = (parse_count(token, "a point") for token in row[4:7])
+        if max(index, target) >= count:
+            raise LandmarkError(f"it names point {max(index, target)}, but has points 0 to {count - 1}: correct it.")
+        points[index] = [parse_number(cell, f"point {index}") for cell in row[2:4]]
+        edges.append((index, target))
+    if len(points) < count:
+        lacking = min({*range(count)} - points.keys())
+        raise LandmarkError(f"there is no point number {lacking}: number the points 0 to {count - 1}.")
+    host = lines[-1] if len(columns) > count else None
+    ordered: Any = [points[i] for i in range(count)]
+    return [Landmarks(ordered, chain_edges(edges), image_name=host, placing=Placing(fractions=True))]
+
+
+def parse_tem(source: Source) -> list[Landmarks]:
+    """Parse a template of WebMorph or Psychomorph: points, then lines, which are optional.
+
+    The numbers are taken as pixel centres counted from 0. Neither program documents whether its origin is the centre
+    or the corner of the first pixel, and landmarks are placed by hand to about a pixel. The lines become contours: a
+    count, then for each 0 (open) or 1 (closed), the number of points and their indices from 0.
+    """
+    count = parse_count(source.lines[0], "points")
+    pairs = source.lines[1 : count + 1]
+    check_count("first line", count, pairs)
+    points: Any = [parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
+    contours = _template_lines(" ".join(source.lines[count + 1 :]).split())
+    return [Landmarks(points, tuple(contour for contour in contours if contour is not None))]
+
+
+def _template_lines(tokens: list[str]) -> list[Contour | None]:
+    stream = iter(tokens)
+    contours = []
+    for _ in range(_next(stream) if tokens else 0):
+        closed = _next(stream) == 1
+        contours.append(contour_of([_next(stream) for _ in range(_next(stream))], closed))
+    return contours
+
+
+def _next(stream: Iterator[str]) -> int:
+    token = next(stream, None)
+    if token is None:
+        raise LandmarkError("it ends within its line templates; it may be cut short: export it again.")
+    return parse_count(token, "a line template")
+
+
+def parse_shapes(source: Source) -> list[Landmarks]:
+    """Parse StereoMorph's matrix ``landmarks.pixel`` of name, x and y: centres counted from 0. Curves are not read."""
+    start, image = _SHAPES.search(source.text), _IMAGE.search(source.text)
+    matrix, end, _ = source.text[start.end() :].partition("</landmarks.pixel") if start else ("", "", "")
+    if not end:
+        raise LandmarkError("it is cut short within its landmarks: export it again.")
+    lines = [line.strip() for line in matrix.splitlines() if line.strip()]
+    rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line) for line in lines]
+    rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
+    points: Any = [parse_point(row[-2:], f"'{row[0]}'") for row in rows]
+    names = tuple(row[0] for row in rows if len(row) == 3)
+    return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)]
+
+
+def is_lines(source: Source) -> bool:
+    """Whether all lines, perhaps but the first, are ``x y`` or ``name x y``, and all or none have names."""
+    return bool(_matches(source))
+
+
+def parse_lines(source: Source) -> list[Landmarks]:
+    """Parse lines of x and y as of patternize, or with names: centres counted from 0, y downwards.
+
+    HELEN's begin with the image's name. A first line with the number of points is skipped.
+    """
+    matches, first = _matches(source), _first(source)
+    points: Any = [parse_point(match.group("x", "y"), match[0]) for match in matches]
+    names = [match["name"] for match in matches if match["name"]]
+    names = [] if names == [str(i + 1) for i in range(len(names))] else names
+    return [Landmarks(points, (), tuple(names), None if first.isdigit() else first or None)]
+
+
+def _matches(source: Source) -> list[re.Match[str]]:
+    if len(max(source.lines, key=len)) > _LONGEST:
+        return []
+    lines = [_with_points(line) for line in (source.lines[1:] if _first(source) else source.lines)]
+    found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
+    alike = len({match["name"] is None for match in found}) == 1
+    return found if alike and len(found) == len(lines) >= _FEWEST else []
+
+
+def _with_points(line: str) -> str:
+    """Replace decimal commas, if x and y both have one."""
+    cells = re.split(r"([\t;]|\s+)", line)
+    made = [decimal(cell) for cell in cells]
+    return "".join(made if sum(map(operator.ne, made, cells)) == 2 else cells)
+
+
+def _first(source: Source) -> str:
+    """Return the first line if it is one word: an image's name, or a number of points."""
+    return source.lines[0] if len(source.lines[0].split()) == 1 and not _LINE.fullmatch(source.lines[0]) else ""
