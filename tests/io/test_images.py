@@ -29,7 +29,9 @@ from liaam.io import (
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # Pillow remarks on broken files
 
-JUNK = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+JUNK = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 STARTS = [
     b"\x89PNG\r\n\x1a\n",
     b"\xff\xd8\xff",

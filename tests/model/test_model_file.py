@@ -22,7 +22,7 @@ from liaam.photometry import CameraModel, NoiseModel
 from liaam.training import train
 from setups import disturb, train_on
 
-FILE = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FILE = settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 @pytest.fixture(scope="session")
