@@ -7,6 +7,7 @@ from hypothesis import given, strategies as st
 from liaam.errors import TrainingError
 from liaam.model.pca import LeftOutCoordinates, some_folds
 from liaam.model.shape import (
+    PRIORS,
     Similarity,
     align,
     check_prior,
@@ -154,7 +155,7 @@ def test_a_step_of_the_last_two_parameters_shifts():
     np.testing.assert_allclose(model.shape(p) - model.mean, np.tile([2.0, 0.0], (9, 1)), atol=1e-12)
 
 
-@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
+@pytest.mark.parametrize("prior", PRIORS)
 @pytest.mark.parametrize("variance", [0.98, 2, "auto"])
 def test_shape_vectors_are_orthonormal_under_every_prior(prior, variance):
     model = train_shape_model(random_shapes(5), 100.0, variance, prior)
@@ -164,14 +165,22 @@ def test_shape_vectors_are_orthonormal_under_every_prior(prior, variance):
     assert np.isfinite(model.left_out_bound)
 
 
-@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
+@pytest.mark.parametrize("prior", PRIORS)
 def test_equal_shapes_have_no_modes_under_any_prior(prior):
     shapes = np.repeat(random_shapes(5, 1), 4, axis=0)
     assert len(train_shape_model(shapes, 100.0, 0.98, prior).modes) == 0
 
 
+def test_a_wide_prior_has_the_modes_of_a_smooth_one_and_four_times_its_variances():
+    smooth, wide = (train_shape_model(random_shapes(8), 100.0, 0.98, prior) for prior in ("smooth", "wide"))
+    np.testing.assert_array_equal(wide.modes, smooth.modes)
+    np.testing.assert_allclose(wide.eigenvalues, 4.0 * smooth.eigenvalues, rtol=1e-12)
+    assert wide.freedom == smooth.freedom
+    assert wide.left_out_bound == smooth.left_out_bound
+
+
 def test_a_prior_that_does_not_exist_is_refused():
-    with pytest.raises(TrainingError, match="unknown prior 'rough'; choose from sample, shrunk, smooth"):
+    with pytest.raises(TrainingError, match="unknown prior 'rough'; choose from sample, shrunk, smooth, wide"):
         check_prior("rough")
 
 

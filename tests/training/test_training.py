@@ -518,7 +518,7 @@ def test_pictures_left_out_are_given_as_they_are(pairs, monkeypatch):
         assert len(left_out.model.views[SURROUNDINGS].levels) == 3
 
 
-@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth"])
+@pytest.mark.parametrize("prior", ["sample", "shrunk", "smooth", "wide"])
 def test_models_that_leave_pictures_out_are_learnt_in_the_same_way(scenes, monkeypatch, prior):
     seen = []
     monkeypatch.setattr("liaam.training.left_out.calibrate", lambda _m, pictures, _methods: seen.extend(pictures) or {})

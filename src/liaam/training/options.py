@@ -61,12 +61,14 @@ class TrainingOptions:
         under which left-out images are most likely.
     appearance_variance : float, int, "auto" or mapping of views to these, optional
         The same for appearances. Default: ``variance``, and at most 0.85 for the view ``surroundings``.
-    prior : {"sample", "smooth", "shrunk"} or mapping of views to these, optional
+    prior : {"sample", "smooth", "wide", "shrunk"} or mapping of views to these, optional
         How the covariance of the shapes is estimated, for all views or by name of :data:`liaam.model.VIEWS`.
         ``sample``: the sample covariance, as in the paper. ``smooth``: shrunk towards smooth deformations, with
-        mirrored shapes added, as far as this makes left-out shapes more likely. ``shrunk``: the sample modes with the
-        variances of left-out shapes. Default: ``sample`` for ``mesh``; for ``surroundings`` (method ``soft-li``)
-        ``smooth``, or ``sample`` if all of the variance is kept or there are more than 200 landmarks.
+        mirrored shapes added, as far as this makes left-out shapes more likely. ``wide``: ``smooth``, with four
+        times its variances, for objects that differ more from those of training than these do from each other.
+        ``shrunk``: the sample modes with the variances of left-out shapes. Default: ``sample`` for ``mesh``; for
+        ``surroundings`` (method ``soft-li``) ``smooth``, or ``sample`` if all of the variance is kept or there are more
+        than 200 landmarks.
     blurs : tuple of float or mapping of views to these, optional
         Blur of the levels of a fit, from coarse to fine, pixels of the reference frame. Default: (3.0, 0.5) for the
         view ``mesh`` and (4.0, 2.0, 1.0) for the view ``surroundings``, where it is smaller in frames with a diagonal
