@@ -94,7 +94,9 @@ class Landmarks:
         return len(self.points)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        return np.array(self.points, dtype, copy=copy)
+        if copy is False and np.dtype(dtype or self.points.dtype) != self.points.dtype:
+            raise ValueError(f"landmarks are float64: an array of {dtype} is a copy")  # as NumPy asks for
+        return np.array(self.points, dtype) if copy else np.asarray(self.points, dtype)
 
     def __repr__(self) -> str:
         points, contours = count_of(len(self), "point"), count_of(len(self.contours), "contour")
