@@ -740,8 +740,10 @@ def test_collections_come_back_from_csv(tmp_path: Path, collection: dict[str, li
 @SOME
 def test_junk_raises_only_landmark_errors(tmp_path: Path, suffix: str, junk: bytes) -> None:
     path = save(tmp_path, f"junk{suffix}", junk)
-    with pytest.raises(LandmarkError, match="junk"):
-        read_landmarks(path, (10, 10))
+    try:
+        read_landmarks(path, (10, 10))  # Hypothesis also draws bytes of modules that are loaded, such as sound files
+    except LandmarkError as error:
+        assert "junk" in str(error)
 
 
 WHOLE = {".asf": ASF, ".xml": DLIB, ".json": json.dumps(COCO), ".tem": "2\n1 1\n2 2\n1\n0\n2\n0 1\n"}
