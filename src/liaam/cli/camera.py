@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from liaam.cli.inputs import ModelFile, camera_for, names_of, numbers_in, read_with_start, refuse_inputs, unique_stems
+from liaam.cli.inputs import (
+    ModelFile,
+    camera_for,
+    names_file,
+    names_of,
+    numbers_in,
+    read_with_start,
+    refuse_inputs,
+    unique_stems,
+)
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError
 from liaam.io import read_image
@@ -62,7 +71,7 @@ def spectral(
     from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
     check_camera_output(output)
-    if sensors.lower().endswith(".csv") or Path(sensors).exists():
+    if names_file(sensors, (".csv",)):
         estimate, source = theta_from_sensitivities(*read_sensitivities(Path(sensors))), f"sensitivities of {sensors}"
     else:
         red, green, blue = numbers_in(sensors, 3, "peak wavelengths").tolist()
@@ -302,14 +311,10 @@ def camera_in_file(paths: Sequence[Path], output: Path, otherwise: "CameraModel 
 
 
 def check_camera_output(output: Path, inputs: Sequence[Path] = ()) -> None:
-    """Raise, before any work, if a camera file cannot be written or would replace a file of another kind."""
-    from liaam.photometry import load_camera
-
+    """Raise, before any work, if a camera file cannot be written. An existing one is checked when it is read."""
     check_output(output)
     if output.suffix.lower() != ".json":
         raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
-    if output.exists():
-        load_camera(output)
     refuse_inputs([check_picture(output)], inputs)
 
 
@@ -322,7 +327,7 @@ def patches_in(text: str) -> np.ndarray:
     """Return the boxes of a chart's patches, (n, 4) float64, from the centres of its corner patches or from a file."""
     from liaam.calibration import chart_patches
 
-    if text.lower().endswith(".csv") or Path(text).exists():
+    if names_file(text, (".csv",)):
         return read_patches(Path(text))
     return chart_patches(numbers_in(text, 8, "--patches").reshape(4, 2))
 

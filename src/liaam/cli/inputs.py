@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from glob import has_magic
 from pathlib import Path, PurePath
@@ -125,10 +126,11 @@ def read_folder(source: Path, reading: Reading = USUAL) -> Dataset:
     folder, recursive, pattern = folder_of(source)
     data = load_folder(folder, recursive=recursive, reading=reading)
     if pattern is not None:
-        if not any(matches(sample, pattern) for sample in data):
+        named = tuple(sample for sample in data if matches(sample, pattern))
+        if not named:
             names = some_names([sample.name for sample in data])
             raise LiaamError(f"{source}: no landmarked image of {folder} matches {pattern}; they are {names}")
-        data = data.select(lambda sample: matches(sample, pattern))
+        data = replace(data, samples=named)
     say(data.report())
     return data
 
@@ -201,7 +203,7 @@ def camera_in(known: str | None) -> "tuple[CameraModel | None, str | None]":
 
     if known is None:
         return None, None
-    if Path(known).suffix.lower() == ".json" or Path(known).exists():
+    if names_file(known, (".json",)):
         return load_camera(known), None
     if is_number(known) and LEAST_ANGLE <= float(known) <= 180:
         return CameraModel(theta=math.radians(float(known))), None
@@ -213,6 +215,11 @@ def camera_in(known: str | None) -> "tuple[CameraModel | None, str | None]":
             f"the angle theta in degrees, from {LEAST_ANGLE} to 180"
         ) from None
     return None, known
+
+
+def names_file(text: str, suffixes: tuple[str, ...]) -> bool:
+    """Return whether the text of an option is a file's name: by its ending, or because there is such a file."""
+    return text.lower().endswith(suffixes) or Path(text).exists()
 
 
 def numbers_in(text: str, count: int, option: str) -> np.ndarray:

@@ -13,6 +13,7 @@ from liaam.cli.inputs import (
     ModelAndImages,
     camera_for,
     model_and_inputs,
+    names_file,
     names_of,
     numbers_in,
     read_with_start,
@@ -135,7 +136,7 @@ def light_of(text: str) -> tuple[tuple[float, ...] | None, Path | None]:
     """Return the direction of the lamp, or the image whose light is meant; neither for the training light."""
     if text == FLAT:
         return None, None
-    if Path(text).exists() or text.lower().endswith((*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
+    if names_file(text, (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
         return None, existing_file(text, ImageError, "image")
     try:
         return tuple(numbers_in(text, 3, "--light")), None

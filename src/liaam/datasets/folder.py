@@ -18,7 +18,6 @@ import numpy as np
 from liaam.datasets.advice import (
     ABSENT,
     NO_IMAGE,
-    PICTURE_SUFFIXES,
     UNKNOWN,
     UNKNOWN_IMAGE,
     no_images,
@@ -29,7 +28,7 @@ from liaam.datasets.advice import (
 from liaam.datasets.dataset import Dataset, LeftOut, Sample
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import natural_key, some_names
-from liaam.io.images import size_and_orientation
+from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import LANDMARK_SUFFIXES, LandmarkFile, Landmarks
 from liaam.io.landmarks.base import Placing
 from liaam.io.landmarks.formats import may_hold_many, rank_of

@@ -20,9 +20,8 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
-from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
-from liaam.io.images import VIDEO_SUFFIXES
+from liaam.io.images import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT

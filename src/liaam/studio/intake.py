@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import LiaamError
 from liaam.io import is_raw
 from liaam.io.atomic import write_bytes_atomically
+from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.studio.folder import is_relative
 from liaam.studio.listing import OWN_SUFFIXES, Listing

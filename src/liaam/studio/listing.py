@@ -11,10 +11,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
 from liaam.io.files import count_of, natural_key, some_names
-from liaam.io.images import UNREAD_SUFFIXES, image_size
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, image_size
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.photometry.encoding import as_colour
 from liaam.studio.folder import Folder

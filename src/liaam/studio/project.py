@@ -29,8 +29,8 @@ from typing import Any
 
 import numpy as np
 
-from liaam.datasets.advice import PICTURE_SUFFIXES
 from liaam.errors import ImageError, LiaamError
+from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import Folder, checked_folder, revision_of
 from liaam.studio.intake import Intake

@@ -15,7 +15,7 @@ from liaam.evaluation import outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.levels import LinearImage
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method
+from liaam.fitting.methods import Method
 from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import is_searchable
@@ -85,9 +85,7 @@ class LeftOutFit(NamedTuple):
         return self.error > WRONG
 
 
-def calibrate(
-    model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method] = (METHODS[DEFAULT_METHOD],)
-) -> dict[str, Reliability]:
+def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]) -> dict[str, Reliability]:
     """Learn the quality of fits and the errors of right fits from left-out images.
 
     Parameters
