@@ -170,8 +170,9 @@ def dome_irradiance(body: Body) -> np.ndarray:
     for direction, weight in zip(directions, weights, strict=True):
         frame = _light_frame(direction, DOME_MAP, 1.9)
         depth = splat_map(transform(body.points, frame), DOME_MAP)
-        facing = np.maximum(np.einsum("nk,k->n", body.normals, direction), 0)
-        total += weight * facing * visibility(transform(lifted, frame), depth, 0.03)
+        facing = np.einsum("nk,k->n", body.normals, direction)
+        towards = np.flatnonzero(facing > 0)
+        total[towards] += weight * facing[towards] * visibility(transform(lifted[towards], frame), depth, 0.03)
     return total / np.sum(weights * np.maximum(directions[:, 2], 0))
 
 

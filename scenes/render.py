@@ -210,28 +210,48 @@ def _draw_figure(body: Body, size: tuple[int, int], pose: Pose, s: int) -> np.nd
     image, covered = draw(screen, body.triangles, attributes, s * size[0], s * size[1])
     wall = np.zeros(image.shape[-1], np.float32)
     wall[_NORMAL], wall[_SKY] = (0, 0, 1), 1
-    return np.where(covered[..., None], image, wall)
+    image[~covered] = wall
+    return image
 
 
 def _paint_pixels(pixels: np.ndarray, face: Face, textures: Textures, expression: Expression) -> np.ndarray:
     """Reflectance (s h, s w, 3) of every sample."""
-    t, part = face.traits, np.round(pixels[..., _PART]).astype(int)
-    u, v, skull_u, skull_v = np.moveaxis(pixels[..., _CHART], -1, 0)
-    skin = look_up(textures.skin, u, v)
-    skull = look_up(textures.skull, skull_u, skull_v)
+    t, part = face.traits, np.rint(pixels[..., _PART]).astype(np.int8)
+    colour = np.empty((*part.shape, 3), np.float32)
+    wall, head = part == 0, part == figure.HEAD
+    colour[wall] = _wall(part.shape, t, textures)[wall]
+    if head.any():
+        colour[head] = _paint_face(pixels, head, textures, expression)
+    weave, strands = textures.weave, textures.strands
+    patterns = {
+        figure.SKIN: (skin_tone(t.skin), lambda u, v: -0.12 + 0.02 * look_up_periodic(weave, u, v)),
+        figure.CLOTH: (t.cloth_colour, lambda u, v: 0.09 * look_up_periodic(weave, 1.6 * u, 2.2 * v)),
+        figure.HAIR: (t.hair_colour, lambda u, v: 0.17 * look_up_periodic(strands, 0.8 * u, 0.3 * v)),
+    }
+    for number, (tone, log_of) in patterns.items():
+        own = part == number
+        if not own.any():
+            continue
+        log = log_of(*np.moveaxis(pixels[*_box(own), :2], -1, 0))
+        colour[own] = np.array(tone) * np.exp(log[own[_box(own)]])[..., None]
+    return colour
+
+
+def _paint_face(pixels: np.ndarray, head: np.ndarray, textures: Textures, expression: Expression) -> np.ndarray:
+    """Reflectance (n, 3) of the samples of the head, whose skin has openings to the skull."""
+    u, v, skull_u, skull_v = np.moveaxis(pixels[*_box(head), _CHART], -1, 0)
+    head = head[_box(head)]
+    skin, skull = look_up(textures.skin, u, v)[head], look_up(textures.skull, skull_u, skull_v)[head]
     # Close the remaining openings of the mesh between closed lips and lids.
     mouth, eyes = smoothstep(expression.mouth_open / 0.12), 1 - smoothstep((expression.eye_close - 0.75) / 0.2)
-    opening = skin[..., 3] * np.where(v < -0.3, mouth, eyes)
-    colour = skin[..., :3] + opening[..., None] * (skull - skin[..., :3])
-    colour = np.where((part == 0)[..., None], _wall(part.shape, t, textures), colour)
-    logs = {
-        figure.SKIN: (skin_tone(t.skin), -0.12 + 0.02 * look_up_periodic(textures.weave, u, v)),
-        figure.CLOTH: (t.cloth_colour, 0.09 * look_up_periodic(textures.weave, 1.6 * u, 2.2 * v)),
-        figure.HAIR: (t.hair_colour, 0.17 * look_up_periodic(textures.strands, 0.8 * u, 0.3 * v)),
-    }
-    for number, (tone, log) in logs.items():
-        colour = np.where((part == number)[..., None], np.array(tone) * np.exp(log)[..., None], colour)
-    return colour.astype(np.float32)
+    opening = skin[:, 3] * np.where(v[head] < -0.3, mouth, eyes)
+    return skin[:, :3] + opening[:, None] * (skull - skin[:, :3])
+
+
+def _box(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns from the first to the last that a mask has, or none."""
+    x, y, width, height = cv2.boundingRect(mask.view(np.uint8))
+    return slice(y, y + height), slice(x, x + width)
 
 
 def _wall(shape: tuple[int, int], t: Traits, textures: Textures) -> np.ndarray:
@@ -254,8 +274,9 @@ def _irradiances(body: Body, pixels: np.ndarray, lights: Lights, s: int) -> tupl
         if isinstance(source, Ambient):
             maps.append(source.strength * _shrink(pixels[..., _SKY], s))
             continue
-        facing = normals @ source.unit
-        seen = lighting.direct_visibility(body, at, normals, source)
+        facing, seen = normals @ source.unit, np.zeros(len(at), np.float32)
+        towards = facing > 0
+        seen[towards] = lighting.direct_visibility(body, at[towards], normals[towards], source)
         direct = np.full(shape, max(source.unit[2], 0.0), np.float32)
         direct[solid] = np.maximum(facing, 0) * seen
         maps.append(source.strength * _shrink(direct, s))

@@ -122,7 +122,8 @@ def _mesh_grid(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
 
 def _basis(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Wendland's compactly supported C2 function of the distances, (n_points, n_centres)."""
-    r = np.linalg.norm(points[:, None] - centres[None], axis=-1) / RBF_SUPPORT
+    dx, dy = (np.subtract.outer(points[:, k], centres[:, k]) for k in range(2))
+    r = np.sqrt(dx * dx + dy * dy) / RBF_SUPPORT
     return np.maximum(1 - r, 0) ** 4 * (4 * r + 1)
 
 
