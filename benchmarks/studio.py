@@ -13,12 +13,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -257,27 +257,28 @@ class Server:
         self.process.wait()
 
 
-def start(
-    folder: Path, *arguments: str, errors: IO[str] | None = None, program: Sequence[str] = ("-m", "liaam")
-) -> Server:
-    """Run ``liaam studio`` on a folder. Write its errors to a file, if one is given.
+def start(folder: Path, *arguments: str) -> Server:
+    """Run ``liaam studio`` on a folder.
 
     Raises
     ------
     RuntimeError
         If it ends without printing its address.
     """
-    command = [sys.executable, *program, "studio", str(folder), "--no-browser", *arguments]
+    command = [sys.executable, "-m", "liaam", "studio", str(folder), "--no-browser", *arguments]
     environment = {**os.environ, "COLUMNS": "300"}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True, env=environment)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     assert process.stdout
+    return Server(process, announced(process.stdout))
+
+
+def announced(lines: Iterable[str]) -> str:
+    """Return the address that a studio prints. Raise RuntimeError if it ends without."""
     said = []
-    for line in process.stdout:
+    for line in lines:
         said.append(line)
-        address = ADDRESS.search(line)
-        if address:
-            return Server(process, address.group())
-    process.wait()
+        if address := ADDRESS.search(line):
+            return address.group()
     raise RuntimeError(f"the studio did not start: {''.join(said)}")
 
 

@@ -5,15 +5,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from forked_server import start_forked
 from people import NAMES, TIMEOUT
 
-from benchmarks.studio import Server, lacking, launched, start
+from benchmarks.studio import Server, lacking, launched
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.training import train
 from scenes import DIFFUSE, Head, Scene, lateral, make_set, random_expression, random_pose, render
-
-PROGRAM = (str(Path(__file__).with_name("delayed_server.py")),) if "LIAAM_DELAY" in os.environ else ("-m", "liaam")
-"""What runs the studio. To find races, LIAAM_DELAY makes its answers late by up to so many milliseconds."""
 
 SLOWDOWN = float(os.environ.get("LIAAM_SLOWDOWN", "1"))
 """How much slower the page is, also to find races."""
@@ -73,11 +71,10 @@ def serve(tmp_path) -> Iterator[Callable[..., Server]]:
     def serve(folder: Path, *arguments: str, face: bool = False) -> Server:
         arguments = arguments if face else (*arguments, "--no-face")
         log = tmp_path / f"studio-{len(running)}.log"
-        with log.open("w") as errors:
-            try:
-                running.append(start(folder, *arguments, errors=errors, program=PROGRAM))
-            except RuntimeError as fault:
-                pytest.fail(f"{fault} {log.read_text()}")
+        try:
+            running.append(start_forked(folder, *arguments, errors=log))
+        except RuntimeError as fault:
+            pytest.fail(f"{fault} {log.read_text()}")
         return running[-1]
 
     yield serve

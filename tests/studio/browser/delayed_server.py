@@ -1,10 +1,9 @@
-"""Run ``liaam`` with random delays before the studio handles a request and before it answers, to find races."""
+"""Random delays before the studio handles a request and before it answers, to find races."""
 
 import asyncio
 import os
 import random
 
-from liaam.__main__ import main
 from liaam.studio import app as studio
 
 LIMIT = float(os.environ.get("LIAAM_DELAY", "0")) / 1000
@@ -27,7 +26,7 @@ class Delayed:
         await self.app(scope, receive, send_late)
 
 
-if __name__ == "__main__":
+def delay() -> None:
+    """Make the answers of studios of this process late."""
     make_app = studio.make_app
     studio.make_app = lambda *arguments: Delayed(make_app(*arguments))
-    main()

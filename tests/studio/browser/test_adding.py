@@ -191,7 +191,7 @@ def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, fol
     page.locator("[data-testid=strip-filter]").select_option("slips")
     wait_for(page, "() => document.querySelectorAll('.strip-item').length === 1")
     page.locator(".strip-item").click()
-    wait_for(page, "() => window.liaamStudio.annotate.name() === 'portrait-03.png'")
+    wait_for(page, "() => window.liaamStudio.annotate?.name() === 'portrait-03.png'")
     assert "exchanged" in page.locator("[data-testid=why-next]").inner_text()
     shoot(page, artefacts, "42-slip")
     page.locator("[data-testid=train]").click()
