@@ -24,7 +24,7 @@ from liaam.io.landmarks import (
     write_landmarks,
 )
 from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
-from liaam.io.tables import to_dataframe, write_columns
+from liaam.io.table_writer import write_columns
 from liaam.io.video import VideoFrame, VideoReader
 from liaam.io.video_writer import VideoWriter, video_writer
 
@@ -51,7 +51,6 @@ __all__ = [
     "read_landmarks",
     "read_preview",
     "read_raw",
-    "to_dataframe",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",
