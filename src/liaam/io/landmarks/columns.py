@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import count, groupby
 
 from liaam.errors import LandmarkError
+from liaam.io.files import is_number
 from liaam.io.landmarks.matching import names_picture
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
@@ -94,7 +95,9 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     for i in unclear:
         if image is None and header[i] != "name" and _in_blocks(values[i]):
             image = i
-        elif landmark is None and (header[i] in ("name", "label") or _repeats(values[i])):
+        elif landmark is None and (
+            header[i] in ("name", "label") or _repeats(values[i])
+        ):
             if image is not None and len({*zip(values[image], values[i], strict=True)}) == len({*values[image]}):
                 continue  # one value an image
             landmark = i
@@ -167,7 +170,7 @@ def _check_one_image(header: list[str], values: list[list[str]], texts: list[int
     if landmark is not None and len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
         raise _ambiguous(header, "repeats its names, but no column names the images: add a column 'image'", landmark)
     for i in texts if landmark is None else ():
-        if header[i] and _in_blocks(values[i]) and not all(map(_is_number, values[i])):
+        if header[i] and _in_blocks(values[i]) and not all(map(is_number, values[i])):
             raise _ambiguous(header, "may name the images: name it 'image' if so, or else remove it", i)
 
 
@@ -193,16 +196,12 @@ def _are_files(values: Sequence[str]) -> bool:
     return any(values) and all(names_picture(without_title(value)) for value in {*values} - {""})
 
 
-def _in_blocks(values: Sequence[str]) -> bool:
-    """Return whether rows of one value follow each other, for several values that each have several rows."""
-    sizes = [len(list(group)) for _, group in groupby(values)]
-    return 1 < len(sizes) == len(set(values)) and min(sizes) > 1
-
-
 def _repeats(values: Sequence[str]) -> bool:
     present = [value for value in values if value]
     return len(set(present)) < len(present)
 
 
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r"-?\d*\.?\d+", text) is not None
+def _in_blocks(values: Sequence[str]) -> bool:
+    """Return whether rows of one value follow each other, for several values that each have several rows."""
+    sizes = [len(list(group)) for _, group in groupby(values)]
+    return 1 < len(sizes) == len(set(values)) and min(sizes) > 1

@@ -5,7 +5,6 @@ A missing landmark is written ``nan nan``, or by another of the usual words.
 
 import operator
 import re
-from collections.abc import Iterator
 from typing import Any
 
 from liaam.errors import LandmarkError
@@ -88,19 +87,14 @@ def parse_tem(source: Source) -> list[Landmarks]:
 
 
 def _template_lines(tokens: list[str]) -> list[Contour | None]:
-    stream = iter(tokens)
-    contours = []
-    for _ in range(_next(stream) if tokens else 0):
-        closed = _next(stream) == 1
-        contours.append(contour_of([_next(stream) for _ in range(_next(stream))], closed))
+    numbers, contours = (parse_count(token, "a line template") for token in tokens), []
+    try:
+        for _ in range(next(numbers) if tokens else 0):
+            closed = next(numbers) == 1
+            contours.append(contour_of([next(numbers) for _ in range(next(numbers))], closed))
+    except StopIteration:
+        raise LandmarkError("it ends within its line templates; it may be cut short: export it again.") from None
     return contours
-
-
-def _next(stream: Iterator[str]) -> int:
-    token = next(stream, None)
-    if token is None:
-        raise LandmarkError("it ends within its line templates; it may be cut short: export it again.")
-    return parse_count(token, "a line template")
 
 
 def parse_shapes(source: Source) -> list[Landmarks]:

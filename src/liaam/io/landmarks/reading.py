@@ -13,7 +13,8 @@ from xml.etree import ElementTree
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key, some_names
 from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.text import short
+from liaam.io.landmarks.columns import plain
+from liaam.io.landmarks.text import Row, rows_of, short
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -126,6 +127,16 @@ class Source:
             raise LandmarkError(f"this is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
     @cached_property
+    def rows(self) -> list[Row]:
+        """Its rows as a table."""
+        return rows_of(self.text)
+
+    @cached_property
+    def header(self) -> list[str]:
+        """Its first row in lower case, without units in brackets and marks between words."""
+        return list(map(plain, self.rows[0][1]))
+
+    @cached_property
     def lines(self) -> list[str]:
         """Its lines that are not blank, without blanks at their ends."""
         return [line for line in map(str.strip, self.text.splitlines()) if line]
@@ -150,20 +161,22 @@ class Source:
 
 def size_of_file(width: Any, height: Any) -> Placing:
     """Return how positions count in an image whose size a file states as numbers or text, if it does."""
-    try:
-        size = float(width), float(height)
-    except (TypeError, ValueError, OverflowError):
-        return Placing()
-    return Placing(size if all(0 < side < math.inf for side in size) else None)
+    size = _numbers(width, height)
+    return Placing((size[0], size[1]) if size and min(size) > 0 else None)
 
 
 def area_of(*sides: Any) -> float:
     """Return an area, or the product of the sides of a box; 0 if it is not known."""
+    return math.prod(_numbers(*sides) or [0.0])
+
+
+def _numbers(*values: Any) -> list[float]:
+    """Return values as finite numbers; nothing if one is none."""
     try:
-        area = math.prod(map(float, sides)) if sides else 0.0
+        numbers = list(map(float, values))
     except (TypeError, ValueError, OverflowError):
-        return 0.0
-    return area if math.isfinite(area) else 0.0
+        return []
+    return numbers if math.isfinite(math.prod(numbers)) else []
 
 
 def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
