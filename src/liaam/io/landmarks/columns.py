@@ -95,9 +95,7 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     for i in unclear:
         if image is None and header[i] != "name" and _in_blocks(values[i]):
             image = i
-        elif landmark is None and (
-            header[i] in ("name", "label") or _repeats(values[i])
-        ):
+        elif landmark is None and (header[i] in ("name", "label") or _repeats(values[i])):
             if image is not None and len({*zip(values[image], values[i], strict=True)}) == len({*values[image]}):
                 continue  # one value an image
             landmark = i
