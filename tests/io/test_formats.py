@@ -110,6 +110,12 @@ READ = [
     ("a.txt", "".join(f"{name}.png 5 5 60 70 10 20 30 40 50 60\n" for name in "abc"), POINTS),
     ("a.txt", "p\t10,0\t20,0\nq\t30,0\t40,0\nr\t50,0\t60,0\n", POINTS),
     ("a.pts", "n_points: 3\n{\n11,0 21,0\n31,0 41,0\n51,0 61,0\n}\n", POINTS),
+    ("a.txt", "1 10 20\n2 30 40\n4 50 60\n", POINTS),
+    ("a.txt", "tip 1 10 20\ntip 2 30 40\ntip 3 50 60\n", POINTS),
+    ("a.txt", "a.png 10 20 30 40 nan NaN\nb.png 1 2 3 4 5 6\n", HOLE),
+    ("a.csv", "image,x (px),y [Pixels],x (mm),y (mm)\na,10,20,1,2\na,30,40,3,4\na,50,60,5,6\n", POINTS),
+    ("a.csv", "image,landmark,x,y\na,2.0,30,40\na,10.0,50,60\na,1.0,10,20\n", POINTS),
+    ("a.csv", "image;landmark;x;y\na;p;10,000;20,0\na;q;30,0;40,0\na;r;50;60\n", POINTS),
     ("a.xml", BOXES.replace("<box width='9'", "<box ignore='False' width='9'"), POINTS),
     ("a.xml", f"<annotations><image name='a.png'>{NUMBERS}</image></annotations>", POINTS),
     ("a.json", labelme([3, 1, 2], ["lm"] * 3), POINTS),
@@ -134,6 +140,14 @@ REFUSED = [
         "eye_x,eye_y,tip_x,tip_y,Image\n1,2,3,4,238 236\n1,2,3,4,9 8\n",
         "the column 'image' holds the images' pixels",
     ),
+    ("a.txt", "10 20 0.98\n30 40 0.91\n50 60 0.99\n", "no columns x and y, or rows of x and y"),
+    ("a.txt", "10.5\t20\t5\n30.5\t40\t5\n", "no columns x and y, or rows of x and y: name"),
+    ("a.txt", "1 10 20 5\n2 30 40 5\n3 50 60 5\n", "no columns x and y, or rows of x and y: name the"),
+    ("a.txt", "a.png p 10 20\na.png q 30 40\nb.png p 11 21\n", "no columns x and y, or rows of x and y: name the c"),
+    ("a.csv", "image,name,x (mm),y (mm)\na.png,p,1,2\na.png,q,3,4\n", "no columns x and y, or rows of x"),
+    ("a.csv", "image,name,x [%],y [%]\na.png,p,10,20\na.png,q,30,40\n", "no columns x and y, or rows of"),
+    ("a.csv", "image;name;x;y\na;p;1,010;20.5\na;q;30.5;40.5\n", "'1,010' and '20.5' have a comma and a point"),
+    ("a.csv", "image;name;x;y\na;p;1.010;20,5\na;q;30,5;40,5\n", "'20,5' and '1.010' have a comma and a point"),
     ("a.json", json.dumps({"_via_img_metadata": {}}), "this is none of LabelMe, Label Studio, COCO keypoints: export"),
     ("a.json", label_studio({"image": "a.png"}, image_rotation=90), "was labelled on a turned picture"),
     ("a.nts", "1 1 4 1 .. DIM=2\n1 2 3 4\n", "there is no header of a matrix"),
@@ -150,7 +164,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "words"), REFUSED, ids=[words[:30] for *_, words in REFUSED])
+@pytest.mark.parametrize(("name", "text", "words"), REFUSED, ids=[f"{name}-{text[:24]}" for name, text, _ in REFUSED])
 def test_what_cannot_be_read_rightly_is_refused(name: str, text: str, words: str) -> None:
     with pytest.raises(LandmarkError, match=words):
         parse_landmark_data(name, text.encode(), SIZE, Reading(category="leg"))

@@ -22,6 +22,8 @@ UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")
 
 _AXIS = re.compile(r"(?:(?:pos|coord|point|pixel)_)?([xy])(?:_(?:px|pixels?|coords?|coordinates?|pos|position))?")
 
+_UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\s*[)\]]", re.IGNORECASE)
+
 _FORMS = (
     r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
     r"(?P<axis>[xyz])[ ._-](?P<key>\w.*)",
@@ -48,8 +50,9 @@ class Columns:
 
 
 def plain(cell: str) -> str:
-    """Return a column's name in lower case, without a unit in brackets, with words joined by underscores."""
-    return re.sub(r"[\s_.-]+", "_", re.sub(r"[(\[].*[)\]]", "", cell).strip().casefold()).strip("_")
+    """Return a column's name in lower case, without what is in brackets, unless it is a unit other than pixels."""
+    without = re.sub(r"[(\[].*[)\]]", "", _UNIT.sub(r" \1", cell))
+    return re.sub(r"[\s_.-]+", "_", without.strip().casefold()).strip("_")
 
 
 def filled(values: Sequence[str]) -> list[str]:

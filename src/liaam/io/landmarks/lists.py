@@ -39,9 +39,13 @@ def _words(line: str) -> list[str]:
 def _name_at(words: list[str]) -> int | None:
     """Return the index of the name, the first or last word, if all others are numbers."""
     for at, others in ((0, words[1:]), (-1, words[:-1])):
-        if len(others) > 3 and not is_number(words[at]) and all(map(is_number, others)):
+        if len(others) > 3 and not _is_value(words[at]) and all(map(_is_value, others)):
             return at
     return None
+
+
+def _is_value(word: str) -> bool:
+    return is_number(word) or word.lower() == "nan"
 
 
 def parse(source: Source) -> list[Landmarks]:

@@ -5,7 +5,7 @@ import io
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,8 @@ _SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")
 """Control characters, which binary files hold and text does not."""
 
+_MARKED = re.compile(r"[-+]?\d+[.,]\d+")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}[.,]\d{3}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
 _ABSENT = (-999.0, -9999.0)
@@ -77,12 +79,23 @@ def rows_of(text: str) -> list[Row]:
     if "Label" in rows[0][1]:
         rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
     if separator != ",":
+        _check_marks(cell.strip() for _, row in rows for cell in row)
         rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
     if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
         rows = rows[1:]
     if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
         rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
     return rows
+
+
+def _check_marks(cells: Iterable[str]) -> None:
+    """Raise if numbers have decimal commas as well as points, and some of these may separate thousands."""
+    marked = [cell for cell in cells if _MARKED.fullmatch(cell)]
+    with_comma = [cell for cell in marked if "," in cell]
+    if 0 < len(with_comma) < len(marked) and any(map(_THOUSANDS.fullmatch, marked)):
+        point = next(cell for cell in marked if "," not in cell)
+        both = f"'{short(with_comma[0])}' and '{short(point)}'"
+        raise LandmarkError(f"the numbers {both} have a comma and a point: write decimals one way, and no thousands.")
 
 
 def parse_count(token: str, what: str) -> int:
