@@ -68,6 +68,8 @@ READ = [
     ("a.csv", "image,name,x_px,y_px,x_mm,y_mm\na,p,10,20,1,2\na,q,30,40,3,4\na,r,50,60,5,6\n", POINTS),
     ("a.csv", "image,name,x,y\na,p,10,20\na,q,30,40\na,r,-999,-999\n", HOLE),
     ("a.csv", "id,X1,Y1,X2,Y2,X3,Y3\na.png,10,20,30,40,-9999,-9999\n", HOLE),
+    ("a.csv", "id,X1,Y1,X2,Y2,X3,Y3\nb.png,1,2,3\na.png,10,20,30,40,-1,-1\n", HOLE),
+    ("a.csv", "image,landmark,x,y,visible\na,p,10,20,True\na,q,30,40,True\na,r,-1,-1,False\n", HOLE),
     ("a.csv", "my photo a.png,10,20,30,40,50,60\nmy photo b.png,1,2,3,4,5,6\n", POINTS),
     ("a.tps", "LM=3\n10 139\n30 119\n-999 -999\nIMAGE=a.png\n", HOLE),
     ("a.pts", "n_points: 3\n{\n11;21\n31 ; 41\n51;61\n}\n", POINTS),

@@ -11,7 +11,7 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.contours import Contour
-from liaam.io.landmarks.reading import MISSING, Source
+from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.text import parse_number, parse_pair, short
 
 _UPWARDS = Placing(upwards=True)
@@ -106,7 +106,7 @@ def _points(block: _Block) -> list[tuple[float, float]]:
     if n < count:
         promised = f"{short(block.value)} points but {n} follow; the file may be cut short"
         raise LandmarkError(f"{block.where} promises {promised}: correct the number, or export the file again.")
-    return [MISSING if point == (-1.0, -1.0) else point for point in points]
+    return points
 
 
 def parse_nts(source: Source) -> list[Landmarks]:

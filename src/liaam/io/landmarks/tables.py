@@ -7,6 +7,7 @@ comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,11 +35,16 @@ _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 """Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
 
 
-def _check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
-    """Raise unless all rows have as many cells as the header."""
-    for number, row in rows:
-        if len(row) != len(header):
-            raise LandmarkError(f"line {number} has {len(row)} cells but the header {len(header)}: correct the line.")
+def _check_width(header: Sequence[str], row: Row) -> Row:
+    """Return a row. Raise unless it has as many cells as the header."""
+    if len(row[1]) != len(header):
+        raise LandmarkError(f"line {row[0]} has {len(row[1])} cells but the header {len(header)}: correct the line.")
+    return row
+
+
+def _whole(source: Source, header: Sequence[str], rows: Sequence[Row]) -> list[Row]:
+    """Return the rows that have as many cells as the header, and leave out others."""
+    return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
 
 
 # One row a landmark -------------------------------------------------------------------------------
@@ -51,8 +57,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     landmark. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
     """
     header = source.header
-    rows = [(number, row) for number, row in source.rows[1:] if any(row) or len(row) == len(header)]
-    _check_widths(header, rows)
+    rows = [_check_width(header, row) for row in source.rows[1:] if any(row[1]) or len(row[1]) == len(header)]
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         column = header[columns.landmark]
@@ -132,8 +137,7 @@ def parse_wide(source: Source) -> list[Landmarks]:
     the image or specimen, or else by the only other column with text.
     """
     (_, header), *rows = source.rows
-    rows = [(number, row) for number, row in rows if any(row)]
-    _check_widths(header, rows)
+    rows = _whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
     numbered = all(map(str.isdigit, given))
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
@@ -156,7 +160,9 @@ def parse_dlc(source: Source) -> list[Landmarks]:
     if not {"scorer", "bodyparts", "coords"} <= headers.keys():
         raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
     rows, coords = rows[len(headers) :], headers["coords"]
-    _check_widths(coords, [*((0, header) for header in headers.values()), *rows])
+    for header in headers.values():
+        _check_width(coords, (0, header))
+    rows = _whole(source, coords, rows)
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
     scorers = list(dict.fromkeys(headers["scorer"][first:]))
     if len(scorers) > 1:

@@ -31,7 +31,7 @@ _MARKED = re.compile(r"[-+]?\d+[.,]\d+")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}[.,]\d{3}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
-_ABSENT = (-999.0, -9999.0)
+_ABSENT = (-1.0, -999.0, -9999.0)
 """Numbers that programs write for x and y of a missing landmark."""
 
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
