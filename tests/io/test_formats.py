@@ -108,6 +108,8 @@ READ = [
         "image,image_width,image_height,x,y\na,400,320,20.5,40.5\na,400,320,60.5,80.5\na,400,320,100.5,120.5\n",
         POINTS,
     ),
+    ("a.csv", "file,width,height,x,y\na,400,320,20.5,40.5\na,400,320,60.5,80.5\na,400,320,100.5,120.5\n", POINTS),
+    ("a.csv", "file,width,height,x,y\na,45,160,10,20\na,45,160,30,40\na,45,160,50,60\n", POINTS),
     ("a.txt", "a.png\t10,0\t20,0\t30,0\t40,0\t50,0\t60,0\nb.png\t1,0\t2,0\t3,0\t4,0\t5,0\t6,0\n", POINTS),
     ("a.txt", "".join(f"{name}.png 5 5 60 70 10 20 30 40 50 60\n" for name in "abc"), POINTS),
     ("a.txt", "p\t10,0\t20,0\nq\t30,0\t40,0\nr\t50,0\t60,0\n", POINTS),

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import ImageError
-from liaam.io import RAW_SUFFIXES, image_size, is_raw, read_image, read_preview, read_raw, write_image
+from liaam.io import image_size, is_raw, read_image, read_preview, write_image
+from liaam.io.raw import RAW_SUFFIXES, read_raw
 
 BLACK, WHITE = 64, 4095
 BYTE, ASCII, SHORT, LONG, RATIONAL, SIGNED_RATIONAL = 1, 2, 3, 4, 5, 10

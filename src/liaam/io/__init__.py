@@ -5,7 +5,6 @@ from liaam.io.files import make_folder
 from liaam.io.image_writer import write_image
 from liaam.io.images import (
     IMAGE_SUFFIXES,
-    VIDEO_SUFFIXES,
     decode_image,
     image_kind,
     image_size,
@@ -22,7 +21,7 @@ from liaam.io.landmarks import (
     write_collection,
     write_landmarks,
 )
-from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
+from liaam.io.raw import is_raw
 from liaam.io.table_writer import write_columns
 from liaam.io.video import VideoFrame, VideoReader
 from liaam.io.video_writer import VideoWriter, video_writer
@@ -30,8 +29,6 @@ from liaam.io.video_writer import VideoWriter, video_writer
 __all__ = [
     "IMAGE_SUFFIXES",
     "LANDMARK_SUFFIXES",
-    "RAW_SUFFIXES",
-    "VIDEO_SUFFIXES",
     "Contour",
     "Landmarks",
     "Reading",
@@ -48,7 +45,6 @@ __all__ = [
     "read_image",
     "read_landmarks",
     "read_preview",
-    "read_raw",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",

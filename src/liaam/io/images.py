@@ -98,8 +98,7 @@ def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> n
     ----------
     path : path-like
         A PNG, JPEG, TIFF (first page), BMP, PPM, PGM, WebP, AVIF, GIF, JPEG 2000 or HEIC file of one still, or a RAW
-        file, recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear (see
-        :func:`liaam.io.read_raw`).
+        file, recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear light.
     max_pixels : int, optional
         Larger images are rejected before decoding. By default the environment variable ``LIAAM_MAX_PIXELS``, or 200
         million.

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count, groupby
 
@@ -15,7 +15,7 @@ IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "f
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
-SIZES = ("image_width", "img_width"), ("image_height", "img_height")
+SIZES = ("image_width", "image_height"), ("img_width", "img_height"), ("width", "height")
 VISIBLE = ("visible", "visibility", "v")
 UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")
 """Names of columns whose meaning their values decide."""
@@ -66,25 +66,19 @@ def filled(values: Sequence[str]) -> list[str]:
 
 def has_points(header: Sequence[str]) -> bool:
     """Return whether a header has columns x and y."""
-    return {"x", "y"} <= {axis for axis, _ in _axes(header)}
-
-
-def _axes(header: Sequence[str]) -> Iterator[tuple[str, int]]:
-    for i, name in enumerate(header):
-        match = _AXIS.fullmatch(name)
-        if match is not None:
-            yield match[1], i
+    return {"x", "y"} <= {match[1] for match in map(_AXIS.fullmatch, header) if match is not None}
 
 
 def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
     axes: dict[str, int] = {}
-    for axis, i in _axes(header):
-        if axis in axes and header[i] != header[axes[axis]] == axis:
-            continue
-        if axis in axes and (header[i] != axis or header[axes[axis]] == axis):
-            raise _ambiguous(header, f"and '{header[axes[axis]]}' both may be {axis}: name one of them {axis}", i)
-        axes[axis] = i
+    for axis in "xy":
+        found = [i for i, name in enumerate(header) if (match := _AXIS.fullmatch(name)) and match[1] == axis]
+        first, *others = [i for i in found if header[i] == axis] or found
+        if others:
+            both = f"and '{header[first]}' both may be {axis}: name one of them {axis}"
+            raise _ambiguous(header, both, others[0])
+        axes[axis] = first
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
     texts = [i for i in range(len(header)) if i not in axes.values()]
     image = _one(header, values, [i for i in texts if header[i] in IMAGES])
@@ -107,9 +101,18 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     elif landmark is None:
         keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
         landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
-    size = tuple(i for names in SIZES for i in texts if header[i] in names)
+    sizes = [[i for name in names for i in texts if header[i] == name] for names in SIZES]
+    size = next((tuple(own) for own in sizes if len(own) == 2 and _holds(own, axes, values)), ())
     visible = next((i for i in texts if header[i] in VISIBLE), None)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size if len(size) == 2 else ())
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size)
+
+
+def _holds(size: Sequence[int], axes: dict[str, int], values: list[list[str]]) -> bool:
+    """Return whether columns may be the width and height of images, since no point lies beyond; a box is smaller."""
+    pairs = [
+        pair for i, axis in zip(size, "xy", strict=True) for pair in zip(values[axes[axis]], values[i], strict=True)
+    ]
+    return all(float(at) <= float(side) for at, side in pairs if is_number(at) and is_number(side))
 
 
 def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
