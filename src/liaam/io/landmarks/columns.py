@@ -101,14 +101,14 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     elif landmark is None:
         keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
         landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
-    sizes = [[i for name in names for i in texts if header[i] == name] for names in SIZES]
-    size = next((tuple(own) for own in sizes if len(own) == 2 and _holds(own, axes, values)), ())
+    sizes = [tuple(i for name in names for i in texts if header[i] == name) for names in SIZES]
+    sizes = [own for own in sizes if len(own) == 2 and (header[own[0]] != "width" or _holds(own, axes, values))]
     visible = next((i for i in texts if header[i] in VISIBLE), None)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size)
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, *sizes[:1])
 
 
 def _holds(size: Sequence[int], axes: dict[str, int], values: list[list[str]]) -> bool:
-    """Return whether columns may be the width and height of images, since no point lies beyond; a box is smaller."""
+    """Return whether a width and a height may be those of images, and not of boxes: no point lies beyond."""
     pairs = [
         pair for i, axis in zip(size, "xy", strict=True) for pair in zip(values[axes[axis]], values[i], strict=True)
     ]
