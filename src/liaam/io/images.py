@@ -169,7 +169,7 @@ def size_and_orientation(path: str | os.PathLike[str] | bytes, name: str = "imag
 
 
 def image_kind(file: Path | bytes) -> str | None:
-    """Return the format, except RAW, of an image file, or of its first bytes; None if it is no image."""
+    """Return the format, except RAW, of an image file, or of its first bytes; None for other files."""
     if isinstance(file, Path):
         with file.open("rb") as opened:
             file = opened.read(16)
