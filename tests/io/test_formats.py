@@ -144,6 +144,8 @@ REFUSED = [
         "eye_x,eye_y,tip_x,tip_y,Image\n1,2,3,4,238 236\n1,2,3,4,9 8\n",
         "the column 'image' holds the images' pixels",
     ),
+    ("a.csv", "image,x,y\na,0.1,0.2\na,0.3,1.02\na,0.5,0.6\n", "all positions lie between 0.1 and 1.02"),
+    ("a.csv", "image,x,y\na,-0.1,0.2\na,0.3,-1\na,0.5,0.6\n", "all positions lie between -1 and 0.6"),
     ("a.txt", "10 20 0.98\n30 40 0.91\n50 60 0.99\n", "no columns x and y, or rows of x and y"),
     ("a.txt", "10.5\t20\t5\n30.5\t40\t5\n", "no columns x and y, or rows of x and y: name"),
     ("a.txt", "1 10 20 5\n2 30 40 5\n3 50 60 5\n", "no columns x and y, or rows of x and y: name the"),
@@ -174,6 +176,21 @@ def test_what_cannot_be_read_rightly_is_refused(name: str, text: str, words: str
         parse_landmark_data(name, text.encode(), SIZE, Reading(category="leg"))
 
 
+MIXED = (
+    ("a.csv", "image,lm,x,y\na,03,50,60\na,01,10,20\na,02,30,40\nb,1,10,20\nb,2,30,40\nb,3,50,60\n"),
+    ("a.xml", "<d>{}{}</d>"),
+)
+
+
+@pytest.mark.parametrize(("name", "text"), MIXED)
+def test_a_number_is_the_same_however_it_is_written(name: str, text: str) -> None:
+    parts = ("".join(f"<part name='{i:0{w}d}' x='{x}' y='{y}'/>" for i, (x, y) in enumerate(POINTS)) for w in (1, 2))
+    boxes = [f"<image file='{w}'><box>{each}</box></image>" for w, each in enumerate(parts)]
+    parsed = parse_landmark_data(name, text.format(*boxes).encode(), SIZE)
+    assert isinstance(parsed, dict)
+    assert [own.points.tolist() for own in parsed.values()] == [POINTS, POINTS]
+
+
 def test_boxes_of_another_label_are_left_out_with_a_line() -> None:
     notes = Notes()
     parse_landmark_data("a.xml", BOXES.encode(), SIZE, notes=notes)
@@ -199,6 +216,8 @@ def test_images_are_found_by_addresses() -> None:
 def test_names_are_the_same_in_another_case_with_blanks_or_in_another_unicode_form() -> None:
     other = Landmarks(np.array(POINTS), names=("Tip ", "a\u0308", "EYE"))
     assert other.in_order_of(("eye", "tip", "\u00e4")).points.tolist() == [POINTS[2], POINTS[0], POINTS[1]]
+    padded = Landmarks(np.array(POINTS), names=("03", "01", "02"))
+    assert padded.in_order_of(("1", "2", "3")).points.tolist() == [POINTS[1], POINTS[2], POINTS[0]]
     apart = Landmarks(np.array(POINTS), names=("a", "A", "b"))
     assert apart.in_order_of(("A", "a", "b")).points.tolist() == [POINTS[1], POINTS[0], POINTS[2]]
     with pytest.raises(LandmarkError, match="its names lack b2"):

@@ -24,6 +24,7 @@ from liaam.io.landmarks.reading import (
     area_of,
     named_points,
     names_of,
+    numbered_alike,
     of_category,
     size_of_file,
     with_names,
@@ -325,6 +326,7 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     for each in every:
         of_label[each.category].update(each.landmarks.names)
     found = of_category(source, [replace(each, kind=of_label[each.category]) for each in every])
+    found = numbered_alike(found)
     names = sorted({name for own in found for name in own.names}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
         raise LandmarkError(

@@ -21,6 +21,9 @@ from liaam.io.landmarks.text import read_text
 
 Size = tuple[float, float]
 
+_FRACTION = 1.5
+"""Largest fraction of an image's size of a point beyond its border, or of half its size."""
+
 _SMALL = 16
 """Width and height in pixels up to which all landmarks may lie within one pixel."""
 
@@ -155,8 +158,10 @@ class ImagesBeside:
 
 def _check_pixels(known: np.ndarray, size: Size) -> None:
     """Raise if positions in an image seem to be fractions of its size."""
-    if len(known) > 2 and 0 <= known.min() <= known.max() <= 1 and min(size) > _SMALL:
-        raise LandmarkError("all positions lie between 0 and 1, as fractions of the image's size do: give pixels.")
+    if len(known) > 2 and np.abs(known).max() <= _FRACTION and min(size) > _SMALL:
+        low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
+        between = f"all positions lie between {low:.3g} and {high:.3g}"
+        raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
 
 
 def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -209,6 +210,18 @@ def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
     return replace(own, points=points, names=tuple(names), invisible=invisible, contours=())
 
 
+def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
+    """Return landmarks whose numbers have no decimals, and no zeros in front if others lack these: 1, 01 and 1.0."""
+    names = {name for own in found for name in own.names}
+    plain = {name: re.sub(r"\A(\d+)\.0+\Z", r"\1", name) for name in names}
+    bare = {name: re.sub(r"\A0+(?=\d+\Z)", "", plain[name]) for name in names}
+    plain = bare if len({*bare.values()}) < len({*plain.values()}) else plain
+    alike = [tuple(plain[name] for name in own.names) for own in found]
+    if any(len({*each}) < len({*own.names}) for each, own in zip(alike, found, strict=True)):
+        return found
+    return [replace(own, names=each) for own, each in zip(found, alike, strict=True)]
+
+
 def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
     """Make landmarks of many images alike by their names.
 
@@ -217,6 +230,7 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     """
     if not found:
         return []
+    found = numbered_alike(found)
     counts = Counter(name for own in found for name in set(own.names))
     usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
     fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))

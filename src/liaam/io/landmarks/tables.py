@@ -4,7 +4,6 @@ Positions are centres counted from 0, x to the right and y downwards, but for Im
 comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out what the columns mean.
 """
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -27,9 +26,6 @@ from liaam.io.landmarks.columns import (
 )
 from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
 from liaam.io.landmarks.text import Row, parse_point
-
-_WHOLE = re.compile(r"\A(\d+)\.0+\Z")
-"""A number of a landmark as pandas writes it."""
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 """Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
@@ -69,7 +65,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
         points = np.array([_point(number, row, columns) for number, row in own]) - shift
-        names = [] if columns.landmark is None else [_WHOLE.sub(r"\1", row[columns.landmark]) for _, row in own]
+        names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
         placing = size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else Placing()
         return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen, placing=placing)
 
