@@ -196,11 +196,11 @@ def _with_sums(data: bytes) -> bytes:
 
 def check(data: bytes) -> None:
     """Decode it. The image must have the size in its header."""
-    from liaam.io import decode_image, encoded_size
+    from liaam.io import decode_image, image_size
 
     image = decode_image(data, "x", MOST)
     assert image.dtype in (np.uint8, np.uint16, np.float32)
-    assert image.shape == (*encoded_size(data, "x")[::-1], 3)
+    assert image.shape == (*image_size(data, "x")[::-1], 3)
 
 
 def check_file(suffix: str, data: bytes) -> None:

@@ -21,7 +21,8 @@ from liaam import FitResult
 from liaam.cli.main import app
 from liaam.datasets import label_faults
 from liaam.fitting import reference_loop, search
-from liaam.io import VIDEO_SUFFIXES, video_writer
+from liaam.io import video_writer
+from liaam.io.images import VIDEO_SUFFIXES
 from liaam.lamps.bank import DARK, Lamps
 from liaam.model.views import VIEWS
 from liaam.relighting import Lamp, Relighter

@@ -27,7 +27,7 @@ LAYERS = (
     ("model",),
     ("photometry",),
     ("io",),
-    ("drawing", "evaluation", "models", "progress", "workers"),
+    ("drawing", "evaluation", "models", "progress", "tables", "workers"),
     ("_core", "lazy", "reference"),
     ("errors",),
 )

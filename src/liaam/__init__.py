@@ -45,12 +45,13 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         fit_all,
         fit_many,
     )
-    from liaam.io import Landmarks, read_image, read_landmarks, to_dataframe, write_image, write_landmarks
+    from liaam.io import Landmarks, read_image, read_landmarks, write_image, write_landmarks
     from liaam.model import AAM, load_model
     from liaam.morphometry import Specimen, measure, read_specimens
     from liaam.photometry import CameraModel, invariant_image, load_camera
     from liaam.registration import Registration, register
     from liaam.relighting import relight
+    from liaam.tables import to_dataframe
     from liaam.tracking import TrackedFrame, Tracker, TrackingOptions, track_video
     from liaam.training import TrainingOptions, compact, train
 
@@ -124,12 +125,13 @@ _HOMES = {
         "fit_all",
         "fit_many",
     ),
-    "io": ("Landmarks", "read_image", "read_landmarks", "to_dataframe", "write_image", "write_landmarks"),
+    "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
     "model": ("AAM", "load_model"),
     "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
     "registration": ("Registration", "register"),
     "relighting": ("relight",),
+    "tables": ("to_dataframe",),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("TrainingOptions", "compact", "train"),
 }

@@ -68,6 +68,8 @@ READ = [
     ("a.csv", "image,name,x_px,y_px,x_mm,y_mm\na,p,10,20,1,2\na,q,30,40,3,4\na,r,50,60,5,6\n", POINTS),
     ("a.csv", "image,name,x,y\na,p,10,20\na,q,30,40\na,r,-999,-999\n", HOLE),
     ("a.csv", "id,X1,Y1,X2,Y2,X3,Y3\na.png,10,20,30,40,-9999,-9999\n", HOLE),
+    ("a.csv", "id,X1,Y1,X2,Y2,X3,Y3\nb.png,1,2,3\na.png,10,20,30,40,-1,-1\n", HOLE),
+    ("a.csv", "image,landmark,x,y,visible\na,p,10,20,True\na,q,30,40,True\na,r,-1,-1,False\n", HOLE),
     ("a.csv", "my photo a.png,10,20,30,40,50,60\nmy photo b.png,1,2,3,4,5,6\n", POINTS),
     ("a.tps", "LM=3\n10 139\n30 119\n-999 -999\nIMAGE=a.png\n", HOLE),
     ("a.pts", "n_points: 3\n{\n11;21\n31 ; 41\n51;61\n}\n", POINTS),
@@ -106,10 +108,18 @@ READ = [
         "image,image_width,image_height,x,y\na,400,320,20.5,40.5\na,400,320,60.5,80.5\na,400,320,100.5,120.5\n",
         POINTS,
     ),
+    ("a.csv", "file,width,height,x,y\na,400,320,20.5,40.5\na,400,320,60.5,80.5\na,400,320,100.5,120.5\n", POINTS),
+    ("a.csv", "file,width,height,x,y\na,45,160,10,20\na,45,160,30,40\na,45,160,50,60\n", POINTS),
     ("a.txt", "a.png\t10,0\t20,0\t30,0\t40,0\t50,0\t60,0\nb.png\t1,0\t2,0\t3,0\t4,0\t5,0\t6,0\n", POINTS),
     ("a.txt", "".join(f"{name}.png 5 5 60 70 10 20 30 40 50 60\n" for name in "abc"), POINTS),
     ("a.txt", "p\t10,0\t20,0\nq\t30,0\t40,0\nr\t50,0\t60,0\n", POINTS),
     ("a.pts", "n_points: 3\n{\n11,0 21,0\n31,0 41,0\n51,0 61,0\n}\n", POINTS),
+    ("a.txt", "1 10 20\n2 30 40\n4 50 60\n", POINTS),
+    ("a.txt", "tip 1 10 20\ntip 2 30 40\ntip 3 50 60\n", POINTS),
+    ("a.txt", "a.png 10 20 30 40 nan NaN\nb.png 1 2 3 4 5 6\n", HOLE),
+    ("a.csv", "image,x (px),y [Pixels],x (mm),y (mm)\na,10,20,1,2\na,30,40,3,4\na,50,60,5,6\n", POINTS),
+    ("a.csv", "image,landmark,x,y\na,2.0,30,40\na,10.0,50,60\na,1.0,10,20\n", POINTS),
+    ("a.csv", "image;landmark;x;y\na;p;10,000;20,0\na;q;30,0;40,0\na;r;50;60\n", POINTS),
     ("a.xml", BOXES.replace("<box width='9'", "<box ignore='False' width='9'"), POINTS),
     ("a.xml", f"<annotations><image name='a.png'>{NUMBERS}</image></annotations>", POINTS),
     ("a.json", labelme([3, 1, 2], ["lm"] * 3), POINTS),
@@ -134,6 +144,16 @@ REFUSED = [
         "eye_x,eye_y,tip_x,tip_y,Image\n1,2,3,4,238 236\n1,2,3,4,9 8\n",
         "the column 'image' holds the images' pixels",
     ),
+    ("a.csv", "image,x,y\na,0.1,0.2\na,0.3,1.02\na,0.5,0.6\n", "all positions lie between 0.1 and 1.02"),
+    ("a.csv", "image,x,y\na,-0.1,0.2\na,0.3,-1\na,0.5,0.6\n", "all positions lie between -1 and 0.6"),
+    ("a.txt", "10 20 0.98\n30 40 0.91\n50 60 0.99\n", "no columns x and y, or rows of x and y"),
+    ("a.txt", "10.5\t20\t5\n30.5\t40\t5\n", "no columns x and y, or rows of x and y: name"),
+    ("a.txt", "1 10 20 5\n2 30 40 5\n3 50 60 5\n", "no columns x and y, or rows of x and y: name the"),
+    ("a.txt", "a.png p 10 20\na.png q 30 40\nb.png p 11 21\n", "no columns x and y, or rows of x and y: name the c"),
+    ("a.csv", "image,name,x (mm),y (mm)\na.png,p,1,2\na.png,q,3,4\n", "no columns x and y, or rows of x"),
+    ("a.csv", "image,name,x [%],y [%]\na.png,p,10,20\na.png,q,30,40\n", "no columns x and y, or rows of"),
+    ("a.csv", "image;name;x;y\na;p;1,010;20.5\na;q;30.5;40.5\n", "'1,010' and '20.5' have a comma and a point"),
+    ("a.csv", "image;name;x;y\na;p;1.010;20,5\na;q;30,5;40,5\n", "'20,5' and '1.010' have a comma and a point"),
     ("a.json", json.dumps({"_via_img_metadata": {}}), "this is none of LabelMe, Label Studio, COCO keypoints: export"),
     ("a.json", label_studio({"image": "a.png"}, image_rotation=90), "was labelled on a turned picture"),
     ("a.nts", "1 1 4 1 .. DIM=2\n1 2 3 4\n", "there is no header of a matrix"),
@@ -150,10 +170,25 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "words"), REFUSED, ids=[words[:30] for *_, words in REFUSED])
+@pytest.mark.parametrize(("name", "text", "words"), REFUSED, ids=[f"{name}-{text[:24]}" for name, text, _ in REFUSED])
 def test_what_cannot_be_read_rightly_is_refused(name: str, text: str, words: str) -> None:
     with pytest.raises(LandmarkError, match=words):
         parse_landmark_data(name, text.encode(), SIZE, Reading(category="leg"))
+
+
+MIXED = (
+    ("a.csv", "image,lm,x,y\na,03,50,60\na,01,10,20\na,02,30,40\nb,1,10,20\nb,2,30,40\nb,3,50,60\n"),
+    ("a.xml", "<d>{}{}</d>"),
+)
+
+
+@pytest.mark.parametrize(("name", "text"), MIXED)
+def test_a_number_is_the_same_however_it_is_written(name: str, text: str) -> None:
+    parts = ("".join(f"<part name='{i:0{w}d}' x='{x}' y='{y}'/>" for i, (x, y) in enumerate(POINTS)) for w in (1, 2))
+    boxes = [f"<image file='{w}'><box>{each}</box></image>" for w, each in enumerate(parts)]
+    parsed = parse_landmark_data(name, text.format(*boxes).encode(), SIZE)
+    assert isinstance(parsed, dict)
+    assert [own.points.tolist() for own in parsed.values()] == [POINTS, POINTS]
 
 
 def test_boxes_of_another_label_are_left_out_with_a_line() -> None:
@@ -181,6 +216,8 @@ def test_images_are_found_by_addresses() -> None:
 def test_names_are_the_same_in_another_case_with_blanks_or_in_another_unicode_form() -> None:
     other = Landmarks(np.array(POINTS), names=("Tip ", "a\u0308", "EYE"))
     assert other.in_order_of(("eye", "tip", "\u00e4")).points.tolist() == [POINTS[2], POINTS[0], POINTS[1]]
+    padded = Landmarks(np.array(POINTS), names=("03", "01", "02"))
+    assert padded.in_order_of(("1", "2", "3")).points.tolist() == [POINTS[1], POINTS[2], POINTS[0]]
     apart = Landmarks(np.array(POINTS), names=("a", "A", "b"))
     assert apart.in_order_of(("A", "a", "b")).points.tolist() == [POINTS[1], POINTS[0], POINTS[2]]
     with pytest.raises(LandmarkError, match="its names lack b2"):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import ImageError
-from liaam.io import RAW_SUFFIXES, image_size, is_raw, read_image, read_preview, read_raw, write_image
+from liaam.io import image_size, is_raw, read_image, read_preview, write_image
+from liaam.io.raw import RAW_SUFFIXES, read_raw
 
 BLACK, WHITE = 64, 4095
 BYTE, ASCII, SHORT, LONG, RATIONAL, SIGNED_RATIONAL = 1, 2, 3, 4, 5, 10
@@ -128,7 +129,6 @@ def test_nothing_that_depends_on_the_picture_is_asked_for(fake, dng):
         "output_bps": 16,
         "highlight_mode": "clip",
         "demosaic_algorithm": "linear",
-        "half_size": False,
     }
 
 
@@ -151,11 +151,6 @@ def test_a_preview_of_a_raw_file_is_all_of_it(fake, dng):
     np.testing.assert_array_equal(read_preview(dng, 5), fake.image)
     with pytest.raises(ImageError, match="more than the 79 allowed"):
         read_preview(dng, 5, max_pixels=79)
-
-
-def test_half_size_is_passed_on(fake, dng):
-    read_raw(dng, half_size=True)
-    assert fake.opened[0].asked["half_size"] is True
 
 
 def test_too_many_pixels_are_refused_before_decoding(fake, dng):
@@ -247,11 +242,10 @@ def written(tmp_path: Path, light: np.ndarray, **options) -> Path:
 
 
 @pytest.mark.usefixtures("libraw")
-@pytest.mark.parametrize("half_size", [False, True])
-def test_values_are_linear_light_of_the_sensor(tmp_path, half_size):
-    image = read_raw(written(tmp_path, even(0.5, 0.25, 0.1)), half_size=half_size)
+def test_values_are_linear_light_of_the_sensor(tmp_path):
+    image = read_raw(written(tmp_path, even(0.5, 0.25, 0.1)))
     assert image.dtype == np.uint16
-    assert image.shape == ((16, 24, 3) if half_size else (32, 48, 3))
+    assert image.shape == (32, 48, 3)
     np.testing.assert_allclose(
         image / 65535, np.broadcast_to([0.5, 0.25, 0.1], image.shape), atol=1.5 / (WHITE - BLACK)
     )

@@ -230,6 +230,10 @@ def test_scales_are_positive() -> None:
         Landmarks(np.zeros((1, 2)), scale=-1)
 
 
+def test_a_scale_may_have_a_decimal_comma(tmp_path: Path) -> None:
+    assert read_landmarks(save(tmp_path, "LM=1\n1,5 2,5\nSCALE=0,25\n"), (100, 100)).scale == 0.25
+
+
 def test_the_wings(shared_data: Path) -> None:
     dataset = load_folder(shared_data / "wings")
     assert len(dataset) == 58

@@ -156,6 +156,13 @@ def test_a_trimmed_video_cut_short_says_so(tmp_path):
     assert "cut short" in reader.fault or "damaged" in reader.fault
 
 
+def test_frames_before_the_start_are_told(video):
+    told = []
+    with VideoReader(video, 3, 5, lambda *done: told.append(done)) as reader:
+        assert [frame.index for frame in reader] == [3, 4]
+    assert told == [(n, 3, "skipping frames") for n in (1, 2, 3)]
+
+
 def test_frames_come_inside_of_a_with_block_only(video):
     complaint = "film.mp4: .* write 'with VideoReader"
     with pytest.raises(VideoError, match=complaint):

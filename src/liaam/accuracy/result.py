@@ -16,10 +16,9 @@ from liaam.evaluation import (
     within_intervals,
 )
 from liaam.fitting import FitStatus
-from liaam.io import to_dataframe
 from liaam.io.files import count_of, some_names
-from liaam.io.tables import Columns, landmark_columns
 from liaam.plotting.errors import figure_of_worst, plot_cumulative
+from liaam.tables import Columns, landmark_columns, to_dataframe
 
 if TYPE_CHECKING:
     import pandas

@@ -87,9 +87,10 @@ def track(
     model = load_model(model_file)
     camera = camera_for([], given_camera, model.camera)
     tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
-    counts, reader = Counts(), VideoReader(source, start, stop)
-    tracker.name = reader.name
+    counts = Counts()
     with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
+        reader = VideoReader(source, start, stop, progress)
+        tracker.name = reader.name
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
         for frame, tracked in files.enter_context(closing(frames_of(tracker, reader, init, progress, stopped))):
             counts.add(tracked)

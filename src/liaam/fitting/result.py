@@ -16,8 +16,8 @@ from liaam.fitting.levels import FittedLevel
 from liaam.fitting.methods import Method
 from liaam.fitting.picture import load_picture
 from liaam.io.files import count_of
-from liaam.io.tables import Columns, landmark_columns, to_dataframe
 from liaam.model.shape import Similarity
+from liaam.tables import Columns, landmark_columns, to_dataframe
 
 if TYPE_CHECKING:
     import pandas

@@ -5,11 +5,9 @@ from liaam.io.files import make_folder
 from liaam.io.image_writer import write_image
 from liaam.io.images import (
     IMAGE_SUFFIXES,
-    VIDEO_SUFFIXES,
     decode_image,
-    encoded_size,
+    image_kind,
     image_size,
-    is_image,
     read_image,
     read_preview,
 )
@@ -23,16 +21,14 @@ from liaam.io.landmarks import (
     write_collection,
     write_landmarks,
 )
-from liaam.io.raw import RAW_SUFFIXES, is_raw, read_raw
-from liaam.io.tables import to_dataframe, write_columns
+from liaam.io.raw import is_raw
+from liaam.io.table_writer import write_columns
 from liaam.io.video import VideoFrame, VideoReader
 from liaam.io.video_writer import VideoWriter, video_writer
 
 __all__ = [
     "IMAGE_SUFFIXES",
     "LANDMARK_SUFFIXES",
-    "RAW_SUFFIXES",
-    "VIDEO_SUFFIXES",
     "Contour",
     "Landmarks",
     "Reading",
@@ -41,17 +37,14 @@ __all__ = [
     "VideoWriter",
     "atomic_path",
     "decode_image",
-    "encoded_size",
+    "image_kind",
     "image_size",
-    "is_image",
     "is_raw",
     "make_folder",
     "read_collection",
     "read_image",
     "read_landmarks",
     "read_preview",
-    "read_raw",
-    "to_dataframe",
     "video_writer",
     "write_bytes_atomically",
     "write_collection",

@@ -65,27 +65,10 @@ def _target(path: str | os.PathLike[str], error: type[LiaamError]) -> Path:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Iterator[Path]:
-    """Yield a temporary path that is renamed to `path` if the block ends without an error.
+    """Yield an empty file to write to, which takes the place of `path` if the block ends without an error.
 
-    The temporary file is in the target's folder, because a rename is atomic only within one file system. It keeps
-    the suffix, because many writers choose the format by it. A symbolic link is followed.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to make or to replace.
-    error : type of LiaamError, optional
-        The class of error to raise if writing fails.
-
-    Yields
-    ------
-    Path
-        An empty file to write to.
-
-    Raises
-    ------
-    LiaamError
-        Of class `error`, if the folder is missing or writing fails. The target is then unchanged.
+    It is in the target's folder, because a rename is atomic only within one file system, and keeps the suffix, because
+    many writers choose the format by it. A symbolic link is followed. Whatever fails is raised as `error`.
     """
     target = _target(path, error)
     if target.parent not in _swept:

@@ -64,31 +64,23 @@ def real_path(path: str | os.PathLike[str]) -> Path:
 
 def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
     """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
-    path = Path(path)
-    if not _exists(path):
-        raise missing(error)(f"{path} does not exist. {_closest(path)}")
-    if fault := _fault_of(path, kind):
-        raise error(f"{path} {fault}")
-    return path
-
-
-def _exists(path: Path) -> bool:
+    path, there = Path(path), True
     try:
-        return path.exists()
-    except OSError:  # it does, in a folder that may not be read
-        return True
-
-
-def _fault_of(path: Path, kind: str) -> str | None:
-    try:
+        there = path.exists()
         if path.is_dir():
             os.scandir(path).close()  # report missing permissions first
-            return f"is a folder; give the name of one {kind} inside it."
-        if not path.is_file():  # reading a pipe or a device could block
-            return "is not a regular file: give a file on disk."
-        return "is empty (0 bytes): copy or export it again." if path.stat().st_size == 0 else None
-    except OSError as fault:
-        return f"cannot be read ({fault.strerror or fault}): check the name and permissions."
+            fault = f"is a folder; give the name of one {kind} inside it."
+        elif not path.is_file():  # reading a pipe or a device could block
+            fault = "is not a regular file: give a file on disk."
+        else:
+            fault = "" if path.stat().st_size else "is empty (0 bytes): copy or export it again."
+    except OSError as error_of_disk:  # it exists, in a folder that may not be read
+        fault = f"cannot be read ({error_of_disk.strerror or error_of_disk}): check the name and permissions."
+    if not there:
+        raise missing(error)(f"{path} does not exist. {_closest(path)}")
+    if fault:
+        raise error(f"{path} {fault}")
+    return path
 
 
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:

@@ -9,6 +9,7 @@ import importlib
 import io
 import mimetypes
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -37,24 +38,22 @@ UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".exr")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
 """Suffixes of the video files that can be written, in lower case."""
 
-_SIGNATURES = (
-    (b"\x89PNG\r\n\x1a\n", "PNG"),
-    (b"\xff\xd8\xff", "JPEG"),
-    (b"II*\0", "TIFF"),
-    (b"MM\0*", "TIFF"),
-    (b"II+\0", "TIFF"),  # BigTIFF; Pillow cannot read that of the other byte order
-    (b"BM", "BMP"),
-    *((b"P%d" % digit, "PPM") for digit in range(1, 7)),
-    (b"GIF8", "GIF"),
-    (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG2000"),
-    (b"\xff\x4f\xff\x51", "JPEG2000"),
-)
-_BRANDS = {b"avif": "AVIF", b"avis": "AVIF", **dict.fromkeys((b"heic", b"heix", b"heim", b"hevc", b"mif1"), "HEIF")}
-"""Formats of ISO media files, by the brand in bytes 8 to 11."""
+_SIGNATURES = {
+    "PNG": rb"\x89PNG\r\n\x1a\n",
+    "JPEG": rb"\xff\xd8\xff",
+    "TIFF": rb"II[*+]\0|MM\0\*",  # + is BigTIFF; Pillow cannot read that of the other byte order
+    "BMP": rb"BM",
+    "PPM": rb"P[1-6]",
+    "GIF": rb"GIF8",
+    "JPEG2000": rb"\0\0\0\x0cjP  \r\n\x87\n|\xff\x4f\xff\x51",
+    "WEBP": rb"RIFF.{4}WEBP",
+    "AVIF": rb".{4}ftypavi[fs]",
+    "HEIF": rb".{4}ftyp(?:hei[cxm]|hevc|mif1)",
+}
+"""First bytes of the formats, by Pillow's name."""
 
-_PLUGINS = {"PNG": "Png", "JPEG": "Jpeg", "TIFF": "Tiff", "BMP": "Bmp", "PPM": "Ppm", "GIF": "Gif"}
-_PLUGINS |= {"WEBP": "WebP", "AVIF": "Avif", "JPEG2000": "Jpeg2K"}
-"""Modules of Pillow by format: PIL.PngImagePlugin and so on."""
+_PLUGINS = {"WEBP": "WebP", "JPEG2000": "Jpeg2K"}
+"""Modules of Pillow that are not called as their format: PIL.WebPImagePlugin and so on."""
 
 _NEEDS = {
     "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
@@ -99,8 +98,7 @@ def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> n
     ----------
     path : path-like
         A PNG, JPEG, TIFF (first page), BMP, PPM, PGM, WebP, AVIF, GIF, JPEG 2000 or HEIC file of one still, or a RAW
-        file, recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear (see
-        :func:`liaam.io.read_raw`).
+        file, recognised by its suffix. HEIC needs the extra ``heic``. RAW values are linear light.
     max_pixels : int, optional
         Larger images are rejected before decoding. By default the environment variable ``LIAAM_MAX_PIXELS``, or 200
         million.
@@ -149,40 +147,33 @@ def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None
     return read_preview(data, None, max_pixels, name)
 
 
-def encoded_size(data: bytes, name: str = "image") -> tuple[int, int]:
-    """Return (width, height) of an image file given as bytes, as :func:`image_size` does for a path."""
-    with _opened(data, name) as opened:
-        return opened.size
-
-
-def is_image(data: bytes) -> bool:
-    """Return whether the first bytes are those of a format that :func:`read_image` reads, except RAW."""
-    return _kind_of(data[:16]) is not None
-
-
-def image_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+def image_size(path: str | os.PathLike[str] | bytes, name: str = "image") -> tuple[int, int]:
     """Return (width, height) of an image in pixels, after its EXIF orientation, from the header only.
+
+    Bytes are those of an image file, except RAW files; errors call it `name`.
 
     Raises
     ------
     ImageError
         If the file is missing, a folder, empty, or its header cannot be read.
     """
-    return size_and_orientation(path)[0]
+    return size_and_orientation(path, name)[0]
 
 
-def size_and_orientation(path: str | os.PathLike[str]) -> tuple[tuple[int, int], int]:
+def size_and_orientation(path: str | os.PathLike[str] | bytes, name: str = "image") -> tuple[tuple[int, int], int]:
     """Return (width, height) of an image as :func:`image_size` does, and its EXIF orientation, 1 to 8."""
-    if is_raw(path):
+    if not isinstance(path, bytes) and is_raw(path):
         return raw_size(path), 1
-    with _opened(path) as opened:
+    with _opened(path, name) as opened:
         return opened.size, opened.orientation
 
 
-def image_kind(path: Path) -> str | None:
-    """Return the format of an image file by its first bytes, or None for other files."""
-    with path.open("rb") as file:
-        return _kind_of(file.read(16))
+def image_kind(file: Path | bytes) -> str | None:
+    """Return the format, except RAW, of an image file, or of its first bytes; None for other files."""
+    if isinstance(file, Path):
+        with file.open("rb") as opened:
+            file = opened.read(16)
+    return next((kind for kind, form in _SIGNATURES.items() if re.match(form, file, re.DOTALL)), None)
 
 
 # Headers ------------------------------------------------------------------------------------------
@@ -198,7 +189,7 @@ def _opened(path: str | os.PathLike[str] | bytes, name: object = "") -> Iterator
     except OSError as fault:
         raise ImageError(f"{name} cannot be read ({fault.strerror}): check its permissions.") from fault
     with file:
-        kind = _kind_of(file.read(16))
+        kind = image_kind(file.read(16))
         if kind is None:
             raise ImageError(f"{name} {_why_no_image(str(name))}")
         file.seek(0)
@@ -225,15 +216,6 @@ def _why_no_image(name: str) -> str:
     return f"is not a {_KINDS} image: open it in an image program and save it as PNG."
 
 
-def _kind_of(start: bytes) -> str | None:
-    """Return the format by the first 16 bytes, or None if unknown."""
-    if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
-        return "WEBP"
-    if start[4:8] == b"ftyp":
-        return _BRANDS.get(start[8:12])
-    return next((kind for signature, kind in _SIGNATURES if start.startswith(signature)), None)
-
-
 def _pillow(file: Any, kind: str) -> Any:
     """Open with Pillow's reader of this kind. Image.open would apply its own size limit."""
     if kind == "HEIF":
@@ -242,7 +224,7 @@ def _pillow(file: Any, kind: str) -> Any:
 
     if kind == "JPEG2000":  # whose reader makes room for what the header promises, but not beyond the end of bytes
         file = io.BytesIO(file.read())
-    importlib.import_module(f"PIL.{_PLUGINS[kind]}ImagePlugin")
+    importlib.import_module(f"PIL.{_PLUGINS.get(kind, kind.title())}ImagePlugin")
     return Image.OPEN[kind][0](file, "")
 
 

@@ -31,41 +31,19 @@ def is_raw(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in RAW_SUFFIXES
 
 
-def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None, half_size: bool = False) -> np.ndarray:
-    """Read a RAW file as linear light.
+def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.ndarray:
+    """Read a RAW file as (h, w, 3) uint16 of linear light, upright.
 
     The channels are the sensor's own. No colour matrix mixes them, because that would break the light invariance.
     There is no white balance, so images look greenish, but fixed gains do not affect the invariant. No channel clips
     before its sensor does, and photon noise scales equally in all channels. Black is 0 and the sensor's white level is
     65535 in every image; by default LibRaw would use the brightest pixel of a bright image as white. Demosaicing is
-    linear, because finer methods assume balanced channels.
-
-    Parameters
-    ----------
-    path : path-like
-        A file with a suffix in `RAW_SUFFIXES`.
-    max_pixels : int, optional
-        Larger images are rejected before decoding.
-    half_size : bool
-        Combine each 2 x 2 cell of the sensor into one pixel instead of interpolating. The noise of neighbours is then
-        independent.
-
-    Returns
-    -------
-    (h, w, 3) uint16
-        Linear light (`response="linear"`), upright. A monochrome sensor gives three equal channels.
-
-    Raises
-    ------
-    ImageError
-        If rawpy is not installed, or the file is missing, too large, truncated, damaged, not a RAW file, or from a
-        sensor with four colours.
+    linear, because finer methods assume balanced channels. A monochrome sensor gives three equal channels.
     """
     with _opened(path) as (rawpy, raw):
         check_size(Path(path), *_upright_size(raw), max_pixels)
         image = raw.postprocess(
             demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
-            half_size=half_size,
             gamma=(1, 1),
             no_auto_bright=True,
             adjust_maximum_thr=0.0,

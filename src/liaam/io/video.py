@@ -22,6 +22,7 @@ from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
 from liaam.io.files import as_8_bits, existing_file, natural_key
 from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
+from liaam.progress import Progress
 from liaam.workers import in_order
 
 MAX_PIXELS = 50_000_000
@@ -61,6 +62,8 @@ class VideoReader:
         per second; or a camera number (0 is the first).
     start, stop : int, optional
         First frame, and the one after the last. By default all frames.
+    skipping : callable, optional
+        Called in the thread that decodes, with the number of frames decoded before the first one, `start`, and a text.
 
     Attributes
     ----------
@@ -88,13 +91,19 @@ class VideoReader:
     ...         print(frame.index, frame.image.shape)
     """
 
-    def __init__(self, source: str | os.PathLike[str] | int, start: int = 0, stop: int | None = None):
+    def __init__(
+        self,
+        source: str | os.PathLike[str] | int,
+        start: int = 0,
+        stop: int | None = None,
+        skipping: Progress = lambda *_: None,
+    ):
         if start < 0 or (stop is not None and stop <= start):
             raise VideoError(f"frames {start} to {stop}: give a first frame of at least 0 and a later end")
         self.live = isinstance(source, int)
         self.name = f"camera {source}" if self.live else str(source)
         self.fault = ""
-        self._start, self._stop = start, stop
+        self._start, self._stop, self._skipping = start, stop, skipping
         if isinstance(source, int):
             self._source = _Camera(source)
         else:
@@ -151,8 +160,9 @@ class VideoReader:
             index = self._source.n_seen - 1
             if self._closed or (self._stop is not None and index >= self._stop):
                 return
-            image = picture() if index >= self._start else None
-            if image is not None:
+            if index < self._start:
+                self._skipping(index + 1, self._start, "skipping frames")
+            elif (image := picture()) is not None:
                 yield VideoFrame(index, time, image)
 
     def _why_nothing(self) -> str:

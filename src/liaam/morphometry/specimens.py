@@ -20,7 +20,7 @@ from liaam.io.files import existing_file, natural_key
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile
 from liaam.io.landmarks.matching import stem_of
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
-from liaam.io.tables import Columns, landmark_columns
+from liaam.tables import Columns, landmark_columns
 
 _MOST = 1e9
 """Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""

@@ -15,11 +15,11 @@ from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
 from liaam.io import write_columns
 from liaam.io.landmarks import Contour
-from liaam.io.tables import Columns
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
 from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_size, distance, parse_scale, procrustes
 from liaam.morphometry.specimens import Specimen
+from liaam.tables import Columns
 
 Row = dict[str, str | float]
 

@@ -12,7 +12,7 @@ import numpy as np
 from liaam.fitting.files import fit_text
 from liaam.io import Contour, Landmarks
 from liaam.io.landmarks import collection_text
-from liaam.io.tables import columns_text
+from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
 from liaam.relighting import Lamp
 from liaam.studio import layers

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from liaam.errors import ImageError
-from liaam.io import decode_image, encoded_size, is_image, is_raw
+from liaam.io import decode_image, image_kind, image_size, is_raw
 from liaam.photometry.encoding import as_colour
 from liaam.studio.pictures import Kept, Pictures, Source
 from liaam.studio.safety import Refusal
@@ -98,10 +98,10 @@ def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:
     """Return the width and height of an image file from its header; refuse other files and too large images."""
     if not data:
         raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
-    if not is_image(data):
+    if not image_kind(data):
         raise Refusal(415, f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: save it as PNG in another program")
     try:
-        width, height = encoded_size(data, name)
+        width, height = image_size(data, name)
     except ImageError as fault:
         raise Refusal(422, str(fault)) from fault
     if width * height > most_pixels:

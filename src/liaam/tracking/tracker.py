@@ -22,10 +22,10 @@ from liaam.fitting.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.io import VideoReader
-from liaam.io.tables import Columns, landmark_columns
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
+from liaam.tables import Columns, landmark_columns
 from liaam.tracking import kalman
 from liaam.tracking.motion import Motion, landmark_covariances, rescaled
 

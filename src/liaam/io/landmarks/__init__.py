@@ -17,7 +17,7 @@ from liaam.io.atomic import write_text_atomically
 from liaam.io.landmarks import writers
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.contours import Contour
-from liaam.io.landmarks.file import LandmarkFile, Size, size_beside
+from liaam.io.landmarks.file import ImagesBeside, LandmarkFile, Size
 from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES, writer_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading
@@ -116,7 +116,7 @@ def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> d
     file = LandmarkFile.read(Path(path), reading)
     if file.is_single and "" in file.entries:
         raise LandmarkError(f"{path} holds the landmarks of one image and does not name it: use read_landmarks.")
-    placed = {entry: file.placed(entry) for entry in file.entries}
+    placed = file.all_placed()
     _warn(file)
     return placed
 
@@ -131,7 +131,7 @@ def parse_landmark_data(
 ) -> Landmarks | dict[str, Landmarks]:
     """Parse the content of a landmark file in memory, of one image, or of many by name. All have the same size."""
     file = LandmarkFile.read(Path(name), reading, data, notes)
-    placed = {entry: file.placed(entry, image_size) for entry in file.entries}
+    placed = file.all_placed(image_size)
     return next(iter(placed.values())) if file.is_single else placed
 
 
@@ -161,19 +161,25 @@ def write_landmarks(
     path = Path(path)
     text = writer_of(path).text
     assert text is not None
-    write_text_atomically(path, text(_to_write(path, landmarks, image_size)), LandmarkError)
+    own = _landmarks(landmarks)
+    [own] = _to_write(path, [own], {} if image_size is None else {own.image_name or "": image_size})
+    write_text_atomically(path, text(own), LandmarkError)
 
 
-def _to_write(path: Path, landmarks: Landmarks | np.ndarray, size: Size | None, name: str | None = None) -> Landmarks:
+def _landmarks(given: Landmarks | np.ndarray) -> Landmarks:
+    return given if isinstance(given, Landmarks) else Landmarks(given)
+
+
+def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> list[Landmarks]:
     """Return landmarks in pixels as the format of a file counts them."""
-    landmarks = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
-    landmarks = landmarks if name is None else replace(landmarks, image_name=name)
     if path.suffix.lower() != ".tps":
-        return landmarks
+        return every
+    beside, names = ImagesBeside(path.parent), [own.image_name or "" for own in every]
     try:
-        return writers.upwards(landmarks, size or size_beside(path.parent, landmarks.image_name or "")[0])
+        known = [sizes.get(name) or beside.size_of(name)[0] for name in names]
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
+    return list(map(writers.upwards, every, known))
 
 
 def write_collection(
@@ -205,5 +211,5 @@ def collection_text(
     assert text is not None
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    sizes = image_sizes or {}
-    return text({name: _to_write(path, own, sizes.get(name), name) for name, own in collection.items()}, sizes)
+    sizes, named = image_sizes or {}, [replace(_landmarks(own), image_name=name) for name, own in collection.items()]
+    return text(dict(zip(collection, _to_write(path, named, sizes), strict=True)), sizes)

@@ -4,7 +4,6 @@ Positions are pixels of the image, taken as centres counted from 0, x to the rig
 says otherwise. Annotators clicked on whole pixels, so there is no shift of half a pixel.
 """
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,6 +24,7 @@ from liaam.io.landmarks.reading import (
     area_of,
     named_points,
     names_of,
+    numbered_alike,
     of_category,
     size_of_file,
     with_names,
@@ -74,8 +74,7 @@ def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
 def _area(annotation: Any) -> float:
     """Return the area of an annotation, or of its box."""
     box = annotation.get("bbox")
-    sides = box[2:4] if isinstance(box, list) else ()
-    return area_of(annotation["area"]) if "area" in annotation else area_of(*sides)
+    return area_of(annotation.get("area")) or area_of(*(box[2:4] if isinstance(box, list) else ()))
 
 
 def _annotated(annotation: Any, images: dict[str, Any], outline: Any) -> Landmarks:
@@ -188,7 +187,7 @@ def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
 def _marked(image: str, marks: list[Any]) -> Landmarks:
     points: Any = [[check_number(mark[axis], f"'{image}'") / 100 for axis in "xy"] for mark in marks]
     sizes = {(float(mark["original_width"]), float(mark["original_height"])) for mark in marks}
-    if len(sizes) != 1 or not all(math.isfinite(side) and side > 0 for side in next(iter(sizes))):
+    if len(sizes) != 1 or size_of_file(*next(iter(sizes))).size is None:
         raise LandmarkError(f"'{image}' has keypoints for several sizes: label it again.")
     if any(mark.get("image_rotation") for mark in marks):
         raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
@@ -327,6 +326,7 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     for each in every:
         of_label[each.category].update(each.landmarks.names)
     found = of_category(source, [replace(each, kind=of_label[each.category]) for each in every])
+    found = numbered_alike(found)
     names = sorted({name for own in found for name in own.names}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
         raise LandmarkError(

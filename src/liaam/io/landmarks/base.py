@@ -118,7 +118,8 @@ class Landmarks:
     def in_order_of(self, names: Sequence[str]) -> "Landmarks":
         """Return the landmarks with these names, in this order; unchanged if either has no names, or none in common.
 
-        Case, blanks around a name and the form of its Unicode do not matter where they tell no landmarks apart.
+        Case, blanks around a name, zeros before a number and the form of its Unicode do not matter where they tell no
+        landmarks apart.
 
         Raises
         ------
@@ -146,7 +147,7 @@ class Landmarks:
 
 
 def _keys(names: Sequence[str]) -> list[str]:
-    return [name_key(name.strip()) for name in names]
+    return [re.sub(r"\A0+(?=\d+\Z)", "", name_key(name.strip())) for name in names]
 
 
 def _checked_points(points: Any) -> np.ndarray:

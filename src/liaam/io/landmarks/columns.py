@@ -2,11 +2,12 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count, groupby
 
 from liaam.errors import LandmarkError
+from liaam.io.files import is_number
 from liaam.io.landmarks.matching import names_picture
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
@@ -14,12 +15,14 @@ IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "f
 SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
 LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
 LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
-SIZES = ("image_width", "img_width"), ("image_height", "img_height")
+SIZES = ("image_width", "image_height"), ("img_width", "img_height"), ("width", "height")
 VISIBLE = ("visible", "visibility", "v")
 UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")
 """Names of columns whose meaning their values decide."""
 
 _AXIS = re.compile(r"(?:(?:pos|coord|point|pixel)_)?([xy])(?:_(?:px|pixels?|coords?|coordinates?|pos|position))?")
+
+_UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\s*[)\]]", re.IGNORECASE)
 
 _FORMS = (
     r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
@@ -47,8 +50,9 @@ class Columns:
 
 
 def plain(cell: str) -> str:
-    """Return a column's name in lower case, without a unit in brackets, with words joined by underscores."""
-    return re.sub(r"[\s_.-]+", "_", re.sub(r"[(\[].*[)\]]", "", cell).strip().casefold()).strip("_")
+    """Return a column's name in lower case, without what is in brackets, unless it is a unit other than pixels."""
+    without = re.sub(r"[(\[].*[)\]]", "", _UNIT.sub(r" \1", cell))
+    return re.sub(r"[\s_.-]+", "_", without.strip().casefold()).strip("_")
 
 
 def filled(values: Sequence[str]) -> list[str]:
@@ -62,25 +66,19 @@ def filled(values: Sequence[str]) -> list[str]:
 
 def has_points(header: Sequence[str]) -> bool:
     """Return whether a header has columns x and y."""
-    return {"x", "y"} <= {axis for axis, _ in _axes(header)}
-
-
-def _axes(header: Sequence[str]) -> Iterator[tuple[str, int]]:
-    for i, name in enumerate(header):
-        match = _AXIS.fullmatch(name)
-        if match is not None:
-            yield match[1], i
+    return {"x", "y"} <= {match[1] for match in map(_AXIS.fullmatch, header) if match is not None}
 
 
 def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
     axes: dict[str, int] = {}
-    for axis, i in _axes(header):
-        if axis in axes and header[i] != header[axes[axis]] == axis:
-            continue
-        if axis in axes and (header[i] != axis or header[axes[axis]] == axis):
-            raise _ambiguous(header, f"and '{header[axes[axis]]}' both may be {axis}: name one of them {axis}", i)
-        axes[axis] = i
+    for axis in "xy":
+        found = [i for i, name in enumerate(header) if (match := _AXIS.fullmatch(name)) and match[1] == axis]
+        first, *others = [i for i in found if header[i] == axis] or found
+        if others:
+            both = f"and '{header[first]}' both may be {axis}: name one of them {axis}"
+            raise _ambiguous(header, both, others[0])
+        axes[axis] = first
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
     texts = [i for i in range(len(header)) if i not in axes.values()]
     image = _one(header, values, [i for i in texts if header[i] in IMAGES])
@@ -103,9 +101,18 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     elif landmark is None:
         keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
         landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
-    size = tuple(i for names in SIZES for i in texts if header[i] in names)
+    sizes = [tuple(i for name in names for i in texts if header[i] == name) for names in SIZES]
+    sizes = [own for own in sizes if len(own) == 2 and (header[own[0]] != "width" or _holds(own, axes, values))]
     visible = next((i for i in texts if header[i] in VISIBLE), None)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size if len(size) == 2 else ())
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, *sizes[:1])
+
+
+def _holds(size: Sequence[int], axes: dict[str, int], values: list[list[str]]) -> bool:
+    """Return whether a width and a height may be those of images, and not of boxes: no point lies beyond."""
+    pairs = [
+        pair for i, axis in zip(size, "xy", strict=True) for pair in zip(values[axes[axis]], values[i], strict=True)
+    ]
+    return all(float(at) <= float(side) for at, side in pairs if is_number(at) and is_number(side))
 
 
 def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
@@ -167,7 +174,7 @@ def _check_one_image(header: list[str], values: list[list[str]], texts: list[int
     if landmark is not None and len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
         raise _ambiguous(header, "repeats its names, but no column names the images: add a column 'image'", landmark)
     for i in texts if landmark is None else ():
-        if header[i] and _in_blocks(values[i]) and not all(map(_is_number, values[i])):
+        if header[i] and _in_blocks(values[i]) and not all(map(is_number, values[i])):
             raise _ambiguous(header, "may name the images: name it 'image' if so, or else remove it", i)
 
 
@@ -193,16 +200,12 @@ def _are_files(values: Sequence[str]) -> bool:
     return any(values) and all(names_picture(without_title(value)) for value in {*values} - {""})
 
 
-def _in_blocks(values: Sequence[str]) -> bool:
-    """Return whether rows of one value follow each other, for several values that each have several rows."""
-    sizes = [len(list(group)) for _, group in groupby(values)]
-    return 1 < len(sizes) == len(set(values)) and min(sizes) > 1
-
-
 def _repeats(values: Sequence[str]) -> bool:
     present = [value for value in values if value]
     return len(set(present)) < len(present)
 
 
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r"-?\d*\.?\d+", text) is not None
+def _in_blocks(values: Sequence[str]) -> bool:
+    """Return whether rows of one value follow each other, for several values that each have several rows."""
+    sizes = [len(list(group)) for _, group in groupby(values)]
+    return 1 < len(sizes) == len(set(values)) and min(sizes) > 1

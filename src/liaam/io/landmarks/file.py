@@ -5,7 +5,7 @@ orientation, and refused if the size fits neither.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,9 @@ from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, i
 from liaam.io.landmarks.text import read_text
 
 Size = tuple[float, float]
+
+_FRACTION = 1.5
+"""Largest fraction of an image's size of a point beyond its border, or of half its size."""
 
 _SMALL = 16
 """Width and height in pixels up to which all landmarks may lie within one pixel."""
@@ -72,31 +75,25 @@ class LandmarkFile(Source):
         first = next(iter(self.entries.values()))
         return first.image_name is None or not self.form.many
 
+    @cached_property
+    def _beside(self) -> "ImagesBeside":
+        return ImagesBeside(self.path.parent)
+
+    def all_placed(self, size: Size | None = None) -> dict[str, Landmarks]:
+        """Return all landmarks in pixels of their images, which have one size if it is given."""
+        return {entry: self.placed(entry, size) for entry in self.entries}
+
     def placed(self, entry: str, size: Size | None = None, orientation: int = 1, name: str = "") -> Landmarks:
-        """Return the landmarks of an entry in pixels of its image.
+        """Return the landmarks of an entry in pixels of its image, which notes call by its name.
 
-        Parameters
-        ----------
-        entry : str
-            One of the keys of `entries`.
-        size : (float, float), optional
-            Width and height of the upright image. By default it is taken from the image if it is needed and lies
-            beside the file.
-        orientation : int, optional
-            EXIF orientation of the image, 1 to 8.
-        name : str, optional
-            Name of the image, for notes.
-
-        Raises
-        ------
-        LandmarkError
-            If the size is needed and unknown, or the image is another than that of the file.
+        If the (width, height) of the upright image is needed but not given, the image that lies beside the file tells
+        it, and its EXIF orientation.
         """
         landmarks = self.entries[entry]
         how, name = landmarks.placing, name or entry or self.path.name
         try:
             if size is None and how != Placing():
-                size, orientation = size_beside(self.path.parent, entry, how.size)
+                size, orientation = self._beside.size_of(entry, how.size)
             return landmarks if size is None else self._placed(landmarks, size, orientation, name)
         except LandmarkError as fault:
             raise LandmarkError(f"{self.path}: {fault}") from fault
@@ -132,35 +129,39 @@ class LandmarkFile(Source):
         return replace(landmarks, points=points, others=others, placing=Placing())
 
 
-def size_beside(folder: Path, name: str, declared: Size | None = None) -> tuple[Size, int]:
-    """Return the size and orientation of an image, perhaps named on another computer, or the declared size."""
-    fault = ""
-    try:
-        if name:
-            return size_and_orientation(
-                _images_in(folder, folder.stat().st_mtime_ns).find(name, folder)[0] or folder / name
-            )
-    except (ImageError, OSError) as error:
-        fault = f" ({error})"
-    if declared is not None:
-        return declared, 1
-    raise LandmarkError(
-        f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, height) in "
-        "pixels."
-    )
+class ImagesBeside:
+    """The images in a folder, lossless formats first, with the names that landmark files give them."""
 
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
 
-@lru_cache(maxsize=1)
-def _images_in(folder: Path, changed: int) -> ImageNames:
-    """Return the images in a folder as it was changed at a time, lossless formats first."""
-    files = [file for file in folder.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
-    return ImageNames(sorted(files, key=lambda file: (PICTURE_SUFFIXES.index(file.suffix.lower()), file.name)))
+    @cached_property
+    def _names(self) -> ImageNames:
+        files = [file for file in self._folder.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
+        return ImageNames(sorted(files, key=lambda file: (PICTURE_SUFFIXES.index(file.suffix.lower()), file.name)))
+
+    def size_of(self, name: str, declared: Size | None = None) -> tuple[Size, int]:
+        """Return the size and orientation of an image, perhaps named on another computer, or the declared size."""
+        fault = ""
+        try:
+            if name:
+                return size_and_orientation(self._names.find(name, self._folder)[0] or self._folder / name)
+        except (ImageError, OSError) as error:
+            fault = f" ({error})"
+        if declared is not None:
+            return declared, 1
+        raise LandmarkError(
+            f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, "
+            "height) in pixels."
+        )
 
 
 def _check_pixels(known: np.ndarray, size: Size) -> None:
     """Raise if positions in an image seem to be fractions of its size."""
-    if len(known) > 2 and 0 <= known.min() <= known.max() <= 1 and min(size) > _SMALL:
-        raise LandmarkError("all positions lie between 0 and 1, as fractions of the image's size do: give pixels.")
+    if len(known) > 2 and np.abs(known).max() <= _FRACTION and min(size) > _SMALL:
+        low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
+        between = f"all positions lie between {low:.3g} and {high:.3g}"
+        raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
 
 
 def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:

@@ -74,9 +74,9 @@ _TOLD: dict[str, Callable[[Source], bool]] = {
     "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
     "COCO keypoints": lambda file: bool({"images", "annotations"} & file.object.keys()),
     "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
-    "DeepLabCut table": lambda file: tables.rows_of(file)[0][1][:1] == ["scorer"],
-    "table of one row an image": lambda file: len(pairs_of(tables.rows_of(file)[0][1])) > 1,
-    "table": lambda file: has_points(tables.header_of(file)),
+    "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
+    "table of one row an image": lambda file: len(pairs_of(file.rows[0][1])) > 1,
+    "table": lambda file: has_points(file.header),
     "list of lines with an image's name": lists.is_it,
     "lines of x and y, HELEN's": plain.is_lines,
 }

@@ -14,8 +14,8 @@ from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.text import decimal
 
-_WFLW = 10
-"""Numbers of a box and of attributes."""
+_WFLW = 5
+"""Pairs of numbers of a box and of attributes."""
 
 _SEPARATORS = r"\t;", r"\t,;", r"\s,;"
 _FEW = 3
@@ -39,48 +39,52 @@ def _words(line: str) -> list[str]:
 def _name_at(words: list[str]) -> int | None:
     """Return the index of the name, the first or last word, if all others are numbers."""
     for at, others in ((0, words[1:]), (-1, words[:-1])):
-        if len(others) > 3 and not is_number(words[at]) and all(map(is_number, others)):
+        if len(others) > 3 and not _is_value(words[at]) and all(map(_is_value, others)):
             return at
     return None
+
+
+def _is_value(word: str) -> bool:
+    return is_number(word) or word.lower() == "nan"
 
 
 def parse(source: Source) -> list[Landmarks]:
     """Parse a line for each image."""
     lines = [_words(line) for line in source.lines]
     at = _name_at(lines[0])
-    numbers = [words[1:] if at == 0 else words[:-1] for words in lines]
-    skipped = _WFLW if all(map(_has_attributes, numbers)) else 0
-    box = 0 if skipped or len(lines) < _FEW or not all(map(_has_box, numbers)) else 4
-    if box:
+    rows = [_pairs(words, at) for words in lines]
+    sound = [pairs for pairs in rows if pairs is not None]
+    whole = len(sound) == len(rows)
+    last = _WFLW if whole and all(map(_has_attributes, sound)) else 0
+    first = 2 if whole and not last and len(rows) >= _FEW and all(map(_has_box, sound)) else 0
+    if first:
         source.notes.say("four numbers before the points are taken for a box around them", source.path.name)
 
-    def make(pair: tuple[list[str], list[str]]) -> Landmarks:
-        words, own = pair
-        if at is None or _name_at(words) != at or len(own) % 2:
+    def make(line: tuple[list[str], np.ndarray | None]) -> Landmarks:
+        words, pairs = line
+        if at is None or pairs is None:
             raise LandmarkError("it has other parts than x y of landmarks and a name: correct it.")
-        values = np.array(own[box : len(own) - skipped], np.float64)
-        return Landmarks(values.reshape(-1, 2), image_name=words[at])
+        return Landmarks(pairs[first : len(pairs) - last], image_name=words[at])
 
-    pairs = enumerate(zip(lines, numbers, strict=True), 1)
-    return list(source.each(((f"line {i}", pair) for i, pair in pairs), make))
+    named = ((f"line {i}", line) for i, line in enumerate(zip(lines, rows, strict=True), 1))
+    return list(source.each(named, make))
 
 
-def _numbers(words: list[str], least: int) -> np.ndarray | None:
-    """Return pairs of numbers, if there are so many."""
-    if len(words) < least or len(words) % 2 or not all(map(is_number, words)):
+def _pairs(words: list[str], at: int | None) -> np.ndarray | None:
+    """Return the numbers of a line as pairs, if its name is there and their number is even."""
+    if _name_at(words) != at or len(words) % 2 == 0:
         return None
-    return np.array(words, np.float64).reshape(-1, 2)
+    return np.array(words[1:] if at == 0 else words[:-1], np.float64).reshape(-1, 2)
 
 
-def _has_attributes(words: list[str]) -> bool:
-    pairs = _numbers(words, _WFLW + 4)
-    return pairs is not None and set(words[-6:]) <= {"0", "1"} and bool((pairs[-5] < pairs[-4]).all())
+def _has_attributes(pairs: np.ndarray) -> bool:
+    flags, box = {*pairs[-3:].flat}, pairs[-_WFLW:]
+    return len(pairs) > _WFLW + 1 and flags <= {0.0, 1.0} and bool((box[0] < box[1]).all())
 
 
-def _has_box(words: list[str]) -> bool:
+def _has_box(pairs: np.ndarray) -> bool:
     """Whether the first four numbers are a box around all points: two corners, or one and the size."""
-    pairs = _numbers(words, 4 + 2 * _FEW)
-    if pairs is None:
+    if len(pairs) < 2 + _FEW:
         return False
     corner, other, low, high = pairs[0], pairs[1], pairs[2:].min(axis=0), pairs[2:].max(axis=0)
     around = (other >= high).all() or (corner + other >= high).all()

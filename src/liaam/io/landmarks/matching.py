@@ -24,13 +24,7 @@ _SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
 
 
 class ImageNames:
-    """Images by name.
-
-    Parameters
-    ----------
-    images : iterable of Path
-        In order of preference where several have one stem.
-    """
+    """Images by name, given in order of preference where several have one stem."""
 
     def __init__(self, images: Iterable[Path]) -> None:
         self._by_name: dict[str, list[Path]] = defaultdict(list)
@@ -40,15 +34,7 @@ class ImageNames:
             self._by_stem[name_key(image.stem)].append(image)
 
     def find(self, entry: str, folder: Path = Path()) -> tuple[Path | None, str]:
-        """Find the image that an entry of a file in a folder names.
-
-        Returns
-        -------
-        image : Path or None
-            None if no image has the name, or several have.
-        how : str
-            What has to be said about the name, or empty.
-        """
+        """Return the one image that an entry of a file in a folder names, if any, and what to say about the name."""
         for text, spelling in _spellings(entry):
             path = PurePosixPath(text.replace("\\", "/"))
             found, how = self._find(path, folder)

@@ -11,8 +11,8 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.contours import Contour
-from liaam.io.landmarks.reading import MISSING, Source
-from liaam.io.landmarks.text import parse_number, parse_pair, short
+from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.text import decimal, parse_number, parse_pair, short
 
 _UPWARDS = Placing(upwards=True)
 _KEY = re.compile(r"([A-Za-z]\w*)\s*=\s*(.*)")
@@ -84,7 +84,8 @@ def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | N
     name = facts.get("IMAGE") or facts.get("ID")
     if name is None and not only:
         raise LandmarkError(f"the record of {record[0].where} names no image: add a line IMAGE=, or ID=.")
-    scale = float(facts["SCALE"]) if is_number(facts.get("SCALE", "")) else 0.0
+    written = decimal(facts.get("SCALE", ""))
+    scale = float(written) if is_number(written) else 0.0
     if scale <= 0 and "SCALE" in facts:
         source.notes.repair("there is no scale, because SCALE= is not a positive number", name or source.path.name)
     label, length = facts.get("ID", ""), scale if scale > 0 else None
@@ -106,7 +107,7 @@ def _points(block: _Block) -> list[tuple[float, float]]:
     if n < count:
         promised = f"{short(block.value)} points but {n} follow; the file may be cut short"
         raise LandmarkError(f"{block.where} promises {promised}: correct the number, or export the file again.")
-    return [MISSING if point == (-1.0, -1.0) else point for point in points]
+    return points
 
 
 def parse_nts(source: Source) -> list[Landmarks]:

@@ -5,12 +5,14 @@ A missing landmark is written ``nan nan``, or by another of the usual words.
 
 import operator
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 from liaam.errors import LandmarkError
+from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.contours import Contour, chain_edges, contour_of
+from liaam.io.landmarks.matching import names_picture
 from liaam.io.landmarks.reading import Source
 from liaam.io.landmarks.text import check_count, decimal, parse_count, parse_number, parse_pair, parse_point
 
@@ -88,19 +90,14 @@ def parse_tem(source: Source) -> list[Landmarks]:
 
 
 def _template_lines(tokens: list[str]) -> list[Contour | None]:
-    stream = iter(tokens)
-    contours = []
-    for _ in range(_next(stream) if tokens else 0):
-        closed = _next(stream) == 1
-        contours.append(contour_of([_next(stream) for _ in range(_next(stream))], closed))
+    numbers, contours = (parse_count(token, "a line template") for token in tokens), []
+    try:
+        for _ in range(next(numbers) if tokens else 0):
+            closed = next(numbers) == 1
+            contours.append(contour_of([next(numbers) for _ in range(next(numbers))], closed))
+    except StopIteration:
+        raise LandmarkError("it ends within its line templates; it may be cut short: export it again.") from None
     return contours
-
-
-def _next(stream: Iterator[str]) -> int:
-    token = next(stream, None)
-    if token is None:
-        raise LandmarkError("it ends within its line templates; it may be cut short: export it again.")
-    return parse_count(token, "a line template")
 
 
 def parse_shapes(source: Source) -> list[Landmarks]:
@@ -140,7 +137,17 @@ def _matches(source: Source) -> list[re.Match[str]]:
     lines = [_with_points(line) for line in (source.lines[1:] if _first(source) else source.lines)]
     found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
     alike = len({match["name"] is None for match in found}) == 1
-    return found if alike and len(found) == len(lines) >= _FEWEST else []
+    whole = alike and len(found) == len(lines) >= _FEWEST
+    return found if whole and _are_names([match["name"] for match in found if match["name"]]) else []
+
+
+def _are_names(words: Sequence[str]) -> bool:
+    """Whether the words before x and y name landmarks, and not images; nor are more numbers, as of x, y, confidence."""
+    numbers = [all(map(is_number, word.split())) for word in words]
+    whole = all(word.isdigit() for word, number in zip(words, numbers, strict=True) if number)
+    most = max(map(float, words), default=0.0) if all(numbers) and whole else 0.0
+    # Numbered landmarks may lack, but not most of them.
+    return whole and most <= 2 * len(words) and not any(names_picture(word.split()[0]) for word in words)
 
 
 def _with_points(line: str) -> str:

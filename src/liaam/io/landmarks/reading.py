@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,8 @@ from xml.etree import ElementTree
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key, some_names
 from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.text import short
+from liaam.io.landmarks.columns import plain
+from liaam.io.landmarks.text import Row, rows_of, short
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -126,6 +128,16 @@ class Source:
             raise LandmarkError(f"this is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
     @cached_property
+    def rows(self) -> list[Row]:
+        """Its rows as a table."""
+        return rows_of(self.text)
+
+    @cached_property
+    def header(self) -> list[str]:
+        """Its first row in lower case, without units in brackets and marks between words."""
+        return list(map(plain, self.rows[0][1]))
+
+    @cached_property
     def lines(self) -> list[str]:
         """Its lines that are not blank, without blanks at their ends."""
         return [line for line in map(str.strip, self.text.splitlines()) if line]
@@ -150,20 +162,22 @@ class Source:
 
 def size_of_file(width: Any, height: Any) -> Placing:
     """Return how positions count in an image whose size a file states as numbers or text, if it does."""
-    try:
-        size = float(width), float(height)
-    except (TypeError, ValueError, OverflowError):
-        return Placing()
-    return Placing(size if all(0 < side < math.inf for side in size) else None)
+    size = _numbers(width, height)
+    return Placing((size[0], size[1]) if size and min(size) > 0 else None)
 
 
 def area_of(*sides: Any) -> float:
     """Return an area, or the product of the sides of a box; 0 if it is not known."""
+    return math.prod(_numbers(*sides) or [0.0])
+
+
+def _numbers(*values: Any) -> list[float]:
+    """Return values as finite numbers; nothing if one is none."""
     try:
-        area = math.prod(map(float, sides)) if sides else 0.0
+        numbers = list(map(float, values))
     except (TypeError, ValueError, OverflowError):
-        return 0.0
-    return area if math.isfinite(area) else 0.0
+        return []
+    return numbers if math.isfinite(math.prod(numbers)) else []
 
 
 def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
@@ -196,6 +210,18 @@ def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
     return replace(own, points=points, names=tuple(names), invisible=invisible, contours=())
 
 
+def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
+    """Return landmarks whose numbers have no decimals, and no zeros in front if others lack these: 1, 01 and 1.0."""
+    names = {name for own in found for name in own.names}
+    plain = {name: re.sub(r"\A(\d+)\.0+\Z", r"\1", name) for name in names}
+    bare = {name: re.sub(r"\A0+(?=\d+\Z)", "", plain[name]) for name in names}
+    plain = bare if len({*bare.values()}) < len({*plain.values()}) else plain
+    alike = [tuple(plain[name] for name in own.names) for own in found]
+    if any(len({*each}) < len({*own.names}) for each, own in zip(alike, found, strict=True)):
+        return found
+    return [replace(own, names=each) for own, each in zip(found, alike, strict=True)]
+
+
 def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = True) -> list[Landmarks]:
     """Make landmarks of many images alike by their names.
 
@@ -204,6 +230,7 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     """
     if not found:
         return []
+    found = numbered_alike(found)
     counts = Counter(name for own in found for name in set(own.names))
     usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
     fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))

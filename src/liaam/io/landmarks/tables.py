@@ -4,12 +4,9 @@ Positions are centres counted from 0, x to the right and y downwards, but for Im
 comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out what the columns mean.
 """
 
-import csv
-import io
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,69 +22,25 @@ from liaam.io.landmarks.columns import (
     filled,
     name_column,
     pairs_of,
-    plain,
     without_title,
 )
 from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
-from liaam.io.landmarks.text import decimal, parse_point
-
-Row = tuple[int, list[str]]
-"""A line number, and the cells of the line."""
-
-_SEPARATORS = ";\t,"
-_SUMMARY = {"Mean", "SD", "Min", "Max"}
-"""Labels of rows that ImageJ adds below its results."""
+from liaam.io.landmarks.text import Row, parse_point
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 """Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
 
 
-def rows_of(source: Source) -> list[Row]:
-    """Split a table into rows of cells."""
-    return _rows_of(source.text)
+def _check_width(header: Sequence[str], row: Row) -> Row:
+    """Return a row. Raise unless it has as many cells as the header."""
+    if len(row[1]) != len(header):
+        raise LandmarkError(f"line {row[0]} has {len(row[1])} cells but the header {len(header)}: correct the line.")
+    return row
 
 
-@lru_cache(maxsize=1)
-def _rows_of(text: str) -> list[Row]:
-    """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
-    text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text), ""
-    declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
-    if declared is not None:  # as Excel writes it
-        separator, text = declared[1], text[declared.end() :]
-    first = text.splitlines()[0] if text else ""
-    most = max(_SEPARATORS, key=first.count)
-    separator = separator or (most if most in first else " ")
-    try:
-        if separator == " ":
-            rows = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
-        else:
-            blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
-            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
-            rows = [(reader.line_num, row) for row in reader]
-    except csv.Error as fault:
-        raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
-    rows = rows or [(1, [""])]
-    if "Label" in rows[0][1]:
-        rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
-    if separator != ",":
-        rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
-    if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
-        rows = rows[1:]
-    if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
-        rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
-    return rows
-
-
-def header_of(source: Source) -> list[str]:
-    """Return the first row in lower case, without units in brackets and marks between words."""
-    return [plain(cell) for cell in rows_of(source)[0][1]]
-
-
-def _check_widths(header: Sequence[str], rows: Sequence[Row]) -> None:
-    """Raise unless all rows have as many cells as the header."""
-    for number, row in rows:
-        if len(row) != len(header):
-            raise LandmarkError(f"line {number} has {len(row)} cells but the header {len(header)}: correct the line.")
+def _whole(source: Source, header: Sequence[str], rows: Sequence[Row]) -> list[Row]:
+    """Return the rows that have as many cells as the header, and leave out others."""
+    return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
 
 
 # One row a landmark -------------------------------------------------------------------------------
@@ -99,9 +52,8 @@ def parse_long(source: Source) -> list[Landmarks]:
     Rows without names are in the order of the landmarks; numbered ones are sorted. Empty x and y mean a missing
     landmark. ImageJ's results count from the corner of the first pixel, so half a pixel is subtracted.
     """
-    header = header_of(source)
-    rows = [(number, row) for number, row in rows_of(source)[1:] if any(row) or len(row) == len(header)]
-    _check_widths(header, rows)
+    header = source.header
+    rows = [_check_width(header, row) for row in source.rows[1:] if any(row[1]) or len(row[1]) == len(header)]
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         column = header[columns.landmark]
@@ -113,7 +65,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
         points = np.array([_point(number, row, columns) for number, row in own]) - shift
-        names = [row[columns.landmark] for _, row in own] if columns.landmark is not None else []
+        names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
         placing = size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else Placing()
         return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen, placing=placing)
 
@@ -134,7 +86,7 @@ def _without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
 
 def _is_imagej(source: Source) -> bool:
     """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
-    header = rows_of(source)[0][1]
+    header = source.rows[0][1]
     return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
 
 
@@ -180,16 +132,15 @@ def parse_wide(source: Source) -> list[Landmarks]:
     Columns of x and y have a number or the landmark's name before or behind the axis. Rows are named by a column for
     the image or specimen, or else by the only other column with text.
     """
-    (_, header), *rows = rows_of(source)
-    rows = [(number, row) for number, row in rows if any(row)]
-    _check_widths(header, rows)
+    (_, header), *rows = source.rows
+    rows = _whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
     numbered = all(map(str.isdigit, given))
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
         raise LandmarkError("it has columns of z: export x and y only.")
     used = {i for axes in pairs.values() for i in axes.values()}
-    name = name_column(header_of(source), [row for _, row in rows], used)
+    name = name_column(source.header, [row for _, row in rows], used)
     # Numbers out of order may be the names of landmarks in another order.
     named = not numbered or list(pairs) != list(given)
     return _of_rows(source, rows, {"": pairs}, lambda row: None if name is None else row[name].strip(), named)
@@ -200,12 +151,14 @@ def parse_dlc(source: Source) -> list[Landmarks]:
 
     Of several scorers the first is read. Individuals are the objects of an image. Likelihoods are not used.
     """
-    rows = [row for row in rows_of(source) if any(row[1])]
+    rows = [row for row in source.rows if any(row[1])]
     headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
     if not {"scorer", "bodyparts", "coords"} <= headers.keys():
         raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
     rows, coords = rows[len(headers) :], headers["coords"]
-    _check_widths(coords, [*((0, header) for header in headers.values()), *rows])
+    for header in headers.values():
+        _check_width(coords, (0, header))
+    rows = _whole(source, coords, rows)
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
     scorers = list(dict.fromkeys(headers["scorer"][first:]))
     if len(scorers) > 1:

@@ -1,9 +1,11 @@
 """Decode the text of landmark files, and parse counts and coordinates."""
 
+import csv
+import io
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +15,23 @@ from liaam.io.files import is_number, read_bytes
 MAX_BYTES = 500_000_000
 """Size limit of landmark files, in bytes."""
 
+Row = tuple[int, list[str]]
+"""A line number, and the cells of the line."""
+
+_SUMMARY = {"Mean", "SD", "Min", "Max"}
+"""Labels of rows that ImageJ adds below its results."""
+
 _SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
 """A line of x and y with a comma or semicolon between them."""
 
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")
 """Control characters, which binary files hold and text does not."""
 
+_MARKED = re.compile(r"[-+]?\d+[.,]\d+")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}[.,]\d{3}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 
-_ABSENT = (-999.0, -9999.0)
+_ABSENT = (-1.0, -999.0, -9999.0)
 """Numbers that programs write for x and y of a missing landmark."""
 
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
@@ -45,6 +55,47 @@ def read_text(path: Path, data: bytes | None = None) -> str:
     if not text.strip():
         raise LandmarkError(f"{path} is empty (only blank lines): copy or export it again.")
     return text
+
+
+def rows_of(text: str) -> list[Row]:
+    """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
+    text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text), ""
+    declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
+    if declared is not None:  # as Excel writes it
+        separator, text = declared[1], text[declared.end() :]
+    first = text.splitlines()[0] if text else ""
+    most = max(";\t,", key=first.count)
+    separator = separator or (most if most in first else " ")
+    try:
+        if separator == " ":
+            rows = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
+        else:
+            blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
+            rows = [(reader.line_num, row) for row in reader]
+    except csv.Error as fault:
+        raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
+    rows = rows or [(1, [""])]
+    if "Label" in rows[0][1]:
+        rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
+    if separator != ",":
+        _check_marks(cell.strip() for _, row in rows for cell in row)
+        rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
+    if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
+        rows = rows[1:]
+    if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
+        rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
+    return rows
+
+
+def _check_marks(cells: Iterable[str]) -> None:
+    """Raise if numbers have decimal commas as well as points, and some of these may separate thousands."""
+    marked = [cell for cell in cells if _MARKED.fullmatch(cell)]
+    with_comma = [cell for cell in marked if "," in cell]
+    if 0 < len(with_comma) < len(marked) and any(map(_THOUSANDS.fullmatch, marked)):
+        point = next(cell for cell in marked if "," not in cell)
+        both = f"'{short(with_comma[0])}' and '{short(point)}'"
+        raise LandmarkError(f"the numbers {both} have a comma and a point: write decimals one way, and no thousands.")
 
 
 def parse_count(token: str, what: str) -> int:

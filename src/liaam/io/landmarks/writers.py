@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import Any
@@ -39,26 +39,23 @@ def ljson_text(landmarks: Landmarks) -> str:
 
 def csv_text(landmarks: Landmarks) -> str:
     """Return the text of a table of one image's landmarks."""
-    names = ["name"] if landmarks.names else []
-    return _table([["x", "y", *names], *_cells(landmarks, bool(names))])
+    return _table([], [([], landmarks)])
 
 
 def csv_collection(collection: Mapping[str, Landmarks], _: Sizes) -> str:
     """Return the text of a table of the landmarks of many images, by file name."""
-    named = any(landmarks.names for landmarks in collection.values())
-    rows = [[image, *cells] for image, landmarks in collection.items() for cells in _cells(landmarks, named)]
-    return _table([["image", "x", "y", *(["name"] if named else [])], *rows])
+    return _table(["image"], [([image], landmarks) for image, landmarks in collection.items()])
 
 
-def _cells(landmarks: Landmarks, named: bool) -> list[list[str]]:
-    points = [["", ""] if x != x else [repr(x), repr(y)] for x, y in landmarks.points.tolist()]
-    names = landmarks.names or [""] * len(points)
-    return [[*point, name] for point, name in zip(points, names, strict=True)] if named else points
-
-
-def _table(rows: Iterable[list[str]]) -> str:
-    buffer = io.StringIO(newline="")
-    csv.writer(buffer).writerows(rows)  # lines end in \r\n, so that a \r in a name is quoted
+def _table(first: list[str], every: list[tuple[list[str], Landmarks]]) -> str:
+    """Return the text of a table with these first columns, and their cells beside the landmarks."""
+    buffer, named = io.StringIO(newline=""), any(landmarks.names for _, landmarks in every)
+    writer = csv.writer(buffer)  # lines end in \r\n, so that a \r in a name is quoted
+    writer.writerow([*first, "x", "y", *(["name"] if named else [])])
+    for cells, landmarks in every:
+        names = [[name] for name in landmarks.names] or [[""] * named] * len(landmarks)
+        for (x, y), name in zip(landmarks.points.tolist(), names, strict=True):
+            writer.writerow([*cells, *(["", ""] if x != x else [repr(x), repr(y)]), *name])
     return buffer.getvalue()
 
 

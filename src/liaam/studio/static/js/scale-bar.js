@@ -103,7 +103,8 @@ export class ScaleBar {
     });
     const unit = h("select.text", { "aria-label": "Unit", testid: "scale-unit" }, optionsOf(UNITS));
     unit.value = bar.unit;
-    const note = h("p.small.muted", "Measurements of this picture are then in millimetres.");
+    const kept = "Files .ljson and .tps keep the scale for liaam measure; .pts and .csv do not.";
+    const note = h("p.small.muted", `Measurements of this picture are then in millimetres. ${kept}`);
     const body = h("div.column", h("div.row", length, unit), note);
     const actions = [...more, { label: "Set the scale", kind: "primary", value: "save", testid: "scale-save" }];
     const answer = await dialog("Length of the scale bar", body, actions);

@@ -1,9 +1,6 @@
-"""Tables of results: columns by name, written as .csv or handed to pandas."""
+"""Results as tables: columns by name, which pandas takes and :func:`liaam.io.write_columns` writes."""
 
-import csv
-import io
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -12,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.errors import LiaamError, installing
-from liaam.io.atomic import write_text_atomically
 
 if TYPE_CHECKING:
     import pandas
@@ -28,26 +24,10 @@ def landmark_columns(
     names: Sequence[str] = (),
     **more: Any,
 ) -> Columns:
-    """Return a table with one row per landmark of one image.
+    """Return a table with one row per landmark of an image.
 
-    Parameters
-    ----------
-    labels : mapping of str to object
-        First columns, such as the image, the same in all rows.
-    points : (n, 2) float
-        Landmarks, pixels.
-    covariances : (n, 2, 2) float, optional
-        Square pixels.
-    names : sequence of str
-        Names of the landmarks, or empty.
-    **more
-        Last columns, the same in all rows.
-
-    Returns
-    -------
-    dict of str to list
-        ``labels``, ``landmark`` (from 1), ``name`` (empty if unknown), ``x``, ``y``, ``sd`` (standard deviation in
-        pixels, from the mean variance of x and y; NaN if unknown), and ``more``.
+    Its columns are `labels` (one value each, such as the image), ``landmark`` (from 1), ``name`` (empty if unknown),
+    ``x``, ``y``, ``sd`` (pixels, from the mean variance of x and y; NaN if unknown), and `more`, as `labels`.
     """
     n = len(points)
     spread = np.full((n, 2, 2), np.nan) if covariances is None else np.asarray(covariances)
@@ -128,26 +108,3 @@ def _columns_of(result: Any, i: int, name: str | None) -> dict[str, Any]:
         raise LiaamError(f"result {i + 1} is {type(result).__name__}; give fits, tracked frames or specimens")
     unnamed = hasattr(result, "image") and not isinstance(result.image, Path)
     return result.to_columns(name or f"image {i + 1}") if name or unnamed else result.to_columns()
-
-
-def write_columns(path: str | os.PathLike[str], columns: Columns) -> None:
-    """Write columns atomically as ``.csv``; NaN becomes an empty cell.
-
-    Raises
-    ------
-    LiaamError
-        If the suffix is another, or writing fails.
-    """
-    if Path(path).suffix.lower() != ".csv":
-        raise LiaamError(f"{path}: the table is written as CSV; give a name that ends in .csv")
-    write_text_atomically(path, columns_text(columns))
-
-
-def columns_text(columns: Columns) -> str:
-    """Return columns as text in CSV; NaN becomes an empty cell."""
-    buffer = io.StringIO(newline="")
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow(cell if isinstance(cell, str) else "" if math.isnan(cell) else f"{cell:.9g}" for cell in row)
-    return buffer.getvalue()
