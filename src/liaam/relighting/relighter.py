@@ -15,7 +15,7 @@ from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
-from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
+from liaam.relighting.appearance import ShadowFree, check_method
 from liaam.relighting.basis import light_on_frame, light_on_image, square_around
 from liaam.relighting.extrapolation import around, carried
 from liaam.relighting.highlights import below_white, spared
@@ -146,8 +146,7 @@ class Relighter:
         response = (fitter.camera or model.camera).response
         if not len(seen_triangles(image, result.landmarks, model)):
             return _unchanged(model, image, result.landmarks, response)
-        start = shadow_free(fitter, image, result, prior)
-        return _separated(model, image, result.landmarks, response, start, prior, steadied)
+        return _separated(model, image, result.landmarks, response, prior, steadied)
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -295,7 +294,6 @@ def _separated(
     image: np.ndarray,
     shape: np.ndarray,
     response: Response,
-    start: ShadowFree,
     prior: float,
     steadied: Callable[[Shading], Shading] | None,
 ) -> Relighter:
@@ -304,7 +302,7 @@ def _separated(
 
     noise = noise_deviation(image)
     seen = Seen.of(model, image, shape, response, noise)
-    appearance, log_rgb, covariance = appearance_in_light(model, seen, start, prior)
+    appearance, log_rgb, covariance = appearance_in_light(model, seen, prior)
     shading = find_shading(model, seen, log_rgb, appearance.light, covariance)
     shading = shading if steadied is None else steadied(shading)
     around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
