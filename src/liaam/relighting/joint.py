@@ -16,7 +16,6 @@ Most images of an object may be in the training light, and errors of the model a
 light is 0 with the probability that the data give to it, and its coordinates are means over both cases.
 """
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -24,15 +23,15 @@ import numpy as np
 
 from liaam.model import AAM
 from liaam.model.appearance import AppearanceModel
-from liaam.model.light import BRIGHTEST
 from liaam.model.mesh import ReferenceFrame
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.basis import light_on_frame, unexplained_on_frame
 from liaam.relighting.seen import NOISE_FACTOR, UNKNOWN, Seen
 
-CORRELATED, ACROSS = 0.12, 5
+CORRELATED, ACROSS = 0.15, 4
 """Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
-it. They are smooth, and would outweigh the priors if they counted as independent from pixel to pixel."""
+it. Modes learnt from lamps leave smooth errors, which would outweigh the priors if they counted as independent from
+pixel to pixel."""
 
 COLOURED = 0.37
 """Standard deviation of the colour of what the modes do not explain, relative to that of its brightness."""
@@ -46,14 +45,11 @@ FINE_BRIGHTNESS, FINE_COLOUR = 0.03, 0.02
 PASSES = 3
 """Number of passes; more make no visible difference."""
 
-FREEDOM = 4.0
+FREEDOM = 2.0
 """Degrees of freedom of Student's t distribution of the errors."""
 
 NO_PRIOR = 1e-6
 """Lower bound on the prior's strength, which keeps unobserved coordinates determined."""
-
-LEVEL_SPREAD = 0.2
-"""Standard deviation of an image's level of light around those of the lamps, in logarithms."""
 
 
 class InLight(NamedTuple):
@@ -77,38 +73,31 @@ def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
     step = max(1, int(side / ACROSS))
     kept, barycentric = every_few(frame, step), _barycentric(frame)
     part, lit, usable = known.at(kept), every[:, kept], (seen.usable * (known.usable > 0))[kept]
-    together = max(1.0, np.square(side / step))
+    together = 1.0 if model.light is None else max(1.0, np.square(side / step))
     precision = np.concatenate([max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.ones(k)])
     precision = np.concatenate([precision, np.full(2 * len(barycentric), OFF**-2.0)])
     whitened = _whitened(part, seen.noise[kept], unexplained_on_frame(model)[kept])
     target = np.einsum("nc,ncd->nd", seen.log[kept] - part.mean, whitened)
     fixed = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, lit]), whitened, optimize=True)
-    weights, found, log_rgb = usable, np.zeros(len(precision)), known.mean
+    weights, slopes = usable, _mean_slopes(model)
     for _ in range(PASSES):
-        slopes = np.einsum("nac,ncd->and", frame.gradient(log_rgb)[kept].astype(np.float32), whitened)
-        offsets = (barycentric[None, :, kept, None] * slopes[:, None]).reshape(-1, *target.shape)
-        modes = np.concatenate([fixed, offsets])
+        offsets = np.einsum("nac,ncd->and", slopes[kept], whitened)[:, None] * barycentric[:, kept, None]
+        modes = np.concatenate([fixed, offsets.reshape(-1, *target.shape)])
         root = np.sqrt(weights)[:, None]
         rows = (modes * root).reshape(len(modes), -1)
         hessian = (rows @ rows.T).astype(np.float64) / together + np.diag(precision)
         found = np.linalg.solve(hessian, (rows @ (target * root).ravel()) / together)
         left = target - np.tensordot(found.astype(np.float32), modes, axes=1)
         weights = usable * ((FREEDOM + 3.0) / (FREEDOM + np.square(left).sum(axis=1)))
-        log_rgb = known.texture(found[:n])
+        slopes = frame.gradient(known.texture(found[:n])).astype(np.float32)
     own, covariance = slice(n, n + k), np.linalg.inv(hessian)
-    same = as_in_training(found[own], covariance[own, own])
-    if model.light is not None and len(model.light.levels):
-        brightness = lit.mean(axis=2)
-        top = (light := found[own] @ brightness) >= np.quantile(light, 1.0 - BRIGHTEST)
-        along = np.zeros_like(found)
-        along[own] = brightness[:, top].mean(axis=1)
-        found = at_a_known_level(found, covariance, along, model.light.levels.astype(np.float64))
-    light = found[own]
-    found = found - same * covariance[:, own] @ np.linalg.solve(covariance[own, own], light)
-    spread = (1.0 - same) * (covariance[own, own] + same * np.outer(light, light))
+    light, variance = found[own], covariance[own, own]
+    same = as_in_training(light, variance)
+    found = found - same * covariance[:, own] @ np.linalg.solve(variance, light)
+    spread = (1.0 - same) * (variance + same * np.outer(light, light))
     log_rgb = known.texture(found[:n])
     offsets = found[-2 * len(barycentric) :].reshape(2, -1) @ barycentric
-    displaced = log_rgb + np.einsum("an,nac->nc", offsets, frame.gradient(log_rgb))
+    displaced = log_rgb + np.einsum("an,nac->nc", offsets, slopes)
     appearance = ShadowFree(log_rgb, found[:n], np.sqrt(np.diag(covariance)[:n]), found[own])
     return InLight(appearance, displaced.astype(np.float32), spread)
 
@@ -121,23 +110,6 @@ def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
     """
     exponent = -0.5 * (light @ np.linalg.solve(covariance, light) + np.linalg.slogdet(covariance)[1])
     return float(1.0 / (1.0 + np.exp(-np.clip(exponent, -500.0, 500.0))))
-
-
-def at_a_known_level(found: np.ndarray, covariance: np.ndarray, along: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Move coordinates (m,) so that the level of light, ``along @ found``, is nearer to the levels (k,) of known lamps.
-
-    An image hardly distinguishes a bright object in weak light from a dark one in strong light. But a lamp that lights
-    any part of the object does so about as brightly as the training light, unless it is as weak as another known lamp.
-    The levels are a mixture of Gaussians, and the result is its posterior mean.
-    """
-    level, cross = along @ found, covariance @ along
-    variance, own = along @ cross, LEVEL_SPREAD**2
-    if not variance > 0.0:
-        return found
-    exponents = -0.5 * np.square(level - levels) / (variance + own)
-    weights = np.exp(exponents - exponents.max())
-    nearer = np.average((level * own + levels * variance) / (variance + own), weights=weights)
-    return found + cross * ((nearer - level) / variance)
 
 
 def _whitened(known: AppearanceModel, noise: np.ndarray, of_light: np.ndarray) -> np.ndarray:
@@ -154,6 +126,12 @@ def _whitened(known: AppearanceModel, noise: np.ndarray, of_light: np.ndarray) -
 def every_few(frame: ReferenceFrame, step: int) -> np.ndarray:
     """Return the pixels at every ``step``-th row and column of a frame."""
     return np.flatnonzero((frame.pixels % step == 0).all(axis=1))
+
+
+@lru_cache(maxsize=4)
+def _mean_slopes(model: AAM) -> np.ndarray:
+    """Return the derivatives of the mean appearance along x and y, (n_pixels, 2, 3) float32."""
+    return model.frame.gradient(model.levels[-1].appearances["log"].mean).astype(np.float32)
 
 
 @lru_cache(maxsize=4)
