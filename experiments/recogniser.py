@@ -2,10 +2,10 @@
 
     python -m experiments.recogniser WEIGHTS TRAINING TEST LAMPS TRAINING_LAMP [--far 02 --far 12] [--diagonal 90]
 
-WEIGHTS is ``dlib_face_recognition_resnet_model_v1.dat``. Every image of TEST under another light than that of training is
-compared with the image of every person under the training light, by the distance of descriptors. Printed is the equal
-error rate over these pairs, of images as taken and relit to the training light, and the ratio of the two with a 95 %
-interval from bootstrap samples of persons, the same for both. The landmarks of the data align the faces.
+WEIGHTS is ``dlib_face_recognition_resnet_model_v1.dat``. Every image of TEST under another light than that of training
+is compared with the image of every person under the training light, by the distance of descriptors. Printed is the
+equal error rate over these pairs, of images as taken and relit to the training light, and the ratio of the two with a
+95 % interval from bootstrap samples of persons, the same for both. The landmarks of the data align the faces.
 """
 
 import argparse
@@ -47,9 +47,9 @@ def compare(taken: np.ndarray, relit: np.ndarray) -> str:
     return f"{rates[0]:.3f} -> {rates[1]:.3f}, ratio {rates[1] / rates[0]:.2f} ({low:.2f} to {high:.2f})"
 
 
-def descriptors(network, image: np.ndarray, points: np.ndarray) -> np.ndarray:
+def descriptor(network, image: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Describe a face with 68 landmarks (128,)."""
-    import dlib
+    import dlib  # pyright: ignore[reportMissingImports]
 
     (left, top), (right, bottom) = points.min(axis=0).astype(int).tolist(), points.max(axis=0).astype(int).tolist()
     parts = [dlib.point(*map(round, point)) for point in points.tolist()]
@@ -59,7 +59,7 @@ def descriptors(network, image: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the comparison."""
-    import dlib
+    import dlib  # pyright: ignore[reportMissingImports]
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("weights", "training", "test", "lamps"):
@@ -71,13 +71,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     network = dlib.face_recognition_model_v1(str(given.weights))
     request, _, _ = request_of_folders(given.training, given.test, given.lamps, given.training_lamp, given.diagonal)
     fitter, persons = get_trained(request, 0).fitters["soft-li"], get_folds(request)[0][0].tested
-    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    found: dict[str, list[list[np.ndarray]]] = {}
     for pictures in persons.values():
         for light, sample, _ in pictures:
             image = eight_bit(sample)
             flat = Relighter.of(fitter, image, fitter.fit(image)).flat()
-            both = (descriptors(network, each, sample.landmarks.points) for each in (image, flat))
-            found.setdefault(light, []).append(tuple(both))
+            both = [descriptor(network, each, sample.landmarks.points) for each in (image, flat)]
+            found.setdefault(light, []).append(both)
     gallery = np.array(found.pop(given.training_lamp))
     far = [light for light in found if light in given.far]
     for name, lights in {"far": far, "other": [light for light in found if light not in far]}.items():

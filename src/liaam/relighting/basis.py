@@ -20,7 +20,7 @@ DEGREE, OF_COLOUR, AMOUNT = 6, 3, 0.8
 coefficients in logarithms, which is divided by one plus their own degree."""
 
 UNEXPLAINED = 0.06
-"""Without lamps: standard deviation of what the polynomials do not explain, such as cast shadows."""
+"""Without lamps: standard deviation of what the polynomials do not explain. Cast shadows are outliers."""
 
 
 @lru_cache(maxsize=4)

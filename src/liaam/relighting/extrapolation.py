@@ -32,6 +32,9 @@ BORDER = 1.0
 BACKGROUND = 8.0
 """Distance beyond the mesh from which an image is background, in reaches."""
 
+BELOW = 0.33
+"""What is below the mesh, and by this fraction of its width wider, is no background: a neck or a stem."""
+
 ANOTHER_COLOUR, COLOUR_BLUR = 0.5, 0.1
 """Difference of log-chromaticity from the object's mean from which a pixel is rather background, and standard deviation
 of the Gaussian before it is measured, in reaches."""
@@ -67,8 +70,7 @@ class Surroundings:
         Inside the mesh.
     belongs : (h, w, 1) float32
         How much a pixel belongs to the object rather than to the background, which is what lies beyond
-        :data:`BACKGROUND`, but for what is below: a neck or a stem. In between, the nearer one counts, where edges are
-        distances.
+        :data:`BACKGROUND`, but for what is :data:`BELOW`. In between, the nearer one counts, where edges are distances.
     share : (h, w, 1) float32
         The same, falling to 0 at :data:`FARTHEST` times the reach from the mesh.
     reach : float
@@ -102,7 +104,9 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
     depth, away = _distance(np.pad(inside, 1))[1:-1, 1:-1], _distance(~inside)[..., None]
     own, seen = _edges(own, inside)
     known, elsewhere = inside[..., None].astype(np.float32), (away > BACKGROUND * reach).astype(np.float32)
-    elsewhere[np.flatnonzero(inside.any(axis=1))[-1] :] = 0.0  # below
+    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+    wider = round(BELOW * len(columns))
+    elsewhere[rows[-1] :, max(columns[0] - wider, 0) : columns[-1] + wider + 1] = 0.0
     sums = averaged(np.concatenate([known, elsewhere], axis=2), seen, max(1.0, ACROSS * reach))
     object_side, other_side = np.square(sums[..., :1]), np.square(sums[..., 1:])
     belongs = np.where(known > 0, 1.0, object_side / np.maximum(object_side + other_side, 1e-12))
@@ -121,7 +125,7 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
 
 
 def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Extrapolate values (h, w, c) float32 beyond a mask (h, w), within the edges of an image (h, w, 3): nearby means."""
+    """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
     known, seen = inside[..., None].astype(np.float32), _edges(own, inside)[1]
     layers, nearby = np.concatenate([values * known, known], axis=2), np.zeros(1, np.float32)
     for scale in NEARBY:
