@@ -96,21 +96,19 @@ def without_marks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,); also average the weights.
 
-    A mark is first what differs from the median of its surroundings, then what differs from the first average.
+    A mark differs in brightness or colour, first from the median of its surroundings, then from the first average.
     """
-    bright = left.mean(axis=1)
-    near = medians(model, smoothed(model, bright, 0.5 * SMOOTHNESS))
+    near = medians(model, smoothed(model, left, 0.5 * SMOOTHNESS))
     for _ in range(2):
-        kept = weights * np.exp(-0.5 * np.square((bright - near) / contrast))
+        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast).mean(axis=1))
         layers = np.column_stack([left * kept[:, None], kept])
         sums = blurred(model, layers, SMOOTHNESS) + SHARE * blurred(model, layers, WIDER * SMOOTHNESS)
-        found = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
-        near = found.mean(axis=1)
-    return found, sums[:, 3] / (1.0 + SHARE)
+        near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
+    return near, sums[:, 3] / (1.0 + SHARE)
 
 
 def medians(model: AAM, values: np.ndarray) -> np.ndarray:
-    """Return the medians of values (n_pixels,) in squares.
+    """Return the medians of values (n_pixels, 3) in squares.
 
     They ignore lines and spots up to half the area of a square, but keep edges between larger regions.
     """
@@ -154,9 +152,9 @@ def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np
 
 
 def smoothed(model: AAM, values: np.ndarray, scale: float) -> np.ndarray:
-    """Average values (n_pixels,) of the frame by a Gaussian of ``scale`` diagonals."""
+    """Average values (n_pixels, ...) of the frame by a Gaussian of ``scale`` diagonals."""
     sums = blurred(model, np.column_stack([values, np.ones(len(values))]), scale)
-    return sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    return (sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9)).reshape(values.shape)
 
 
 def blurred(model: AAM, layers: np.ndarray, scale: float) -> np.ndarray:
