@@ -32,7 +32,7 @@ BORDER = 1.0
 BACKGROUND = 8.0
 """Distance beyond the mesh from which an image is background, in reaches."""
 
-BELOW = 0.33
+BELOW = 0.5
 """What is below the mesh, and by this fraction of its width wider, is no background: a neck or a stem."""
 
 ANOTHER_COLOUR, COLOUR_BLUR = 0.5, 0.1
