@@ -33,8 +33,8 @@ ERRORS_PER_AREA = 2.0
 """Number of independent errors of the model in the area of the smoothing."""
 
 MARK, CONTRAST = 0.12, 0.2
-"""Side of the square whose median tells what is a mark, such as a mole, the rim of glasses or a letter, as a fraction
-of the frame's diagonal, and difference of log brightness at which a pixel has less weight."""
+"""Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
+the frame's diagonal, and the difference from it, in logarithms, at which a pixel has less weight."""
 
 WIDER, SHARE = 3.0, 0.03
 """A second Gaussian, relative to the first, and its weight: below a mark, light is that of its surroundings."""
