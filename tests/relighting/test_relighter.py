@@ -12,7 +12,7 @@ from liaam.fitting import Fitter
 from liaam.io import write_image
 from liaam.model.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Lamp, Relighter
-from liaam.relighting.extrapolation import around
+from liaam.relighting.extrapolation import Surroundings, carried
 from liaam.relighting.highlights import spared
 from liaam.relighting.one_call import lamps_of
 from liaam.relighting.painting import eight_bits, log_light
@@ -361,8 +361,10 @@ def test_values_are_carried_on_as_far_as_things_look_alike():
     inside = known_in((160, 200), slice(40, 140), slice(40, 150))
     own = np.zeros((160, 200, 3), np.float32)
     own[:, 154:] = [1.5, 0.0, -1.0]  # a wall on the right
-    carried, share, belongs = around(np.full((160, 200, 1), 2.0, np.float32), inside, own, 6.0)
-    np.testing.assert_allclose(carried[share > 0], 2.0, rtol=1e-4)
+    around = Surroundings.of(inside, own, 6.0)
+    share, belongs = around.share, around.belongs
+    light = around.spread(np.full((160, 200, 1), 2.0, np.float32), np.float32(0.0), own)
+    np.testing.assert_allclose(light, 2.0 * share, atol=1e-3)
     assert share[90, 38] > 0.8 > share[90, 20] > 0.05
     assert share[90, 160:].max() < 0.01
     assert share[:, :14].max() == 0.0
@@ -375,10 +377,10 @@ def test_a_shadow_that_goes_on_takes_the_shadows_change(size):
     values, own = np.zeros((60 * size, 80 * size, 1), np.float32), np.zeros((60 * size, 80 * size, 3), np.float32)
     own[:, 50 * size :] = values[:, 50 * size :] = -1.5  # in the shadow
     values[~inside] = 7.0  # not known there
-    carried, share, _ = around(values, inside, own, 5.0 * size)
+    nearby, share = carried(values, inside, own, 5.0 * size), Surroundings.of(inside, own, 5.0 * size).share
     row = 44 * size
-    np.testing.assert_allclose(carried[row, 45 * size], 0.0, atol=0.2)
-    np.testing.assert_allclose(carried[row, 55 * size], -1.5, atol=0.2)
+    np.testing.assert_allclose(nearby[row, 45 * size], 0.0, atol=0.2)
+    np.testing.assert_allclose(nearby[row, 55 * size], -1.5, atol=0.2)
     assert share[row, 45 * size] > 0.3
 
 
@@ -387,7 +389,7 @@ def test_a_wall_that_edges_cut_off_gets_no_halo():
     inside = known_in((80, 160), slice(20, 60), slice(20, 60))
     own = np.full((80, 160, 3), -2.0, np.float32)
     own[:, 66:72] = [0.0, 0.5, 1.0]  # its bright rim
-    _, _, belongs = around(np.ones((80, 160, 1), np.float32), inside, own, 5.0)
+    belongs = Surroundings.of(inside, own, 5.0).belongs
     assert belongs[40, 62] > 0.9
     assert belongs[40, 76:].max() < 0.1
 
@@ -396,7 +398,8 @@ def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_values():
     y, x = np.mgrid[:200, :150]
     inside = np.abs(x - 0.3 * y - 40) < 1.5  # slanted, so that reduced pixels hold various parts of it
     values = inside[..., None] * (y / 200)[..., None].astype(np.float32)
-    found, share, _ = around(values, inside, np.full((200, 150, 3), -1.0, np.float32), 130.0)
+    own = np.full((200, 150, 3), -1.0, np.float32)
+    found, share = carried(values, inside, own, 130.0), Surroundings.of(inside, own, 130.0).share
     assert share[inside].min() > 0.9
     assert np.abs(found - values)[inside].mean() < 0.25
 
@@ -463,7 +466,7 @@ def test_a_dark_picture_gets_no_glow_around_the_object():
     own[:] = (-1.5, -0.8, -1.0)
     own[35:120, 55:105] = (-0.5, -0.9, -1.3)
     for darker in (0.0, np.log(30.0)):
-        _, _, belongs = around(np.ones((120, 160, 1), np.float32), inside, own - np.float32(darker), 5.0)
+        belongs = Surroundings.of(inside, own - np.float32(darker), 5.0).belongs
         assert belongs[60, 60:100].min() > 0.95
         assert belongs[40:80, 110:150].max() < 0.1
 
@@ -472,7 +475,7 @@ def test_background_inside_the_border_of_the_mesh_gets_no_light():
     inside, own = np.zeros((120, 160), bool), np.full((120, 160, 3), -0.6, np.float32)
     inside[40:80, 60:100] = True
     own[:, 96:] = (-2.6, -0.6, -1.6)  # a wall, which the mesh covers by four pixels
-    _, _, belongs = around(np.ones((120, 160, 1), np.float32), inside, own, 5.0)
+    belongs = Surroundings.of(inside, own, 5.0).belongs
     assert belongs[50:70, 98:].max() < 0.25
     assert belongs[50:70, 60:94].min() > 0.95
 
@@ -492,12 +495,13 @@ def test_large_objects_are_relit_as_small_ones(head, taken_apart):
 
 
 def test_small_marks_are_not_light(model):
-    """The median ignores a spot and a line, and keeps the edge of a shadow."""
+    """A spot and a line get the light of their surroundings, and the edge of a shadow is kept."""
     frame = model.frame
     y, x = (frame.pixels - frame.pixels.mean(axis=0)).T / model.diagonal
     shadow = np.where(x > 0.15, -0.8, 0.0)
     marks = -1.2 * ((np.hypot(x + 0.1, y) < 0.018) | (np.abs(y + 0.1) < 0.01))
     left = np.repeat((shadow + marks)[:, None], 3, axis=1).astype(np.float32)
-    found = without_marks(model, left).mean(axis=1)
+    found, weights = without_marks(model, left, np.ones(frame.n_pixels))
     clear = (np.abs(x - 0.15) > 0.03) & (np.abs(x) < 0.2) & (np.abs(y) < 0.15)
-    assert np.abs(found - shadow)[clear].max() < 0.25
+    assert np.abs(found.mean(axis=1) - shadow)[clear].max() < 0.25
+    assert weights[clear & (marks < 0)].mean() < 0.7 * weights[clear & (marks == 0)].mean()

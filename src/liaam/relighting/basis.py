@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from liaam.lamps.bank import HALF, in_field, places, sample_field
+from liaam.lamps.bank import HALF, in_field, sample_field
 from liaam.model import AAM
 from liaam.model.light import LightBasis
 from liaam.model.shape import align, diagonal_of
@@ -19,8 +19,8 @@ DEGREE, OF_COLOUR, AMOUNT = 6, 3, 0.8
 """Without lamps: degrees of the polynomials of brightness and of colour temperature, and standard deviation of their
 coefficients in logarithms, which is divided by one plus their own degree."""
 
-UNEXPLAINED = 0.6
-"""Without lamps: standard deviation of what the polynomials do not explain, such as cast shadows."""
+UNEXPLAINED = 0.06
+"""Without lamps: standard deviation of what the polynomials do not explain. Cast shadows are outliers."""
 
 
 @lru_cache(maxsize=4)
@@ -40,12 +40,16 @@ def unexplained_on_frame(model: AAM) -> np.ndarray:
 
 
 def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
-    """Return the change of log light in a region of an image, (h, w, 3) float32; 0 without lamps."""
+    """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps."""
+    import cv2
+
     if model.light is None or not coordinates.any():
         return np.zeros((*region.small[::-1], 3), np.float32)
-    at = places(model.light.mean, region.shape, region.small)
     change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
-    return sample_field(change, at)
+    origin, right, down = in_field(align(model.light.mean, region.shape).inverse()(np.eye(3, 2, -1))).astype(np.float64)
+    pose = np.column_stack([right - origin, down - origin, origin])
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(change, pose, region.small, flags=how, borderMode=cv2.BORDER_REPLICATE)
 
 
 def square_around(light: LightBasis, shape: np.ndarray, size: tuple[int, ...]) -> tuple[slice, slice]:

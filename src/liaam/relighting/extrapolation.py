@@ -4,9 +4,12 @@ Averages preserve edges by the domain transform (Gastal and Oliveira, "Domain tr
 processing", ACM TOG 2011), in which a change of light counts as a distance.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from liaam import _core
+from liaam.relighting.painting import mean_of
 
 FARTHEST = 4.0
 """Distance beyond the mesh to which values extend, in reaches."""
@@ -28,6 +31,9 @@ BORDER = 1.0
 
 BACKGROUND = 8.0
 """Distance beyond the mesh from which an image is background, in reaches."""
+
+BELOW = 0.5
+"""What is below the mesh, and by this fraction of its width wider, is no background: a neck or a stem."""
 
 ANOTHER_COLOUR, COLOUR_BLUR = 0.5, 0.1
 """Difference of log-chromaticity from the object's mean from which a pixel is rather background, and standard deviation
@@ -54,73 +60,86 @@ LEAST_SHARE = 1e-3
 """Share below which it is 0."""
 
 
-def around(
-    values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Extrapolate values (h, w, c) beyond a mask (h, w).
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Division of the surroundings of a mesh between object and background, (h, w) pixels.
 
-    Parameters
+    Attributes
     ----------
-    values : (h, w, c) float32
     inside : (h, w) bool
-        Where they are known.
-    own : (h, w, 3) float32
-        Logarithms of the image's light, whose edges divide it.
+        Inside the mesh.
+    belongs : (h, w, 1) float32
+        How much a pixel belongs to the object rather than to the background, which is what lies beyond
+        :data:`BACKGROUND`, but for what is :data:`BELOW`. In between, the nearer one counts, where edges are distances.
+    share : (h, w, 1) float32
+        The same, falling to 0 at :data:`FARTHEST` times the reach from the mesh.
     reach : float
         In pixels.
-
-    Returns
-    -------
-    nearby : (h, w, c) float32
-        Means of nearby values.
-    share : (h, w, 1) float32
-        Their weight: ``object``, falling to 0 at :data:`FARTHEST` times the reach.
-    object : (h, w, 1) float32
-        How much a pixel belongs to the object rather than to the background, which is what lies beyond
-        :data:`BACKGROUND`, but for what is below: a neck or a stem. In between, the nearer one counts, where edges are
-        distances.
     """
+
+    inside: np.ndarray
+    belongs: np.ndarray
+    share: np.ndarray
+    reach: float
+
+    @classmethod
+    def of(cls, inside: np.ndarray, own: np.ndarray, reach: float) -> "Surroundings":
+        """Divide an image, whose edges in the logarithms of light (h, w, 3) are distances, around a mask (h, w)."""
+        return cls(inside, *_division(inside, own, reach), reach)
+
+    def spread(self, values: np.ndarray, lit: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return the light (h, w, c) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it.
+
+        It follows the edges of the logarithms of light ``own``, (h, w, 3).
+        """
+        nearby = carried(values - lit, self.inside, own, self.reach)
+        light = np.where(self.inside[..., None], self.belongs * values, self.share * nearby + self.belongs * lit)
+        return light.astype(np.float32)
+
+
+def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``belongs`` and ``share`` of :class:`Surroundings`."""
     import cv2
 
-    known = inside[..., None].astype(np.float32)
-    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]
+    depth, away = _distance(np.pad(inside, 1))[1:-1, 1:-1], _distance(~inside)[..., None]
     own, seen = _edges(own, inside)
-    away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[..., None]
-    elsewhere = (away > BACKGROUND * reach).astype(np.float32)
-    elsewhere[np.flatnonzero(inside.any(axis=1))[-1] :] = 0.0  # below
+    known, elsewhere = inside[..., None].astype(np.float32), (away > BACKGROUND * reach).astype(np.float32)
+    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+    wider = round(BELOW * len(columns))
+    elsewhere[rows[-1] :, max(columns[0] - wider, 0) : columns[-1] + wider + 1] = 0.0
     sums = averaged(np.concatenate([known, elsewhere], axis=2), seen, max(1.0, ACROSS * reach))
     object_side, other_side = np.square(sums[..., :1]), np.square(sums[..., 1:])
     belongs = np.where(known > 0, 1.0, object_side / np.maximum(object_side + other_side, 1e-12))
     colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
-    brightness = colours.mean(axis=2, keepdims=True)
+    brightness = mean_of(colours)[..., None]
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
     colours = colours - brightness
     apart = np.square(colours - colours[inside].mean(axis=0)).sum(axis=2, keepdims=True) / ANOTHER_COLOUR**2
     alike = np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
-    belongs = np.where(certain, 1.0, alike * belongs)  # that of the mesh is 1
-    belongs = np.where(known > 0, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
+    certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]  # that of the mesh is 1
+    belongs = np.where(certain, 1.0, alike * belongs)
+    belongs = np.where(known > 0, belongs, averaged(belongs, seen, max(1.0, EVEN * reach))).astype(np.float32)
     share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
-    return (
-        means_nearby(values, known, seen, reach),
-        np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32),
-        belongs.astype(np.float32),
-    )
+    share = np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
+    return belongs, np.where(known > 0, belongs, share)
 
 
 def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Return only the means of nearby values, (h, w, c) float32, of :func:`around`."""
-    return means_nearby(values, inside[..., None].astype(np.float32), _edges(own, inside)[1], reach)
-
-
-def means_nearby(values: np.ndarray, known: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
-    """Average values (h, w, c), with weights (h, w, 1), within the edges of an image (h, w, 3)."""
+    """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
+    known, seen = inside[..., None].astype(np.float32), _edges(own, inside)[1]
     layers, nearby = np.concatenate([values * known, known], axis=2), np.zeros(1, np.float32)
     for scale in NEARBY:
         sums = averaged(layers, seen, max(1.0, scale * reach))
         means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
         nearby = nearby + smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
     return nearby
+
+
+def _distance(mask: np.ndarray) -> np.ndarray:
+    """Return the distance of each pixel of a mask (h, w) from the rest, float32."""
+    import cv2
+
+    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
 
 
 def _edges(own: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ import numpy as np
 from liaam.model.shape import diagonal_of
 from liaam.relighting.painting import REACH, mean_of
 
-FINEST = 160.0
+FINEST = 128.0
 """Largest diagonal of an object, in pixels, at which light is computed. In larger objects it is enlarged."""
 
 EDGE = 0.05

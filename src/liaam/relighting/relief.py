@@ -5,7 +5,6 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.model.mesh import ReferenceFrame
-from liaam.relighting.grid import neighbours
 
 STEEPEST = np.tan(np.deg2rad(65.0))
 """Limit of the surface's slope, at the mesh's border."""
@@ -26,7 +25,10 @@ def normals_of(frame: ReferenceFrame) -> np.ndarray:
     from scipy.sparse import coo_array, diags_array
     from scipy.sparse.linalg import splu
 
-    (a, b), n = neighbours(frame), frame.n_pixels
+    n = frame.n_pixels
+    number = frame.picture(np.arange(n) + 1.0).astype(int)  # 0 around the frame
+    pairs = np.hstack([[g[:, :-1].ravel(), g[:, 1:].ravel()] for g in (number, number.T)])
+    a, b = pairs[:, (pairs > 0).all(axis=0)] - 1
     links = coo_array((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
     bulge = splu((diags_array(np.full(n, 4.0)) - links).tocsc()).solve(np.ones(n))
     diagonal = float(np.hypot(*frame.size))

@@ -15,9 +15,9 @@ from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
-from liaam.relighting.appearance import ShadowFree, check_method, shadow_free
+from liaam.relighting.appearance import ShadowFree, check_method
 from liaam.relighting.basis import light_on_frame, light_on_image, square_around
-from liaam.relighting.extrapolation import around, carried
+from liaam.relighting.extrapolation import Surroundings
 from liaam.relighting.highlights import below_white, spared
 from liaam.relighting.joint import appearance_in_light
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
@@ -79,12 +79,8 @@ class Relighter:
         Standard deviation of the image's stored values.
     deviation : (lh, lw) float32
         Standard deviation of the logarithm of the light that was removed, inside the mesh.
-    inside : (lh, lw) bool
-        Inside the mesh.
-    share : (lh, lw, 1) float32
-        Weight of a new light: 1 inside the mesh, falling to 0 around it.
-    belongs : (lh, lw, 1) float32
-        Weight of the light of a basis, which also knows the surroundings: 1 on the object, 0 in the background.
+    surroundings : Surroundings
+        How far light extends around the mesh.
     normals : (lh, lw, 3) float32
         Normals of the inflated surface (:func:`liaam.relighting.relief.normals_of`), rotated with the object.
     """
@@ -100,9 +96,7 @@ class Relighter:
     log_own: np.ndarray
     noise: float
     deviation: np.ndarray
-    inside: np.ndarray
-    share: np.ndarray
-    belongs: np.ndarray
+    surroundings: Surroundings
     normals: np.ndarray
 
     __repr__ = short_repr
@@ -146,8 +140,7 @@ class Relighter:
         response = (fitter.camera or model.camera).response
         if not len(seen_triangles(image, result.landmarks, model)):
             return _unchanged(model, image, result.landmarks, response)
-        start = shadow_free(fitter, image, result, prior)
-        return _separated(model, image, result.landmarks, response, start, prior, steadied)
+        return _separated(model, image, result.landmarks, response, prior, steadied)
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -220,7 +213,7 @@ class Relighter:
             return self.picture.copy()
         light, frontal = (light_of(given, self.normals, ambient) for given in (lamps, [Lamp((0.0, 0.0, 1.0))]))
         exposure = min(float(frontal[self.inside].mean() / light[self.inside].mean()) ** 0.5, LONGEST)
-        return self._changed(self.share * np.log(exposure * light / frontal))
+        return self._changed(self.surroundings.share * np.log(exposure * light / frontal))
 
     def like(self, other: "Relighter") -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
@@ -234,24 +227,27 @@ class Relighter:
             raise LiaamError("the two images were fitted with different models; fit both with the same model")
         if not self.inside.any():
             return self.picture.copy()
-        light, rest = other.frame_shading.coordinates, other.frame_shading.log
-        if self.model.light is not None:
-            rest = other.frame_shading.rest
-        region = self.region
-        values, _ = paint(self.inside, region.shape, self.model, rest)
-        nearby = carried(values, self.inside, region.reduced(self.log_flat), region.reach)
-        change = self.share * np.where(self.inside[..., None], values, nearby)
-        return self._changed(change + self.belongs * light_on_image(self.model, light, region))
+        shading, region = other.frame_shading, self.region
+        values, _ = paint(self.inside, region.shape, self.model, shading.log)
+        lit = light_on_image(self.model, shading.coordinates, region)
+        return self._changed(self.surroundings.spread(values, lit, region.reduced(self.log_flat)))
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays of the picture."""
-        return sum(each.nbytes for each in vars(self).values() if isinstance(each, np.ndarray))
+        kept = [*vars(self).values(), *vars(self.surroundings).values()]
+        return sum(each.nbytes for each in kept if isinstance(each, np.ndarray))
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Pixels of light inside the mesh, (lh, lw) bool."""
+        return self.surroundings.inside
 
     @cached_property
     def covered(self) -> np.ndarray:
         """Pixels of the box inside the mesh, (bh, bw) bool."""
-        return self.region.enlarged(self.inside.astype(np.float32)) > 0.5
+        known = np.ones((self.model.n_pixels, 1), np.float32)
+        return paint(self.picture, self.shape, self.model, known)[1][self.region.box]
 
     @cached_property
     def _grain(self) -> np.ndarray:
@@ -295,7 +291,6 @@ def _separated(
     image: np.ndarray,
     shape: np.ndarray,
     response: Response,
-    start: ShadowFree,
     prior: float,
     steadied: Callable[[Shading], Shading] | None,
 ) -> Relighter:
@@ -304,27 +299,26 @@ def _separated(
 
     noise = noise_deviation(image)
     seen = Seen.of(model, image, shape, response, noise)
-    appearance, log_rgb, covariance = appearance_in_light(model, seen, start, prior)
+    appearance, log_rgb, covariance = appearance_in_light(model, seen, prior)
     shading = find_shading(model, seen, log_rgb, appearance.light, covariance)
     shading = shading if steadied is None else steadied(shading)
     around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
     region = Region.of(shape, around_it if model.light is None else square_around(model.light, shape, image.shape))
     layers = np.column_stack([shading.log, shading.deviation, normals_of(model.frame)])
-    canvas = np.empty(region.small[::-1], np.uint8)
-    painted, inside = paint(canvas, region.shape, model, layers.astype(np.float32))
+    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, layers.astype(np.float32))
     if not inside.any():
         return _unchanged(model, image, shape, response)
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
-    small, within = region.reduced(own), inside[..., None]
-    nearby, share, belongs = around(painted[..., :3] - lit, inside, small - lit, region.reach)
-    light = np.where(within, belongs * painted[..., :3], share * nearby + belongs * lit).astype(np.float32)
+    unlit = region.reduced(own) - lit
+    surroundings = Surroundings.of(inside, unlit, region.reach)
+    light = surroundings.spread(painted[..., :3], lit, unlit)
     pose = align(model.shape_model.mean, shape)
     width = 2 * round(2.0 * region.reach) + 1
     nearby = cv2.blur(cv2.blur(painted[..., 4:], (width, width)), (width, width))
-    normals = np.where(within, painted[..., 4:], nearby)
+    normals = np.where(inside[..., None], painted[..., 4:], nearby)
     normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
     normals /= np.sqrt(np.maximum(cv2.transform(np.square(normals), np.ones((1, 3), np.float32)), 1e-12))[..., None]
-    light, whole = spared(own, light, belongs, region)
+    light, whole = spared(own, light, surroundings.belongs, region)
     light = region.along_edges(light, own)
     return Relighter(
         model=model,
@@ -338,9 +332,7 @@ def _separated(
         log_own=own,
         noise=noise,
         deviation=painted[..., 3],
-        inside=inside,
-        share=np.where(within, belongs, share),
-        belongs=belongs,
+        surroundings=surroundings,
         normals=normals,
     )
 
@@ -358,7 +350,7 @@ def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respo
     known = model.levels[-1].appearances["log"]
     appearance = ShadowFree(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
     zeros, none = np.zeros_like(known.mean), np.zeros((0, 0, 3), np.float32)
-    shading = Shading(np.zeros(len(light_on_frame(model))), zeros, zeros, zeros[:, 0])
+    shading = Shading(np.zeros(len(light_on_frame(model))), zeros, zeros[:, 0])
     return Relighter(
         model,
         shape,
@@ -371,8 +363,6 @@ def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respo
         log_own=none,
         noise=0.0,
         deviation=none[..., 0],
-        inside=np.zeros((0, 0), bool),
-        share=none[..., :1],
-        belongs=none[..., :1],
+        surroundings=Surroundings(np.zeros((0, 0), bool), none, none, 0.0),
         normals=none,
     )

@@ -84,7 +84,7 @@ class ShadingRemover:
         """Return the running average of the light."""
         before, self._frames = self._before or now, self._frames + 1
         share = max(SHARE, min(FIRST_SHARE, 1.0 / self._frames))
-        names = ("coordinates", "log", "rest", "deviation")
+        names = ("coordinates", "log", "deviation")
         averages = (getattr(before, n) + share * (getattr(now, n) - getattr(before, n)) for n in names)
         self._before = Shading(*averages)
         return self._before
