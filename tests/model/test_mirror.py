@@ -38,9 +38,8 @@ def test_it_fits_the_mirrored_image_as_well(of_three, order, lit_scene):
     across = lambda points: (points * [-1.0, 1.0] + [width, 0.0])[order]  # noqa: E731
     expected = liaam.fit(of_three.others[0], image, start)
     found = liaam.fit(of_three.others[1], flipped, across(start))
-    # Fits use some of the pixels, others of the mirrored frame.
-    assert np.abs(found.landmarks - across(expected.landmarks)).max() < 0.3
-    assert found.evidence == pytest.approx(expected.evidence, abs=0.02)
+    assert np.abs(found.landmarks - across(expected.landmarks)).max() < 0.05
+    assert found.evidence == pytest.approx(expected.evidence, abs=0.005)
 
 
 def test_a_file_holds_a_mirrored_part_once(of_three, tmp_path):
