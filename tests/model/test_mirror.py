@@ -52,6 +52,14 @@ def test_a_file_holds_a_mirrored_part_once(of_three, tmp_path):
     assert again.to_bytes() == path.read_bytes()
 
 
+def test_a_mirrored_part_that_is_saved_alone_keeps_its_grid(of_three, tmp_path):
+    part, path = of_three.others[1], tmp_path / "side.liaam"
+    part.save(path)
+    ours, theirs = (each.views["surroundings"].warp.every(3.0) for each in (part, liaam.load_model(path)))
+    assert np.array_equal(ours, theirs)
+    assert not np.array_equal(ours, replace(part.views["surroundings"].warp, from_right=False).every(3.0))
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [
