@@ -83,7 +83,7 @@ def main() -> None:
     # Each picture was used twice. Relighting uses the light of the first part.
     right = replace(with_modes(right, MODES_TURNED), n_images=len(data), light=None)
     left = mirrored_model(right, other_side(names))
-    replace(front, others=(right, left), credit=CREDIT).save(given.output)
+    replace(front, others=(right, left), same_images=True, credit=CREDIT).save(given.output)
 
 
 def scheme() -> tuple[list[int], list[str], tuple[Contour, ...]]:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from liaam.fitting.templates import TEMPLATE, Grey, make_templates, shrink, soft_directions
+from liaam.training.kept import compact
+from setups import train_on
 
 
 def test_grey_of_integers_is_that_of_floats(rng):
@@ -19,7 +21,17 @@ def test_the_small_model_is_the_model_made_small(model):
     appearance = small.levels[0].appearances["orientation"]
     assert appearance.mean.shape == (small.n_pixels, 2)
     assert np.linalg.norm(appearance.mean, axis=1).max() <= 1.001
-    assert shrink(model, diagonal=1000.0).diagonal == model.diagonal
+
+
+def test_the_pixels_that_a_file_keeps_make_the_same_small_model(scenes):
+    whole = train_on(scenes[:4], diagonal=150.0, variance=1.0, methods=())  # is not compact
+    few = compact(whole)
+    kept = few.levels[0].appearances["search"].known
+    assert kept.mean() < 0.27
+    ours, theirs = (shrink(each).levels[0].appearances["orientation"] for each in (few, whole))
+    # Averages at the border of the mesh have few pixels.
+    assert np.abs(ours.mean - theirs.mean).mean() < 0.01
+    assert np.corrcoef(ours.modes.ravel(), theirs.modes.ravel())[0, 1] > 0.98
 
 
 def test_templates_turn_with_their_directions(model):

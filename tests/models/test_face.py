@@ -12,6 +12,7 @@ import liaam
 from liaam.cli.inputs import model_and_inputs
 from liaam.datasets import load_face
 from liaam.errors import LiaamError
+from liaam.fitting.objective import pixels_for
 from liaam.io import read_landmarks
 from liaam.models import MODELS, model_file
 from liaam.morphometry import read_specimens
@@ -53,6 +54,19 @@ def test_it_names_its_landmarks_and_credits_its_sources(face):
     assert set(EIGHT) | {"chin"} <= set(face.landmark_names)
     assert "CC BY 4.0" in face.credit and "10.6084/m9.figshare.5047666" in face.credit
     assert model_file("face").stat().st_size <= 8e6
+
+
+def test_its_parts_hold_all_pixels_that_fits_use(face):
+    for part in face.parts:
+        view = part.views["surroundings"]
+        for level in view.levels:
+            assert level.appearances["soft"].known[pixels_for(view.warp, level.blur)].all()
+
+
+def test_turned_copies_are_no_further_images(face, run):
+    assert face.n_all_images == face.n_images == 254 and face.n_copies > 3 * 254
+    _, out, _ = run("show", "face")
+    assert "254 images and" in out and "3, each with a model of its own, from copies of the same images" in out
 
 
 def test_left_and_right_are_the_persons(face):

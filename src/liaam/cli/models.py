@@ -144,14 +144,17 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
 
 def describe_shapes(model: "AAM") -> str:
     """Describe the shapes of a model by their shares of the training images, the most frequent first."""
+    own = f"{len(model.parts)}, each with a model of its own"
+    if model.same_images:
+        return f"{own}, from copies of the same images"
     shares = (f"{count_of(part.n_images, 'image')} ({part.n_images / model.n_all_images:.0%})" for part in model.parts)
-    return f"{len(model.parts)}, each with a model of its own: {', '.join(shares)}"
+    return f"{own}: {', '.join(shares)}"
 
 
 def count_copies(model: "AAM") -> str:
-    """Describe the mirrored or relit copies among the training images."""
-    more = sum(part.n_textures - part.n_images for part in model.parts)
-    if more <= 0:
+    """Describe the mirrored, relit or turned copies among the training images."""
+    more = model.n_copies
+    if not more:
         return ""
     return f" and {more} copies under {model.n_lamps} lamps" if model.n_lamps else f" and {more} mirrored copies"
 
@@ -170,7 +173,7 @@ def list_models() -> None:
 
     for name, known in MODELS.items():
         model = load_model(name)
-        trained = f"{model.n_points}, trained on {model.n_images} images{count_copies(model)}"
+        trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
         rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
         print_rows({**rows, "credit": model.credit})
     say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")

@@ -14,7 +14,7 @@ from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.picture import load_picture, path_of
 from liaam.fitting.restarts import other_starts
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, explained, odds_of, trace, with_prior
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, odds_of, trace, with_prior
 from liaam.fitting.search import LARGE, Finder
 from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, part_of_start, start_shape
@@ -201,11 +201,11 @@ class Fitter:
             target, found = part.target(image, init, name)
             firsts.append((part._fit_from(target), part, target, found))
         results = []
-        for first, part, target, found in sorted(firsts, key=lambda each: explained(each[0]), reverse=True):
+        for first, part, target, found in sorted(firsts, key=lambda each: likeliness(each[0]), reverse=True):
             results.append(replace(part._completed(first, target, found, init), part=self.parts.index(part)))
             if results[-1].status.ok:
                 break
-        result = max(results, key=lambda each: (each.status.ok, np.nan_to_num(each.quality), explained(each)))
+        result = max(results, key=lambda each: (each.status.ok, *likeliness(each)))
         return replace(result, image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:

@@ -370,9 +370,13 @@ class FitResult:
         return png_bytes(figure)
 
 
-def explained(result: FitResult) -> float:
-    """Return the fraction of the image that a fit explains, by which fits of different shapes are compared."""
-    return -np.inf if result.status.lost else float(np.nan_to_num(result.evidence[0], nan=-np.inf))
+def likeliness(result: FitResult) -> tuple[float, float]:
+    """Return by what fits of different shapes are compared: the quality, or else the fraction that they explain.
+
+    That fraction alone is larger in coarser frames, and with more modes.
+    """
+    fraction = -np.inf if result.status.lost else float(np.nan_to_num(result.evidence[0], nan=-np.inf))
+    return float(np.nan_to_num(result.quality)), fraction
 
 
 def odds_of(probability: float) -> float:

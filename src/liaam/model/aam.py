@@ -64,6 +64,8 @@ class AAM:
     others : tuple of AAM
         Models of further shapes of the object, of which one Gaussian would not do (such as left and right wings). All
         other attributes are those of the model of the most frequent shape; see :attr:`parts`.
+    same_images : bool
+        Whether the further shapes were learnt from copies of the images of the first, such as turned heads.
     """
 
     views: Mapping[str, View]
@@ -82,6 +84,7 @@ class AAM:
     is_colour: bool = True
     credit: str = ""
     others: tuple["AAM", ...] = ()
+    same_images: bool = False
 
     def __getstate__(self) -> dict:
         """Leave out the fitters that :func:`liaam.fit` keeps with a model."""
@@ -120,7 +123,12 @@ class AAM:
     @property
     def n_all_images(self) -> int:
         """Number of training images of all shapes."""
-        return sum(part.n_images for part in self.parts)
+        return self.n_images if self.same_images else sum(part.n_images for part in self.parts)
+
+    @property
+    def n_copies(self) -> int:
+        """Number of mirrored, relit and turned copies of these images, of all shapes; 0 in files that lack it."""
+        return sum(max(part.n_textures, part.n_images) for part in self.parts) - self.n_all_images
 
     @property
     def theta(self) -> float:

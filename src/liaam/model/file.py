@@ -172,6 +172,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "landmark_names": _names(header.get("landmark_names", []), n),
         "name": _text(header["name"]),
         "credit": _text(header.get("credit", "")),
+        "same_images": bool(header.get("same_images", False)),
         "n_textures": n_textures,
         "n_lamps": int(header.get("n_lamps", 0)),
         "light": _light(tensors, n) if "light.modes" in tensors else None,
@@ -299,7 +300,7 @@ def _view(
     view = make_view(name, _shape_model(about, tensors, mean), triangles, tuple(levels), _reliabilities(tensors, n))
     if n_pixels != view.warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    return view
+    return replace(view, warp=replace(view.warp, from_right=bool(about.get("from_right", False))))
 
 
 def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:

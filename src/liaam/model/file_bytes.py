@@ -68,6 +68,7 @@ def _header(model: "AAM") -> dict:
                 "blurs": [level.blur for level in view.levels],
                 "n_pixels": view.warp.frame.n_pixels,
                 **({"freedom": view.shape_model.freedom} if np.isfinite(view.shape_model.freedom) else {}),
+                **({"from_right": True} if view.warp.from_right else {}),
             }
             for name, view in model.views.items()
         },
@@ -79,6 +80,7 @@ def _header(model: "AAM") -> dict:
         "landmark_names": list(model.landmark_names),
         "name": model.name,
         **({"credit": model.credit} if model.credit else {}),
+        **({"same_images": True} if model.same_images else {}),
         **({} if model.features is None else {"features": model.features.name}),
     }
 

@@ -68,7 +68,9 @@ def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> Vi
         for level in view.levels
     )
     known = {method: _reliability(each, order) for method, each in view.reliabilities.items()}
-    return replace(bare, levels=levels, reliabilities=known)
+    # Levels hold the mirror images of the pixels that fits need.
+    warp = replace(bare.warp, from_right=not view.warp.from_right)
+    return replace(bare, warp=warp, levels=levels, reliabilities=known)
 
 
 def _shape_model(model: ShapeModel, order: np.ndarray) -> ShapeModel:

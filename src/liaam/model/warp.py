@@ -43,12 +43,14 @@ class PiecewiseAffineWarp:
     W(x; p) = sum_v beta_v(x) s_v(p) is linear in p, so dW/dp_i = sum_v beta_v(x) s_i[v] is constant. ``extension``
     (n_vertices, n_points) maps landmarks to the frame's vertices (:func:`liaam.model.mesh.surroundings`), by default
     the identity. ``kept`` (n_pixels,) holds the indices of the frame's pixels to use, in order, by default all.
+    ``from_right`` says whether grids of pixels are laid from the right: of the mirror image of a model.
     """
 
     frame: ReferenceFrame
     shape_model: ShapeModel
     extension: np.ndarray | None = None
     kept: np.ndarray | None = None
+    from_right: bool = False
 
     @property
     def n_parameters(self) -> int:
@@ -122,6 +124,7 @@ class PiecewiseAffineWarp:
     def every(self, spacing: float) -> np.ndarray:
         """Indices of pixels on a square grid of about this spacing, sorted by triangle."""
         rows, columns = self.frame.pixels.T
+        columns = self.frame.size[0] - 1 - columns if self.from_right else columns
         step = max(1, round(spacing))
         kept = np.flatnonzero((rows % step == 0) & (columns % step == 0))
         if len(kept) < min(FEWEST, len(rows)):  # a small frame under a wide blur

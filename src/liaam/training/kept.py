@@ -8,6 +8,7 @@ import numpy as np
 from liaam.fitting.held import check_holds, methods_of, needed_by
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import pixels_for
+from liaam.fitting.templates import pixels_for_search
 from liaam.model import AAM, MESH
 from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.rounding import rounded
@@ -93,13 +94,15 @@ def _narrowed(
 ) -> dict[str, AppearanceModel]:
     """Return the appearances of a level in the precision that fits need.
 
-    Of ``soft``, levels before the last keep only the pixels that fits use.
+    Of ``soft``, levels before the last keep only the pixels that fits use, and of ``search`` those of the search.
     """
     asked = set().union(*(needed_by(method) for method in methods if method.view == MESH))
     found = {}
     for name, appearance in appearances.items():
         if name == "soft" and not is_last:
             appearance = appearance.only_at(pixels_for(warp, blur))
+        if name == "search":
+            appearance = appearance.only_at(pixels_for_search(warp))
         few = name in EIGHT_BITS and name not in asked
         found[name] = _rounded(appearance) if few else replace(appearance, modes=_half(appearance.modes))
     return found
