@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,13 @@ import liaam
 from liaam.cli.inputs import model_and_inputs
 from liaam.datasets import load_face
 from liaam.errors import LiaamError
+from liaam.fitting import Fitter
 from liaam.fitting.objective import pixels_for
-from liaam.io import read_landmarks
+from liaam.io import read_image, read_landmarks
 from liaam.models import MODELS, model_file
 from liaam.morphometry import read_specimens
 from liaam.morphometry.schemes import in_scheme
+from liaam.relighting import Relighter
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE_BY = ROOT / "models/face"
@@ -80,6 +83,14 @@ def test_it_fits_the_photograph_that_comes_with_liaam():
     result = liaam.fit("face", load_face().image)
     assert result.status.ok and result.quality > 0.5
     assert far_from_photograph(result.landmark_names, result.landmarks) < 0.06
+
+
+def test_a_turned_head_is_relit_by_the_light_that_was_learnt_of_frontal_ones(face):
+    image, fitter = read_image(load_face().image), Fitter(face)
+    result = fitter.fit(image)
+    assert face.light is not None and face.parts[1].light is None
+    flat, turned = (Relighter.of(fitter, image, replace(result, part=part)).flat() for part in (0, 1))
+    assert np.array_equal(flat, turned)
 
 
 def test_fit_without_a_model_takes_it_and_writes_other_schemes(run, tmp_path):

@@ -241,6 +241,11 @@ class Fitter:
             return self
         return self.parts[fit.part if isinstance(fit, FitResult) else self.model.part_of(fit)]
 
+    def lit_part_for(self, fit: FitResult) -> "Fitter":
+        """Return the part that relights a fit: that which made it, or the first one if only that has learnt light."""
+        part, first = self.part_for(fit), self.parts[0]
+        return first if part.model.light is None and first.model.light is not None else part
+
     def _completed(self, result: FitResult, target: Target, found: Detection | None, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
         prior, region = 1.0, self._region(init, target.image)

@@ -134,7 +134,7 @@ class Relighter:
             For a method without the log appearance, for the fitter of another method, and for a grey image.
         """
         check_method(fitter, result)
-        fitter = fitter.part_for(result)
+        fitter = fitter.lit_part_for(result)  # without a basis of light, beards count as shade
         (image, name), model = load_picture(image, name), fitter.model
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
         response = (fitter.camera or model.camera).response

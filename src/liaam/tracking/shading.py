@@ -72,7 +72,7 @@ class ShadingRemover:
         """
         image = as_colour(image)
         refuse_grey(image, "the video", "estimating shading needs colour; give a colour video", MethodError)
-        part = self.fitter.part_for(result).model
+        part = self.fitter.lit_part_for(result).model
         if part is not self._model:
             self._model = part
             self.reset()
