@@ -23,6 +23,10 @@ EDGE = 0.8
 NEARBY = (2.0, 0.4)
 """Scales of averages of values, in reaches; the finer one counts where it has enough weight."""
 
+COLOUR = 4.0
+"""Scale of averages of the colour of light, in reaches. Lamps of two colours mix slowly over a surface, and at the
+border of the mesh another colour is rather a brow's."""
+
 ACROSS = 12.0
 """Scale of the division between object and background, in reaches."""
 
@@ -92,7 +96,10 @@ class Surroundings:
 
         It follows the edges of the logarithms of light ``own``, (h, w, 3).
         """
-        nearby = carried(values - lit, self.inside, own, self.reach)
+        rest = values - lit
+        grey = rest.mean(axis=2, keepdims=True)
+        rest = grey + _blurred(rest - grey, self.inside, COLOUR * self.reach)
+        nearby = carried(rest, self.inside, own, self.reach)
         light = np.where(self.inside[..., None], self.belongs * values, self.share * nearby + self.belongs * lit)
         return light.astype(np.float32)
 
@@ -133,6 +140,15 @@ def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: floa
         means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
         nearby = nearby + smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
     return nearby
+
+
+def _blurred(values: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
+    """Return Gaussian averages of values (h, w, c) over a mask (h, w)."""
+    import cv2
+
+    known = inside[..., None].astype(np.float32)
+    sums = cv2.GaussianBlur(np.concatenate([values * known, known], axis=2), (0, 0), scale)
+    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:
