@@ -30,7 +30,8 @@ def status_of(
     """
     shape, objective, solution = history[-1].landmarks, stage.objective, stage.solution
     usable, sane = solution.usable, is_sane(shape, history[0].landmarks)
-    if not usable.all() and np.isfinite(shape).all():  # some pixels are outside the image, dark or saturated
+    # Else most pixels are inside the image, and enough of these usable.
+    if not usable.mean() >= 0.5 and np.isfinite(shape).all():
         points = stage.pose(objective.warp.points(solution.p))
         inside = within(points, image)
         if sane and inside.mean() < 0.5:
