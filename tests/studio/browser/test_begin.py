@@ -211,6 +211,7 @@ def test_the_first_screen_and_the_lamps_fit_every_screen(browser, serve, empty, 
     page.set_default_timeout(20_000)
     page.goto(serve(empty, face=True).address)
     page.locator("[data-testid=first-fit]:visible").wait_for()
+    wait_for(page, "() => window.liaamStudio?.first?.frames > 0")  # the lamp is in its place
 
     def check(name: str) -> None:
         shoot(page, artefacts, f"{size[0]}-{theme}-{name}")
