@@ -232,15 +232,17 @@ def _paint_pixels(pixels: np.ndarray, face: Face, textures: Textures, expression
         own = part == number
         if not own.any():
             continue
-        log = log_of(*np.moveaxis(pixels[*_box(own), :2], -1, 0))
-        colour[own] = np.array(tone) * np.exp(log[own[_box(own)]])[..., None]
+        box = _box(own)
+        log = log_of(*np.moveaxis(pixels[*box, :2], -1, 0))
+        colour[own] = np.array(tone) * np.exp(log[own[box]])[..., None]
     return colour
 
 
 def _paint_face(pixels: np.ndarray, head: np.ndarray, textures: Textures, expression: Expression) -> np.ndarray:
     """Reflectance (n, 3) of the samples of the head, whose skin has openings to the skull."""
-    u, v, skull_u, skull_v = np.moveaxis(pixels[*_box(head), _CHART], -1, 0)
-    head = head[_box(head)]
+    box = _box(head)
+    u, v, skull_u, skull_v = np.moveaxis(pixels[*box, _CHART], -1, 0)
+    head = head[box]
     skin, skull = look_up(textures.skin, u, v)[head], look_up(textures.skull, skull_u, skull_v)[head]
     # Close the remaining openings of the mesh between closed lips and lids.
     mouth, eyes = smoothstep(expression.mouth_open / 0.12), 1 - smoothstep((expression.eye_close - 0.75) / 0.2)

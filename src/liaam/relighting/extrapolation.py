@@ -133,11 +133,10 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
 
 def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
     """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
-    known, seen = inside[..., None].astype(np.float32), _edges(own, inside)[1]
-    layers, nearby = np.concatenate([values * known, known], axis=2), np.zeros(1, np.float32)
+    layers, seen, nearby = _weighted(values, inside), _edges(own, inside)[1], np.zeros(1, np.float32)
     for scale in NEARBY:
         sums = averaged(layers, seen, max(1.0, scale * reach))
-        means = sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+        means = _means(sums)
         nearby = nearby + smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
     return nearby
 
@@ -146,8 +145,17 @@ def _blurred(values: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray
     """Return Gaussian averages of values (h, w, c) over a mask (h, w)."""
     import cv2
 
+    return _means(cv2.GaussianBlur(_weighted(values, inside), (0, 0), scale))
+
+
+def _weighted(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return values (h, w, c), 0 outside a mask (h, w), and the mask as a last layer, to be averaged."""
     known = inside[..., None].astype(np.float32)
-    sums = cv2.GaussianBlur(np.concatenate([values * known, known], axis=2), (0, 0), scale)
+    return np.concatenate([values * known, known], axis=2)
+
+
+def _means(sums: np.ndarray) -> np.ndarray:
+    """Return the means, (h, w, c), of averages of the layers of :func:`_weighted`."""
     return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
 
 

@@ -147,7 +147,12 @@ class Landmarks:
 
 
 def _keys(names: Sequence[str]) -> list[str]:
-    return [re.sub(r"\A0+(?=\d+\Z)", "", name_key(name.strip())) for name in names]
+    return [without_zeros(name_key(name.strip())) for name in names]
+
+
+def without_zeros(name: str) -> str:
+    """Return a name that is a number without zeros in front."""
+    return re.sub(r"\A0+(?=\d+\Z)", "", name)
 
 
 def _checked_points(points: Any) -> np.ndarray:

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key, some_names
-from liaam.io.landmarks.base import Landmarks, Placing
+from liaam.io.landmarks.base import Landmarks, Placing, without_zeros
 from liaam.io.landmarks.columns import plain
 from liaam.io.landmarks.text import Row, rows_of, short
 
@@ -214,7 +214,7 @@ def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
     """Return landmarks whose numbers have no decimals, and no zeros in front if others lack these: 1, 01 and 1.0."""
     names = {name for own in found for name in own.names}
     plain = {name: re.sub(r"\A(\d+)\.0+\Z", r"\1", name) for name in names}
-    bare = {name: re.sub(r"\A0+(?=\d+\Z)", "", plain[name]) for name in names}
+    bare = {name: without_zeros(plain[name]) for name in names}
     plain = bare if len({*bare.values()}) < len({*plain.values()}) else plain
     alike = [tuple(plain[name] for name in own.names) for own in found]
     if any(len({*each}) < len({*own.names}) for each, own in zip(alike, found, strict=True)):
