@@ -134,23 +134,25 @@ auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) 
     return std::make_pair(owned(std::move(values), {n, depth - 1}), owned(std::move(usable), {n}));
 }
 
-void correlate_spectra(const Array<float, 3>& left, const Array<float, 3>& right,
-                       nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> product) {
-    const std::size_t height = product.shape(0), width = product.shape(1);
-    require(left.shape(0) == 2 && right.shape(0) == 2 && left.size() == 2 * product.size() && left.shape(2) == width &&
-                right.size() == left.size() && right.shape(2) == width && product.size() > 0,
-            "the spectra differ in size");
+void correlate_spectra(const Array<float, 4>& image, const Array<float, 4>& templates,
+                       nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> product) {
+    bool same = image.shape(0) == 2 && templates.shape(0) == 2 && product.shape(2) == 2;
+    for (std::size_t axis = 0; axis < 3; ++axis)
+        same = same && image.shape(axis + 1) == product.shape(axis) && templates.shape(axis + 1) == product.shape(axis);
+    require(same, "the spectra differ in size");
     const Unlocked unlocked;
-    correlate(left.data(), right.data(), height, width, product.data());
+    correlate(image.data(), templates.data(), product.size() / 2, product.data());
 }
 
 auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& image, std::size_t count, float least,
               std::ptrdiff_t reach) {
-    require(image.stride(1) == 1 && reach >= 0 && image.size() > 0, "the pixels of a row are contiguous");
+    require(reach >= 0 && image.size() > 0, "there are no pixels");
+    const Plane plane{image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
+                      image.stride(0), image.stride(1)};
     std::vector<Peak> peaks;
     {
         const Unlocked unlocked;
-        peaks = best_peaks(image.data(), image.shape(0), image.shape(1), image.stride(0), count, least, reach);
+        peaks = best_peaks(plane, count, least, reach);
     }
     std::vector<std::int64_t> places;
     std::vector<float> values;
@@ -234,7 +236,7 @@ void bind_images(nb::module_& module) {
     module.def("blur_planes", blur_planes, "planes"_a, "sigma"_a);
     module.def("soft_directions", soft_directions, "plane"_a, "turn"_a, "softness"_a);
     module.def("sample_channels", sample_at, "channels"_a, "points"_a);
-    module.def("correlate", correlate_spectra, "left"_a, "right"_a, "product"_a.noconvert());
+    module.def("correlate", correlate_spectra, "image"_a, "templates"_a, "product"_a.noconvert());
     module.def("best_peaks", peaks_of, "image"_a, "count"_a, "least"_a, "reach"_a);
     module.def("carry", carry, "points"_a, "triangles"_a, "values"_a, "width"_a, "height"_a);
     module.def("draw_triangles", draw, "points"_a, "triangles"_a, "attributes"_a, "height"_a, "width"_a, "farthest"_a);

@@ -51,7 +51,8 @@ template <class T>
 nb::object owned(std::vector<T>&& numbers, std::initializer_list<std::size_t> shape) {
     auto* kept = new std::vector<T>(std::move(numbers));
     nb::capsule owner(kept, [](void* each) noexcept { delete static_cast<std::vector<T>*>(each); });
-    return nb::cast(nb::ndarray<nb::numpy, T>(kept->data(), shape, owner), nb::rv_policy::move);
+    const nb::ndarray<nb::numpy, T> array(kept->data(), shape, owner);
+    return nb::cast(array, nb::rv_policy::reference);  // another policy would copy
 }
 template <class T>
 nb::object copied(const std::vector<T>& numbers, std::initializer_list<std::size_t> shape) {

@@ -7,9 +7,17 @@
 
 namespace liaam {
 
-// Spectrum of the correlation of two images of two channels, left conj(right) summed over the channels. All are Fourier
-// transforms of real images (h, w) as packed by OpenCV's dft.
-void correlate(const float* left, const float* right, std::size_t height, std::size_t width, float* product);
+// Sum of the products of two pairs of spectra, each of n complex numbers: image (2, n) and templates (2, n).
+void correlate(const float* image, const float* templates, std::size_t n, float* product);
+
+// A view of an image (h, w), with the distances between its rows and pixels.
+struct Plane {
+    const float* data;
+    std::ptrdiff_t height, width, by_row, by_pixel;
+
+    const float* row(std::ptrdiff_t y) const { return data + y * by_row; }
+    float at(std::ptrdiff_t y, std::ptrdiff_t x) const { return data[y * by_row + x * by_pixel]; }
+};
 
 struct Peak {
     std::int64_t row, column;
@@ -17,8 +25,7 @@ struct Peak {
 };
 
 // Up to `count` local maxima above `least`, the largest first; ties in raster order. No pixel within a square of `reach`
-// pixels around a maximum is larger. `stride` is the distance between rows.
-std::vector<Peak> best_peaks(const float* image, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t stride,
-                             std::size_t count, float least, std::ptrdiff_t reach);
+// pixels around a maximum is larger.
+std::vector<Peak> best_peaks(const Plane& image, std::size_t count, float least, std::ptrdiff_t reach);
 
 }  // namespace liaam

@@ -216,15 +216,13 @@ def sample_channels(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarra
     return values[:, :-1].astype(np.float32), np.where(inside, least, 0.0).astype(np.float32)
 
 
-def correlate(left: np.ndarray, right: np.ndarray, product: np.ndarray) -> None:
-    """Compute the spectrum of the correlation of two images (2, h, w), left conj(right), summed over their channels.
+def correlate(image: np.ndarray, templates: np.ndarray, product: np.ndarray) -> None:
+    """Sum the products of two pairs of spectra (2, h, w, 2), whose last axis is real and imaginary part.
 
-    All are Fourier transforms of real channels as packed by OpenCV's ``dft``; ``product`` (h, w) is the output.
+    The result (h, w, 2) is written to ``product``.
     """
-    import cv2
-
-    products = [cv2.mulSpectrums(a, b, 0, conjB=True) for a, b in zip(left, right, strict=True)]
-    product[:] = products[0] + products[1]
+    left, right = (spectra.view(np.complex64)[..., 0] for spectra in (image, templates))
+    product.view(np.complex64)[..., 0] = left[0] * right[0] + left[1] * right[1]
 
 
 def best_peaks(image: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:

@@ -237,7 +237,9 @@ void draw_once(Rng& rng) {
     std::vector<std::int32_t> owner(height * width, -1);
     std::vector<double> carried(2 * height * width);
     carry_values(Doubles(points).first(2 * n), {triangles.data(), 4, 3}, {values.data(), n, 2}, {owner.data(), height, width}, carried.data());
-    const auto peaks = best_peaks(image.data(), 2 * height, width, width, integer(rng, 0, 5), 0.1f, integer(rng, 0, 4));
+    const Plane plane{image.data(), static_cast<std::ptrdiff_t>(height), static_cast<std::ptrdiff_t>(width),
+                      static_cast<std::ptrdiff_t>(2 * width), 2};
+    const auto peaks = best_peaks(plane, integer(rng, 0, 5), 0.1f, integer(rng, 0, 4));
     check(peaks.size() <= 5, "too many peaks");
 }
 

@@ -10,7 +10,7 @@ import liaam
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import Detection, Finder, FitStatus, Fitter, find, search
 from liaam.fitting.levels import LinearImage
-from liaam.fitting.responses import SPECTRA_KEPT
+from liaam.fitting.responses import SPECTRA_KEPT, Bank
 from liaam.fitting.search import (
     DOUBTFUL,
     LARGEST,
@@ -19,6 +19,7 @@ from liaam.fitting.search import (
     STEP,
     search_sizes,
 )
+from liaam.fitting.templates import Field, Template
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
 from liaam.photometry import CameraModel
@@ -247,6 +248,27 @@ def test_a_candidate_is_a_start(model, lit_scene):
     given = fitter.fit(lit_scene.image, candidate.landmarks)
     assert given.found is None
     np.testing.assert_array_equal(result.landmarks, given.landmarks)
+
+
+def random_field(rng: np.random.Generator, *size: int) -> np.ndarray:
+    return (rng.normal(size=size) + 1j * rng.normal(size=size)).astype(np.complex64)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_responses_are_mean_cosines_of_orientations(rng, n):
+    """At each place, the sum of the real parts, by definition; the templates of a pair have different sizes."""
+    values, parts = random_field(rng, 9, 11), [random_field(rng, 3 + i, 5 - i) for i in range(n)]
+    bank = Bank([Template(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts], pad=0)
+    peaks = bank.peaks(Field(values, np.ones(2)), 0, count=1, worth=0.0)
+    for number, part in enumerate(parts):
+        (height, width), norm = part.shape, np.abs(part).sum()
+        windows = np.lib.stride_tricks.sliding_window_view(values, part.shape)
+        responses = (windows * part.conj()).real.sum(axis=(2, 3)) / norm
+        assert responses.shape == (10 - height, 12 - width)
+        (at,) = np.flatnonzero(peaks.templates == number)
+        assert peaks.responses[at] == pytest.approx(responses.max(), abs=1e-6)
+        place = np.array(np.unravel_index(responses.argmax(), responses.shape))
+        np.testing.assert_allclose(peaks.centres[at], place[::-1], atol=1e-9)
 
 
 def test_what_was_searched_before_makes_no_difference(model):

@@ -1,15 +1,15 @@
 """Responses of templates: their correlation with an image's gradient orientations, and its strongest maxima."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from liaam import _core
 from liaam.fitting.peaks import Peaks
-from liaam.fitting.templates import Field, Template, spectra
+from liaam.fitting.templates import Field, Template, spectrum
 
 SPECTRA_KEPT = 600_000
-"""Number of field pixels for which spectra are cached, about 90 bytes each: enough for one size, except panoramas."""
+"""Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas."""
 
 SURROUNDINGS = 2
 """Radius in pixels within which a place has to be the maximum."""
@@ -32,6 +32,8 @@ class Bank:
 
     def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:
         self.templates, self.pad = tuple(templates), pad
+        self.shapes = np.array([template.field.shape for template in templates])
+        self.origins = np.array([template.origin for template in templates])
         self.norms = [1.0 if normalised else max(float(np.abs(t.field).sum()), 1e-9) for t in self.templates]
         self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
 
@@ -40,34 +42,46 @@ class Bank:
 
         Maxima below the fraction ``worth`` of the strongest may be left out.
         """
-        import cv2  # heavy: imported when first needed
-
-        sizes = [(template.field.shape, template.origin) for template in self.templates]
-        size = np.maximum(np.array(field.values.shape) + 2 * self.pad, np.max([shape for shape, _ in sizes], axis=0))
-        fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
-        seen, product, correlated = spectra(field.values, fast, self.pad), *np.empty((2, *fast), np.float32)
+        size = np.maximum(np.array(field.values.shape) + 2 * self.pad, self.shapes.max(axis=0))
+        inside = (size + 1 - self.shapes).tolist()  # where templates lie in the padded field
         places, responses, floor = [], [], LEAST_RESPONSE
-        for (shape, origin), expected in zip(sizes, self._spectra_of(fast), strict=True):
-            _core.correlate(seen, expected, product)
-            cosine = cv2.idft(product, correlated)  # between both orientations, times their lengths
-            inside = cosine[: size[0] - shape[0] + 1, : size[1] - shape[1] + 1]
-            best, values = _core.best_peaks(inside, count, floor, SURROUNDINGS)
+        for (height, width), cosine in zip(inside, self._correlated(field, size), strict=False):
+            best, values = _core.best_peaks(cosine[:height, :width], count, floor, SURROUNDINGS)
             floor = max(floor, worth * float(values[0])) if len(values) else floor
-            places.append(best[:, ::-1] - origin)
+            places.append(best)
             responses.append(values)
-        numbers = np.repeat(np.arange(len(sizes)), [len(values) for values in responses])
+        numbers = np.repeat(np.arange(len(self.templates)), [len(values) for values in responses])
         scales, same = (np.full(len(numbers), value) for value in (field.scale, which))
-        centres = field.to_image(np.concatenate(places) - self.pad)
+        centres = field.to_image(np.concatenate(places)[:, ::-1] - self.origins[numbers] - self.pad)
         return Peaks(centres, scales, same, numbers, np.concatenate(responses))
 
+    def _correlated(self, field: Field, size: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the correlation with each template in turn: cosines between orientations, times both lengths.
+
+        It is the real part of that of complex fields, c: half the sum of c and its conjugate, which is the correlation
+        of the conjugate fields. So one inverse transform of complex numbers makes those of two templates.
+        """
+        import cv2  # heavy: imported when first needed
+
+        fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
+        seen = np.array([spectrum(values, fast, self.pad) for values in (field.values, field.values.conj())])
+        product = np.empty((*fast, 2), np.float32)
+        for expected in self._spectra_of(fast):
+            _core.correlate(seen, expected, product)
+            cv2.idft(product, product)
+            yield product[..., 0]
+            yield product[..., 1]
+
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
-        """Return the spectra of all templates for fields of a size; those of the last sizes are cached."""
+        """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
         known = self._spectra.get(size)
         if known is not None:
             return known
-        pixels = size[0] * size[1]  # OpenCV's inverse transform is not normalised
-        pairs = zip(self.templates, self.norms, strict=True)
-        made = [spectra(t.field, size) / (pixels * norm) for t, norm in pairs]
+        fields = np.zeros((len(self.templates) + len(self.templates) % 2, *size), np.complex64)
+        for field, template, norm in zip(fields, self.templates, self.norms, strict=False):
+            height, width = template.field.shape
+            field[:height, :width] = template.field / (norm * field.size)  # OpenCV's inverse is not normalised
+        made = [_pair_spectra(*pair, size) for pair in zip(fields[::2], fields[1::2], strict=True)]
         kept = [*self._spectra, size]  # a copy: other threads may search at the same time
         while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
             self._spectra.pop(kept.pop(0), None)
@@ -78,3 +92,9 @@ class Bank:
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
         return {**self.__dict__, "_spectra": {}}
+
+
+def _pair_spectra(first: np.ndarray, second: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Return by what spectra of an image and its conjugate are multiplied for the correlations with two templates."""
+    both = [spectrum(first - 1j * second, size), spectrum(first.conj() - 1j * second.conj(), size)]
+    return np.float32(0.5) * np.array(both) * np.array([1.0, -1.0], np.float32)  # conjugate

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import inf, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -375,8 +376,8 @@ def likeliness(result: FitResult) -> tuple[float, float]:
 
     That fraction alone is larger in coarser frames, and with more modes.
     """
-    fraction = -np.inf if result.status.lost else float(np.nan_to_num(result.evidence[0], nan=-np.inf))
-    return float(np.nan_to_num(result.quality)), fraction
+    fraction = -inf if result.status.lost or isnan(result.evidence[0]) else float(result.evidence[0])
+    return 0.0 if isnan(result.quality) else result.quality, fraction
 
 
 def odds_of(probability: float) -> float:

@@ -280,6 +280,7 @@ class _Search:
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / finder.small.diagonal)
         self.fields: list[Field] = []
         self.found: list[Peaks] = []
+        self.strongest: Peaks  # of all sizes looked at, without those near a stronger one
         self.fits: dict[Place, Detection] = {}
 
     def for_one(self, least: float) -> list[Detection]:
@@ -310,8 +311,7 @@ class _Search:
 
     def beside(self, best: Detection) -> tuple[Detection, ...]:
         """Return further certain objects, from the responses that the search for one object has seen."""
-        peaks, small = Peaks.join(self.found), self.finder.small
-        peaks = peaks.take(strongest(peaks, 0.2 * small.diagonal, self.count))
+        peaks, small = self.strongest, self.finder.small
         low, high = best.landmarks.min(axis=0), best.landmarks.max(axis=0)
         outside = ((peaks.centres < low) | (peaks.centres > high)).any(axis=1)
         large = peaks.scales * small.diagonal >= 0.5 * diagonal_of(best.landmarks)
@@ -347,7 +347,8 @@ class _Search:
             self.fields.append(field)
             self.found.append(peaks)
         found = Peaks.join(self.found)
-        return found.take(strongest(found, 0.2 * small.diagonal, self.count))
+        self.strongest = found.take(strongest(found, 0.2 * small.diagonal, self.count))
+        return self.strongest
 
     def _in_turn(self, peaks: Peaks, least: float, most: int | None = None) -> tuple[list[Detection], bool]:
         """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""

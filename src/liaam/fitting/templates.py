@@ -138,8 +138,9 @@ class Grey:
             rows, columns = grey.shape[0] // reduce, grey.shape[1] // reduce
             grey = _core.area_means(np.ascontiguousarray(grey[: rows * reduce, : columns * reduce]), rows, columns)
         every = max(1, min(int(np.sqrt(grey.size / SAMPLES)), min(grey.shape) // 4))
-        low, high = np.percentile(grey[::every, ::every], [1, 99])
-        grey = (np.clip(grey, low, high) / np.clip(high - low, *CONTRASTS)).astype(np.float32)
+        low, high = np.percentile(grey[::every, ::every], [1, 99]).astype(np.float32)
+        np.clip(grey, low, high, out=grey)
+        grey /= np.clip(high - low, *np.float32(CONTRASTS))
         return Grey(grey, reduce * stride)
 
     def field(self, size: float, small: AAM) -> Field:
@@ -177,14 +178,14 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
     return _core.soft_directions(grey, (1.0, 0.0, 0.0, 1.0), SOFTNESS).view(np.complex64)[..., 0]
 
 
-def spectra(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
-    """Return the Fourier transforms of a field's cosine and sine, padded to a size, (2, h, w) float32, packed."""
+def spectrum(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
+    """Return the Fourier transform of a field, padded to a size, (h, w, 2) float32: real and imaginary part."""
     import cv2  # heavy: imported when first needed
 
-    padded = np.zeros((2, *size), np.float32)
-    inner = padded[:, pad : pad + field.shape[0], pad : pad + field.shape[1]]
-    inner[0], inner[1] = np.real(field), np.imag(field)
-    return np.stack([cv2.dft(part) for part in padded])
+    padded = np.zeros(size, np.complex64)
+    padded[pad : pad + field.shape[0], pad : pad + field.shape[1]] = field
+    parts = padded.view(np.float32).reshape(*size, 2)
+    return cv2.dft(parts, parts)
 
 
 def is_searchable(model: AAM) -> bool:

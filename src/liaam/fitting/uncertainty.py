@@ -17,8 +17,8 @@ def covariance(stage: FittedLevel, strength: float = 1.0, pull: np.ndarray | Non
     """
     objective, solution = stage.objective, stage.solution
     unit = max(objective.noise_variance(solution), 1e-12)
-    # It may be NaN for a diverged fit.
-    precision = np.nan_to_num(solution.expected_hessian / unit, posinf=0.0, neginf=0.0)
+    precision = solution.expected_hessian / unit
+    precision[~np.isfinite(precision)] = 0.0  # of a diverged fit
     n_p = objective.warp.n_parameters
     precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
     if pull is not None:
