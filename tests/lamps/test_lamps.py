@@ -426,7 +426,7 @@ def test_models_without_lamps_have_no_light(trained, tmp_path):
     assert plain.light is None
     lit.save(tmp_path / "lit.liaam")
     loaded = load_model(tmp_path / "lit.liaam").light
-    for field in ("mean", "modes", "remainder", "levels"):
+    for field in ("mean", "modes", "remainder"):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(lit.light, field))
 
 

@@ -17,7 +17,7 @@ from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import count_of, json_object
 from liaam.model.file import LAMPS_FORMAT
-from liaam.model.light import BRIGHTEST, SIDE, LightBasis
+from liaam.model.light import SIDE, LightBasis
 from liaam.model.rounding import rounded
 from liaam.model.shape import align
 from liaam.model.tensors import Shapes, read_tensors
@@ -159,10 +159,7 @@ class Lamps:
         remainder = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
         tints = TINT * CHROMATICITY[:, None, None] * kept
         modes = np.concatenate([_modes(fields), tints])
-        brightness = np.sort(fields[: len(self)].mean(axis=3)[:, inside], axis=1)
-        levels = [0.0, *brightness[:, -max(1, int(BRIGHTEST * inside.sum())) :].mean(axis=1)]
-        halves = (each.astype(np.float16) for each in (remainder, np.array(levels)))
-        return LightBasis(self.mean, rounded(modes), *halves)
+        return LightBasis(self.mean, rounded(modes), remainder.astype(np.float16))
 
     def save(self, path: str | os.PathLike) -> None:
         """Write the lamps as one safetensors file, atomically.

@@ -68,7 +68,7 @@ LEAST_SHARE = 0.1
 """Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest."""
 
 STORED = {
-    "light": ("mean", "remainder", "levels"),
+    "light": ("mean", "remainder"),
     "points": ("weights", "errors", "noise"),
     "features": ("mean", "projection"),
     "shape": ("modes", "eigenvalues", "unexplained"),
@@ -220,11 +220,10 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     if known is not None:
         modes = spread(modes, known, axis=1).reshape(-1, SIDE, SIDE, 3)
     remainder = checked_tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
-    levels = optional_tensor(tensors, "light.levels", np.float16, (None,))
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
-    return LightBasis(mean, modes, remainder, np.zeros(0, np.float16) if levels is None else levels)
+    return LightBasis(mean, modes, remainder)
 
 
 def _search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:

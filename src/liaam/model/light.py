@@ -7,9 +7,6 @@ import numpy as np
 SIDE = 128
 """Side of the square, pixels."""
 
-BRIGHTEST = 0.1
-"""Fraction of the object's pixels, the brightest, whose mean is a light's level."""
-
 
 @dataclass(frozen=True, eq=False)
 class LightBasis:
@@ -27,12 +24,8 @@ class LightBasis:
     remainder : (side, side) float16
         Standard deviation of the remainder's brightness, on objects (or lamps, of a single object) that were left out
         when the modes were learnt.
-    levels : (n,) float16
-        Brightness of each lamp where it lights the object most, and 0 for the training light. Empty for models of
-        older versions.
     """
 
     mean: np.ndarray
     modes: np.ndarray
     remainder: np.ndarray
-    levels: np.ndarray
