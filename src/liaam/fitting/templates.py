@@ -140,7 +140,7 @@ class Grey:
         every = max(1, min(int(np.sqrt(grey.size / SAMPLES)), min(grey.shape) // 4))
         low, high = np.percentile(grey[::every, ::every], [1, 99]).astype(np.float32)
         np.clip(grey, low, high, out=grey)
-        grey /= np.clip(high - low, *np.float32(CONTRASTS))
+        grey /= np.clip(high - low, *np.asarray(CONTRASTS, np.float32))
         return Grey(grey, reduce * stride)
 
     def field(self, size: float, small: AAM) -> Field:
