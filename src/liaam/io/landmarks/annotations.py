@@ -273,7 +273,7 @@ def parse_cvat(source: Source) -> list[Landmarks]:
     """Parse CVAT for images: each skeleton is an object, and its points are named by their labels.
 
     Without skeletons, the points of an image are its landmarks: one ``points`` with all of them, or one each with its
-    own label.
+    own label. Several objects are told apart by their ``group_id``.
     """
     if source.xml.find("track") is not None:
         raise LandmarkError("this is CVAT's for a video: export it as 'CVAT for images'.")
@@ -289,8 +289,10 @@ def _parts_of_image(image: Any) -> Iterator[tuple[str, list[Any]]]:
     yield from ((each.get("label", ""), each.findall("points")) for each in skeletons)
     if not skeletons:
         yield from ((each.get("label", ""), [each]) for each in several)
-    if points and not skeletons and not several:
-        yield "", points
+    groups: dict[str, list[Any]] = defaultdict(list)
+    for point in points if not skeletons and not several else ():
+        groups[point.get("group_id", "")].append(point)
+    yield from (("", group) for group in groups.values())
 
 
 def _skeleton(part: tuple[Any, str, list[Any]]) -> Found:

@@ -13,7 +13,7 @@ from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.contours import Contour, chain_edges, contour_of
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.reading import Source, named_points, names_of
 from liaam.io.landmarks.text import check_count, decimal, parse_count, parse_number, parse_pair, parse_point
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
@@ -126,9 +126,8 @@ def parse_lines(source: Source) -> list[Landmarks]:
     """
     matches, first = _matches(source), _first(source)
     points: Any = [parse_point(match.group("x", "y"), match[0]) for match in matches]
-    names = [match["name"] for match in matches if match["name"]]
-    names = [] if names == [str(i + 1) for i in range(len(names))] else names
-    return [Landmarks(points, (), tuple(names), None if first.isdigit() else first or None)]
+    names = names_of([match["name"] for match in matches if match["name"]])
+    return named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
 
 
 def _matches(source: Source) -> list[re.Match[str]]:

@@ -205,9 +205,7 @@ def names_of(labels: Sequence[str]) -> tuple[str, ...]:
 def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
     """Return landmarks of these names, in this order; those that lack are missing."""
     at = {name: i for i, name in enumerate(own.names)}
-    points: Any = [tuple(own.points[at[name]]) if name in at else MISSING for name in names]
-    invisible = tuple(i for i, name in enumerate(names) if at.get(name) in own.invisible)
-    return replace(own, points=points, names=tuple(names), invisible=invisible, contours=())
+    return own.in_order([at.get(name, -1) for name in names], names)
 
 
 def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
