@@ -64,7 +64,7 @@ def rows_of(text: str) -> list[Row]:
     if declared is not None:  # as Excel writes it
         separator, text = declared[1], text[declared.end() :]
     first = text.splitlines()[0] if text else ""
-    most = max(";\t,", key=first.count)
+    most = max(";\t,|", key=first.count)
     separator = separator or (most if most in first else " ")
     if separator == " ":
         text = "\n".join(" ".join(line.split()) for line in text.splitlines())
