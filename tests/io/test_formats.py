@@ -42,7 +42,7 @@ NUMBERS = "".join(
 )
 
 
-def labelme(groups: list[int], labels: list[str]) -> str:
+def labelme(groups: list[int | None], labels: list[str]) -> str:
     """The last point first, and each in a group of its own."""
     each = zip((2, 0, 1), groups, labels, strict=True)
     shapes = [{"label": n, "points": [POINTS[i]], "group_id": g, "shape_type": "point"} for i, g, n in each]
@@ -249,6 +249,12 @@ def test_a_box_behind_the_points_of_a_list_is_skipped() -> None:
     assert isinstance(parsed, dict)
     assert [own.points.tolist() for own in parsed.values()] == [POINTS] * 3
     assert notes.lines() == ["four numbers behind the points are taken for a box around them: a.txt"]
+
+
+def test_points_without_a_group_belong_to_the_only_object_that_lacks_them() -> None:
+    parsed = parse_landmark_data("a.json", labelme([1, 1, None], ["r", "p", "q"]).encode(), SIZE)
+    assert isinstance(parsed, Landmarks)
+    assert parsed.in_order_of(("p", "q", "r")).points.tolist() == POINTS and parsed.others == ()
 
 
 def test_points_of_cvat_are_told_apart_by_their_groups() -> None:

@@ -116,7 +116,8 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     """Parse the shapes of an image.
 
     Those of the type ``point`` are the landmarks, named by their labels if these differ. Points of one ``group_id``
-    are an object. Without points, the only polygon or line is read.
+    are an object; those without one belong to the only object that lacks their labels. Without points, the only polygon
+    or line is read.
     """
     shapes = source.json["shapes"]
     points = [shape for shape in shapes if shape.get("shape_type") == "point"]
@@ -130,6 +131,8 @@ def parse_labelme(source: Source) -> list[Landmarks]:
         keys = labels if len({*labels}) == len(labels) else list(groups)
         pairs = zip(keys, (own[0][1] for own in groups.values()), strict=True)
         groups = {"": sorted(pairs, key=lambda pair: natural_key(pair[0]))}
+    if len(groups) == 2 and len({label for own in groups.values() for label, _ in own}) == len(points) and "" in groups:
+        groups = {"": [pair for own in groups.values() for pair in own]}
     if not points and len(lines) == 1:
         groups = {"": [("", pair) for pair in lines[0]["points"]]}
     if not groups:
@@ -138,7 +141,7 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     usual = Counter(map(len, made)).most_common(1)[0][0]
     for own in made:
         if len(own) != usual:
-            which = f"group {own.label} of {source.path.name}"
+            which = f"group '{own.label}' of {source.path.name}"
             source.notes.leave_out(which, f"{len(own)} points where others have {usual}")
     return [own for own in made if len(own) == usual]
 
