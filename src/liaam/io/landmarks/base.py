@@ -6,6 +6,7 @@ A missing landmark is (NaN, NaN). Each format's module converts from and to its 
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -131,10 +132,11 @@ class Landmarks:
             wanted, own = list(names), list(self.names)
         if self.names == tuple(names) or not set(wanted) & set(own):
             return self
-        lacking = [name for name, key in zip(names, wanted, strict=True) if own.count(key) != 1]
+        counts, place = Counter(own), {key: i for i, key in enumerate(own)}
+        lacking = [name for name, key in zip(names, wanted, strict=True) if counts[key] != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
-        return self.in_order([own.index(key) for key in wanted], names)
+        return self.in_order([place[key] for key in wanted], names)
 
     def in_order(self, order: Sequence[int], names: Sequence[str]) -> "Landmarks":
         """Return the landmarks of these indices, -1 for one that is missing, with these names."""

@@ -27,7 +27,7 @@ _UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\
 _FORMS = (
     r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
     r"(?P<axis>[xyz])[ ._-](?P<key>\w.*)",
-    r"(?P<key>.*\w)[ ._-]+[(\[]?(?P<axis>[xyz])[)\]]?",
+    r"(?P<key>.*\w)[ ._-][(\[]?(?P<axis>[xyz])[)\]]?",
     r"(?P<key>\w*\d)(?P<axis>[xyz])",
     r"(?-i:(?P<key>\w*[a-z])(?P<axis>[XYZ]))",
 )
