@@ -269,6 +269,19 @@ def test_points_of_cvat_are_told_apart_by_their_groups() -> None:
     assert first.points[:, 0].tolist() == [11, 31, 51] and first.others[0].points[:, 0].tolist() == [12, 32, 52]
 
 
+NO_NAMES = (
+    ("a.txt", "0 img0.png 1 2 3 4\n1 img1.png 5 6 7 8\n", "there are no columns x and y"),
+    ("a.txt", "nose 0.98 1 2\nchin 0.97 3 4\n", "there are no columns x and y"),
+    ("a.csv", "landmark,a_x,a_y,b_x,b_y\np,1,2,3,4\nq,5,6,7,8\n", "a row for each landmark and columns for each image"),
+)
+
+
+@pytest.mark.parametrize(("name", "text", "words"), NO_NAMES)
+def test_names_of_images_and_numbers_are_no_names_of_landmarks(name: str, text: str, words: str) -> None:
+    with pytest.raises(LandmarkError, match=words):
+        parse_landmark_data(name, text.encode(), SIZE)
+
+
 def test_columns_that_name_different_images_are_refused() -> None:
     with pytest.raises(LandmarkError, match="'frame' and 'file' both may name the same"):
         parse_landmark_data("a.csv", b"file,frame,x,y\na.tif,1,2,3\na.tif,1,5,6\na.tif,2,3,4\n", SIZE)

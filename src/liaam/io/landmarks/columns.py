@@ -183,6 +183,8 @@ def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]
         if found:
             return found[0]
     texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for row in rows)]
+    if len(texts) == 1 and header[texts[0]] in LANDMARKS:
+        raise LandmarkError("it has a row for each landmark and columns for each image: exchange rows and columns.")
     if len(texts) == 1 or len(rows) < 2:
         return texts[0] if len(texts) == 1 else None
     named = f" (the columns {', '.join(repr(header[i]) for i in texts)} may)" if texts else ""
