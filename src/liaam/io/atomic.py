@@ -1,6 +1,6 @@
 """Atomic writing of files: write a temporary file, fsync, then rename it over the target.
 
-The name of a temporary file tells which process writes it, so that :func:`sweep` knows what killed processes left.
+The name of a temporary file has the number of the process that writes it. :func:`sweep` removes those of killed ones.
 """
 
 import contextlib

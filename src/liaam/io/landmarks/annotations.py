@@ -276,7 +276,7 @@ def parse_cvat(source: Source) -> list[Landmarks]:
     """Parse CVAT for images: each skeleton is an object, and its points are named by their labels.
 
     Without skeletons, the points of an image are its landmarks: one ``points`` with all of them, or one each with its
-    own label. Several objects are told apart by their ``group_id``.
+    own label. Those of one ``group_id`` are an object.
     """
     if source.xml.find("track") is not None:
         raise LandmarkError("this is CVAT's for a video: export it as 'CVAT for images'.")
