@@ -211,7 +211,7 @@ def test_a_column_that_tells_landmarks_apart_by_its_values_is_named() -> None:
     rows = "".join(f"{image},{n},{n},{n}\n" for image in ("a.png", "b.png") for n in (3, 1, 2))
     parse_landmark_data("a.csv", f"image,nr,x,y\n{rows}".encode(), SIZE, notes=notes)
     assert notes.lines() == [
-        "landmarks are named by a column that has the same values in all images: nr",
+        "landmarks are named by the values of a column: nr",
     ]
 
 

@@ -65,7 +65,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         column = header[columns.landmark]
-        source.notes.say("landmarks are named by a column that has the same values in all images", column)
+        source.notes.say("landmarks are named by the values of a column", column)
     for column in (columns.image, columns.specimen):
         rows = rows if column is None else _without_gaps(source, rows, column)
     shift = 0.5 if _is_imagej(source) else 0.0
