@@ -269,15 +269,16 @@ def test_points_of_cvat_are_told_apart_by_their_groups() -> None:
     assert first.points[:, 0].tolist() == [11, 31, 51] and first.others[0].points[:, 0].tolist() == [12, 32, 52]
 
 
-NO_NAMES = (
+NO_LANDMARKS = (
     ("a.txt", "0 img0.png 1 2 3 4\n1 img1.png 5 6 7 8\n", "there are no columns x and y"),
     ("a.txt", "nose 0.98 1 2\nchin 0.97 3 4\n", "there are no columns x and y"),
+    ("a.csv", "image,p_x,p_y,p_z,q_x,q_y\na,1,2,3,4,5\n", "it has columns of z"),
     ("a.csv", "landmark,a_x,a_y,b_x,b_y\np,1,2,3,4\nq,5,6,7,8\n", "a row for each landmark and columns for each image"),
 )
 
 
-@pytest.mark.parametrize(("name", "text", "words"), NO_NAMES)
-def test_names_of_images_and_numbers_are_no_names_of_landmarks(name: str, text: str, words: str) -> None:
+@pytest.mark.parametrize(("name", "text", "words"), NO_LANDMARKS)
+def test_what_are_no_landmarks_of_images_is_refused(name: str, text: str, words: str) -> None:
     with pytest.raises(LandmarkError, match=words):
         parse_landmark_data(name, text.encode(), SIZE)
 

@@ -141,10 +141,12 @@ def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
     Positions in space (``X_0``, ``Y_0``, ``Z_0``) are not read beside those in the image (``x_0``, ``y_0``).
     """
     columns = list(_columns_of_axes(header))
-    in_space = {(key, axis.isupper()) for _, key, axis in columns if axis in "zZ"}
-    in_image = [(i, key, axis) for i, key, axis in columns if (key, axis.isupper()) not in in_space]
+    kinds = {(key, axis.isupper()) for _, key, axis in columns}
+    in_space = {(key, axis.isupper()) for _, key, axis in columns if axis in "zZ" and (key, axis.islower()) in kinds}
     found: dict[str, dict[str, int]] = {}
-    for i, key, axis in in_image or columns:
+    for i, key, axis in columns:
+        if (key, axis.isupper()) in in_space:
+            continue
         axis = axis.lower()
         at = found.setdefault(key, {}).setdefault(axis, i)
         if at != i:
