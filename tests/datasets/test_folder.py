@@ -422,3 +422,11 @@ def test_an_image_whose_landmarks_cannot_be_read_is_left_out_once(tmp_path: Path
     assert names(dataset) == ["good"]
     assert [left.path.name for left in dataset.left_out] == ["bare.png", "junk.pts", "text.asf"]
     assert reasons(dataset)["bare.png"] == "the image has no landmarks"
+
+
+def test_two_names_of_one_image_in_a_file_are_named(tmp_path):
+    write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
+    (tmp_path / "t.csv").write_text("image,x,y\nold/a.png,5,6\nold/a.png,7,8\na.png,1,2\na.png,3,4\n")
+    data = load_folder(tmp_path)
+    assert [sample.landmarks.points.tolist() for sample in data] == [[[1, 2], [3, 4]]]
+    assert "'old/a.png' and 'a.png' both name a.png; the landmarks of the second are used" in data.report()

@@ -1,14 +1,11 @@
 """Files are either complete or not there."""
 
 import errno
-import io
 import os
-import re
 import stat
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -190,14 +187,20 @@ def test_only_temporary_files_without_a_writer_are_swept(tmp_path):
         os.utime(tmp_path / name, (time.time() - age,) * 2)
         return name
 
-    ours, others = f".liaam-{atomic._HOST}0000000", ".liaam-00000000"
-    gone = [left(f"{ours}1.csv"), left(f"{ours}2"), left(f"{ours}3.png", -1e9), left(f"{others}00000001.x", 90_000)]
-    kept = [left(f"{others}00000002.csv"), left(".liaam-mine.csv"), left("liaam.csv"), left(f"{ours}4x")]
-    (tmp_path / f"{ours}5.csv").mkdir()
-    (tmp_path / f"{ours}6.csv").symlink_to("liaam.csv")
-    os.mkfifo(tmp_path / f"{ours}7.csv")
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    ours, others = f".liaam-{atomic._HOST}-{ended.pid}-", f".liaam-{'0' * 8}-1-"
+    alive = f".liaam-{atomic._HOST}-{os.getpid()}-{'0' * 16}.csv"
+    tags = [f"{i:016x}" for i in range(8)]
+    gone = [left(f"{ours}{tags[1]}.csv"), left(f"{ours}{tags[2]}"), left(f"{ours}{tags[3]}.png", -1e9)]
+    gone += [left(f"{others}{tags[1]}.x", 90_000)]
+    kept = [left(f"{others}{tags[2]}.csv"), left(".liaam-mine.csv"), left("liaam.csv"), left(f"{ours}4x")]
+    kept += [left(alive, 90_000)]
+    (tmp_path / f"{ours}{tags[5]}.csv").mkdir()
+    (tmp_path / f"{ours}{tags[6]}.csv").symlink_to("liaam.csv")
+    os.mkfifo(tmp_path / f"{ours}{tags[7]}.csv")
     atomic.sweep(tmp_path)
-    assert names_in(tmp_path) == sorted([*kept, f"{ours}5.csv", f"{ours}6.csv", f"{ours}7.csv"])
+    assert names_in(tmp_path) == sorted([*kept, *(f"{ours}{tag}.csv" for tag in tags[5:])])
     assert not any((tmp_path / name).exists() for name in gone)
     with atomic_path(tmp_path / "x.csv") as temporary:
         atomic.sweep(tmp_path)
@@ -239,120 +242,45 @@ def test_a_file_is_locked_once(tmp_path: Path) -> None:
     with pytest.raises(BlockingIOError):
         atomic.lock(second)
     os.close(first)
-    assert atomic.lock(second, wait=True) is True
+    assert atomic.lock(second) is True
     os.close(second)
 
 
-@pytest.mark.parametrize(("wait", "flags"), [(False, fcntl.LOCK_EX | fcntl.LOCK_NB), (True, fcntl.LOCK_EX)])
-def test_disks_without_locks_are_recognised(monkeypatch: pytest.MonkeyPatch, wait: bool, flags: int) -> None:
+def test_disks_without_locks_are_recognised(monkeypatch: pytest.MonkeyPatch) -> None:
     def flock(descriptor: int, how: int) -> None:
-        assert (descriptor, how) == (7, flags)
+        assert (descriptor, how) == (7, fcntl.LOCK_EX | fcntl.LOCK_NB)
         raise OSError(37, "No locks available")
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    assert atomic.lock(7, wait=wait) is False
-
-
-def no_fcntl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(atomic, "fcntl", None)
-
-
-def no_opening_of_locked_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refuse)
-
-
-def no_writing_of_locked_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Path, "open", lambda path, _: ReadOnly(path))
-
-
-class ReadOnly(io.FileIO):
-    def write(self, data: object) -> int:
-        raise PermissionError(13, "Permission denied")
-
-
-@pytest.mark.parametrize("without", [no_fcntl, no_opening_of_locked_files, no_writing_of_locked_files])
-def test_without_usable_locks_temporary_files_are_kept_for_a_day(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, without: Callable[[pytest.MonkeyPatch], None]
-) -> None:
-    with pytest.raises(RuntimeError), monkeypatch.context() as patched:
-        without(patched)
-        with atomic_path(tmp_path / "a.csv") as temporary:
-            assert re.fullmatch(r"\.liaam-0{8}[0-9a-f]{16}\.csv", temporary.name)
-            assert names_in(tmp_path) == [temporary.name]
-            patched.undo()
-            atomic.sweep(tmp_path)
-            assert temporary.read_bytes() == b""
-            raise RuntimeError
-    assert names_in(tmp_path) == []
-    assert open_files(tmp_path) == []
-
-
-def test_a_locked_file_is_written_by_the_name_of_its_machine(tmp_path: Path) -> None:
-    with atomic_path(tmp_path / "a") as temporary:
-        assert re.fullmatch(rf"\.liaam-{atomic._HOST}[0-9a-f]{{16}}", temporary.name)
-        assert len(atomic._HOST) == 8
-        descriptor = os.open(temporary, os.O_RDWR)
-        with pytest.raises(BlockingIOError):
-            atomic.lock(descriptor)
-        os.close(descriptor)
-
-
-def test_a_temporary_file_that_is_swept_before_it_is_locked_is_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real, locked = atomic.lock, []
-
-    def swept_first(descriptor: int, *, wait: bool = False) -> bool:
-        locked.append(wait)
-        if len(locked) == 1:
-            next(tmp_path.iterdir()).unlink()
-        return real(descriptor, wait=wait)
-
-    monkeypatch.setattr(atomic, "lock", swept_first)
-    write_bytes_atomically(tmp_path / "a", b"whole")
-    assert open_files(tmp_path) == []
-    assert (tmp_path / "a").read_bytes() == b"whole"
-    assert locked == [True, True]
-
-
-def test_a_file_of_the_same_name_is_not_taken_for_a_temporary_one(tmp_path: Path) -> None:
-    (tmp_path / "a").write_bytes(b"kept")
-    with pytest.raises(FileExistsError):
-        atomic._made(tmp_path / "a")
-    assert (tmp_path / "a").read_bytes() == b"kept"
-
-
-def test_without_locks_no_file_counts_as_locked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    no_fcntl(monkeypatch)
     assert atomic.lock(7) is False
-    assert atomic._is_writable(tmp_path / "a") is False
 
 
-def test_a_file_that_is_replaced_before_it_is_locked_is_not_swept(
+def test_a_process_of_another_user_is_alive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(process: int, signal: int) -> None:
+        assert (process, signal) == (1, 0)
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", refuse)
+    (tmp_path / f".liaam-{atomic._HOST}-1-{'0' * 16}").write_bytes(b"half")
+    atomic.sweep(tmp_path)
+    assert len(names_in(tmp_path)) == 1
+
+
+def test_where_processes_cannot_be_asked_for_temporary_files_are_kept_for_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    left = tmp_path / f".liaam-{atomic._HOST}00000001"
-    left.write_bytes(b"left")
-
-    def replaced_first(descriptor: int) -> bool:
-        (tmp_path / "new").write_bytes(b"new")
-        (tmp_path / "new").replace(left)
-        return True
-
-    monkeypatch.setattr(atomic, "lock", replaced_first)
+    monkeypatch.setattr(atomic, "_SEES_PROCESSES", False)
+    for name, age in (("old", 90_000), ("new", 0)):
+        left = tmp_path / f".liaam-{atomic._HOST}-999999999-{'0' * 16}.{name}"
+        left.write_bytes(b"half")
+        os.utime(left, (time.time() - age,) * 2)
     atomic.sweep(tmp_path)
-    assert left.read_bytes() == b"new"
+    assert [Path(name).suffix for name in names_in(tmp_path)] == [".new"]
 
 
-def test_sweeping_leaves_no_file_open(tmp_path: Path) -> None:
-    for i in range(5):
-        (tmp_path / f".liaam-{atomic._HOST}0000000{i}").write_bytes(b"left")
-    atomic.sweep(tmp_path)
-    assert names_in(tmp_path) == []
-    assert open_files(tmp_path) == []
+def test_without_locks_no_file_counts_as_locked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(atomic, "fcntl", None)
+    assert atomic.lock(7) is False
 
 
 @pytest.mark.parametrize(("number", "is_taken"), [(errno.EAGAIN, True), (errno.EACCES, True), (errno.ENOLCK, False)])

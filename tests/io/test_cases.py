@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from liaam import fit, train
 from liaam.datasets import Dataset, load_folder
 from liaam.datasets.label_faults import find_label_faults
 from liaam.errors import LandmarkError, LiaamError
-from liaam.io import read_landmarks
+from liaam.fitting.starts import read_start
+from liaam.io import Landmarks, read_landmarks, write_landmarks
 from liaam.io.landmarks import FORMATS, Reading
 from liaam.io.landmarks.formats import Format
 from liaam.morphometry import read_specimens
@@ -227,3 +229,14 @@ def row_of(form: Format) -> str:
     written = also if form.text else "yes, of many images" if form.text_of_many else "–"
     cells = form.title, suffixes, "yes, of many images" if form.many else "yes", written, form.origin
     return f"| {' | '.join(cells)} | {'yes' if form.contours else '–'} | {'yes' if form.names else '–'} |"
+
+
+def test_a_start_whose_names_are_in_another_order_is_taken_by_name(cases: Path, tmp_path: Path) -> None:
+    folder, order = cases / "B3-init-names-order", [3, 0, 7, 1, 6, 2, 5, 4]
+    data = load_folder(folder)
+    truth = data[0].landmarks
+    model = train(data, leave_out=False, copies=0)
+    write_landmarks(tmp_path / "start.csv", Landmarks(truth.points[order], names=tuple(truth.names[i] for i in order)))
+    start = read_start(str(tmp_path / "start.csv"), folder / "img00.png", (200, 160))
+    result = fit(model, folder / "img00.png", start)
+    assert np.abs(result.landmarks - truth.points).max() < 2

@@ -33,6 +33,7 @@ def label_studio(data: dict, **more: object) -> str:
 
 
 SECOND = "b.png,p,1,2\nb.png,q,3,4\nb.png,r,5,6\n"
+NEWLINE = "\n"
 IMAGEJ = "".join(f"{i},a.png,{x + 0.5},{y + 0.5}\n" for i, (x, y) in enumerate(POINTS, 1))
 SLICES = "".join(f"{line},1\n" for line in IMAGEJ.replace("a.png", "stack.tif:a.png").splitlines())
 NUMBERS = "".join(
@@ -41,7 +42,7 @@ NUMBERS = "".join(
 )
 
 
-def labelme(groups: list[int], labels: list[str]) -> str:
+def labelme(groups: list[int | None], labels: list[str]) -> str:
     """The last point first, and each in a group of its own."""
     each = zip((2, 0, 1), groups, labels, strict=True)
     shapes = [{"label": n, "points": [POINTS[i]], "group_id": g, "shape_type": "point"} for i, g, n in each]
@@ -103,6 +104,14 @@ READ = [
         POINTS,
     ),
     ("a.csv", "image,landmark,x,y,visible\na,p,10,20,1\na,q,30,40,1\na,r,0,0,0\n", HOLE),
+    ("a.csv", "image,landmark,x,y\na,p,10,20\na,q,30,40\na,r,#N/A,#N/A\n", HOLE),
+    # ImageJ's multi-point tool, OpenFace, and other ways to name columns
+    ("a.csv", f" ,Label,X,Y,Slice,Frame\n{IMAGEJ.replace(NEWLINE, ',1,1' + NEWLINE)}", POINTS),
+    ("a.csv", "face,file,gaze_x,gaze_y,x_0,x_1,x_2,y_0,y_1,y_2\n0,a.png,0.1,0.2,10,30,50,20,40,60\n", POINTS),
+    ("a.csv", "file,x_0,x_1,y_0,y_1,X_0,X_1,Y_0,Y_1,Z_0,Z_1\na.png,10,30,20,40,1,2,3,4,5,6\n", POINTS[:2]),
+    ("a.csv", "file,eyeX,eyeY,lip (x),lip (y),tip [x],tip [y]\na.png,10,20,30,40,50,60\n", POINTS),
+    ("a.txt", '"x" "y"\n"1" 10 20\n"2"  30 40\n"3" 50 60\n', POINTS),  # R's write.table
+    ("a.txt", "a.png 10 20 30 40 -1 -1\nb.png 1 2 3 4 5 6\n", HOLE),
     (
         "a.csv",
         "image,image_width,image_height,x,y\na,400,320,20.5,40.5\na,400,320,60.5,80.5\na,400,320,100.5,120.5\n",
@@ -202,8 +211,87 @@ def test_a_column_that_tells_landmarks_apart_by_its_values_is_named() -> None:
     rows = "".join(f"{image},{n},{n},{n}\n" for image in ("a.png", "b.png") for n in (3, 1, 2))
     parse_landmark_data("a.csv", f"image,nr,x,y\n{rows}".encode(), SIZE, notes=notes)
     assert notes.lines() == [
-        "landmarks are named by a column that has the same values in all images: nr",
+        "landmarks are named by the values of a column: nr",
     ]
+
+
+def test_columns_beside_numbered_landmarks_are_named() -> None:
+    notes = Notes()
+    parse_landmark_data("a.csv", b"id,x1,y1,x2,y2,gaze_x,gaze_y\na,1,2,3,4,5,6\n", SIZE, notes=notes)
+    assert notes.lines() == ["columns of x and y beside those of numbered landmarks are not read: gaze"]
+
+
+SHUFFLED = (
+    ("a.csv", "id,x,y\n3,50,60\n1,10,20\n2,30,40\n"),
+    ("a.csv", "x,y,anatomy\n50,60,r\n10,20,p\n30,40,q\n"),
+    ("a.txt", "3 50 60\n1 10 20\n2 30 40\n"),
+)
+
+
+@pytest.mark.parametrize(("name", "text"), SHUFFLED)
+def test_names_and_numbers_in_a_file_of_one_image_decide(name: str, text: str) -> None:
+    parsed = parse_landmark_data(name, text.encode(), SIZE)
+    assert isinstance(parsed, Landmarks)
+    assert parsed.in_order_of(("p", "q", "r")).points.tolist() == POINTS
+
+
+def test_values_that_number_no_landmarks_are_no_names() -> None:
+    for rows in ("0,10,20\n1,30,40\n2,50,60\n", "7,10,20\n3,30,40\n5,50,60\n"):
+        parsed = parse_landmark_data("a.csv", f"index,x,y\n{rows}".encode(), SIZE)
+        assert isinstance(parsed, Landmarks)
+        assert parsed.names == () and parsed.points.tolist() == POINTS
+
+
+def test_a_box_behind_the_points_of_a_list_is_skipped() -> None:
+    lines = "".join(f"{name}.png 10 20 30 40 50 60 5 5 60 70\n" for name in "abc")
+    notes = Notes()
+    parsed = parse_landmark_data("a.txt", lines.encode(), SIZE, notes=notes)
+    assert isinstance(parsed, dict)
+    assert [own.points.tolist() for own in parsed.values()] == [POINTS] * 3
+    assert notes.lines() == ["four numbers behind the points are taken for a box around them: a.txt"]
+
+
+def test_points_without_a_group_belong_to_the_only_object_that_lacks_them() -> None:
+    parsed = parse_landmark_data("a.json", labelme([1, 1, None], ["r", "p", "q"]).encode(), SIZE)
+    assert isinstance(parsed, Landmarks)
+    assert parsed.in_order_of(("p", "q", "r")).points.tolist() == POINTS and parsed.others == ()
+
+
+def test_points_of_cvat_are_told_apart_by_their_groups() -> None:
+    points = "".join(
+        f"<points label='{n}' group_id='{g}' points='{x + g},{y}'/>"
+        for g in (1, 2)
+        for n, (x, y) in zip("pqr", POINTS, strict=True)
+    )
+    parsed = parse_landmark_data("a.xml", f"<annotations><image name='a.png'>{points}</image></annotations>".encode())
+    assert isinstance(parsed, dict)
+    [first] = parsed.values()
+    assert first.points[:, 0].tolist() == [11, 31, 51] and first.others[0].points[:, 0].tolist() == [12, 32, 52]
+
+
+NO_LANDMARKS = (
+    ("a.txt", "0 img0.png 1 2 3 4\n1 img1.png 5 6 7 8\n", "there are no columns x and y"),
+    ("a.txt", "nose 0.98 1 2\nchin 0.97 3 4\n", "there are no columns x and y"),
+    ("a.csv", "image,p_x,p_y,p_z,q_x,q_y\na,1,2,3,4,5\n", "it has columns of z"),
+    ("a.csv", "landmark,a_x,a_y,b_x,b_y\np,1,2,3,4\nq,5,6,7,8\n", "a row for each landmark and columns for each image"),
+)
+
+
+@pytest.mark.parametrize(("name", "text", "words"), NO_LANDMARKS)
+def test_what_are_no_landmarks_of_images_is_refused(name: str, text: str, words: str) -> None:
+    with pytest.raises(LandmarkError, match=words):
+        parse_landmark_data(name, text.encode(), SIZE)
+
+
+def test_columns_that_name_different_images_are_refused() -> None:
+    with pytest.raises(LandmarkError, match="'frame' and 'file' both may name the same"):
+        parse_landmark_data("a.csv", b"file,frame,x,y\na.tif,1,2,3\na.tif,1,5,6\na.tif,2,3,4\n", SIZE)
+
+
+def test_images_are_found_beside_files_that_keep_their_suffix() -> None:
+    names = ImageNames([Path("a.png"), Path("b.png"), Path("b.png.png")])
+    assert names.of_file(Path("a.png.pts")) == Path("a.png")
+    assert names.of_file(Path("b.png.pts")) == Path("b.png.png")
 
 
 def test_images_are_found_by_addresses() -> None:

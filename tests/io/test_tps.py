@@ -244,3 +244,11 @@ def test_the_wings(shared_data: Path) -> None:
         np.testing.assert_array_equal(sample.landmarks.points, own.landmarks * (1, -1) + (0, 479))
     # The file of another tool is named, and does not get in the way.
     assert [left.path.name for left in dataset.left_out] == ["csv-example.csv"]
+
+
+def test_a_folder_is_not_listed_for_an_image_that_has_the_name_in_the_file(tmp_path, monkeypatch):
+    """Files of a folder that are read one by one took as many lists of it."""
+    write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
+    (tmp_path / "a.tps").write_text("LM=2\n1 2\n3 4\nIMAGE=a.png\n")
+    monkeypatch.setattr(Path, "iterdir", lambda folder: pytest.fail("the folder is listed"))
+    assert read_landmarks(tmp_path / "a.tps").points.tolist() == [[1, 17], [3, 15]]

@@ -9,7 +9,7 @@ import pytest
 from liaam.batch.tables import Table, write_table
 from liaam.errors import LiaamError
 from liaam.fitting.files import write_fit
-from liaam.io import Landmarks, read_collection, write_collection, write_landmarks
+from liaam.io import Landmarks, read_collection, write_collection, write_image, write_landmarks
 from liaam.io.landmarks import Contour
 from liaam.morphometry import Specimen, alike, measure, read_specimens
 
@@ -267,3 +267,33 @@ def test_each_object_of_an_image_is_a_specimen(tmp_path: Path) -> None:
     (tmp_path / "all.xml").write_text(text)
     specimens = read_specimens(tmp_path / "all.xml")
     assert [(each.name, each.points.tolist()) for each in specimens] == [("tray", [[2, 0]]), ("tray#2", [[1, 0]])]
+
+
+def test_positions_for_another_size_of_an_image_that_is_there_are_scaled(tmp_path):
+    write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
+    marks = [("p", 2.5, 4.5), ("q", 8.5, 12.5)]
+    shapes = [{"label": name, "points": [[x, y]], "shape_type": "point"} for name, x, y in marks]
+    for name, size in (("a", (60, 40)), ("b", (60, 40)), ("c", (30, 20))):
+        facts = {"imagePath": f"{name}.png", "imageWidth": size[0], "imageHeight": size[1]}
+        (tmp_path / f"{name}.json").write_text(json.dumps({"shapes": shapes, **facts}))
+    said: list[str] = []
+    found = {own.name: np.linalg.norm(np.diff(own.points, axis=0)) for own in read_specimens(tmp_path, said.append)}
+    assert found == {"a": 5, "b": 10, "c": 10}
+    assert said == ["a.json: positions are for another size of the image, and are scaled along: a.png"]
+
+
+def test_a_record_for_an_image_of_another_form_is_left_out(tmp_path):
+    write_image(tmp_path / "a.png", np.zeros((20, 30, 3), np.uint8))
+    rows = "".join(f"{name},{w},20,{x},{x}\n" for name, w in (("a.png", 20), ("b.png", 30)) for x in (2, 4))
+    (tmp_path / "t.csv").write_text(f"image,image_width,image_height,x,y\n{rows}")
+    said: list[str] = []
+    assert [own.name for own in read_specimens(tmp_path / "t.csv", said.append)] == ["b"]
+    assert len(said) == 1 and said[0].startswith("t.csv: left out a.png (because the file is for an image of 20 x 20")
+
+
+def test_specimens_of_one_name_with_other_landmarks_are_named(tmp_path):
+    for name, more in (("a", 0), ("b", 1), ("c", 9)):
+        (tmp_path / f"{name}.csv").write_text(f"image,x,y\nwing1,1,2\nwing1,3,{4 + more}\n")
+    said: list[str] = []
+    assert [own.points.tolist() for own in read_specimens(tmp_path, said.append)] == [[[1, 2], [3, 4]]]
+    assert said == ["left out of c.csv, because others of these names were read before: wing1"]

@@ -216,7 +216,7 @@ def test_a_studio_that_could_not_start_leaves_the_folder_free(small, tmp_path):
 
 
 def test_what_a_killed_process_left_is_swept(small):
-    name = f".liaam-{atomic._HOST}0a0a0a0a"
+    name = f".liaam-{atomic._HOST}-999999999-{'0' * 16}"  # no process has such a number
     left = [small.root / STATE / f"{name}.liaam", small.root / STATE / f"{name}.json", small.root / f"{name}.ljson"]
     own = [small.root / ".liaam-mine.png", small.root / STATE / ".liaam-mine.json"]
     for path in (*left, *own):

@@ -282,13 +282,16 @@ class _Pairing:
             self._add_option(file, image, entry)
 
     def _add_collection(self, file: LandmarkFile) -> None:
-        absent = []
-        for entry in file.entries:
+        absent, named = [], {}
+        for entry in sorted(file.entries, key=lambda entry: "/" in entry or "\\" in entry):  # plain names first
             image = self._find(file.path.parent, entry)
             if image is None:
                 absent.append(entry)
-            else:
+            elif named.setdefault(image, entry) == entry:
                 self._add_option(file, image, entry)
+            else:  # perhaps an image of another folder, which is not there
+                both = f"'{entry}' and '{named[image]}' both name {image.name}; the landmarks of the second are used"
+                self.left_out.append(LeftOut(file.path, both, partly=True))
         if len(absent) == len(file.entries):
             self._leave_out(file.path, f"{ABSENT}: {some_names(absent)}")
         elif absent:

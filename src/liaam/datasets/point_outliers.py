@@ -120,18 +120,36 @@ def point_outliers(shapes: np.ndarray, near: np.ndarray, progress: Progress | No
         own = np.array([pose(shape) for pose, shape in zip(poses, own, strict=True)])
         filled = np.array([pose(shape) for pose, shape in zip(poses, filled, strict=True)])
         normal = _normal((filled - mean).reshape(m, -1), similarity_modes(mean))
-        share, least = RISK / (m * n), normal.least if m >= MANY else np.full(n, ALWAYS)
+        least = normal.least if m >= MANY else np.full(n, ALWAYS)
         if done < PASSES - 1 and m >= MANY:
-            share, least = max(DOUBTFUL, share), np.full(n, LEAST)
-        # Quantile of Hotelling's statistic of two dimensions, 2 F(2, freedom).
-        limit = normal.freedom * (share ** (-2 / normal.freedom) - 1)
-        found = [_outliers(normal, i, own[i] - mean, limit, least) for i in range(m)]
+            found = _unusual(normal, own - mean, max(DOUBTFUL, RISK / (m * n)), np.full(n, LEAST))
+        else:
+            found = _discovered(normal, own - mean, least)
         filled = own.copy()
         for i, outliers in enumerate(found):
             at = list(outliers.points)
             filled[i, at] = mean[at] + outliers.expected[at]
     back = [align(placed, shape) for placed, shape in zip(own, shapes, strict=True)]
     return [Outliers(o.points, o.instead, b(mean + o.expected)) for o, b in zip(found, back, strict=True)]
+
+
+def _discovered(normal: _Normal, away: np.ndarray, least: np.ndarray) -> list[Outliers]:
+    """Return the misplaced points of shapes with deviations ``away`` (m, n, 2) from the mean.
+
+    As Benjamini and Hochberg control false discoveries: the more points are found, the more usual ones are reported.
+    """
+    found, n_found, n_before = [], 1, 0
+    while n_found > n_before:
+        found = _unusual(normal, away, RISK * n_found / away[..., 0].size, least)
+        n_found, n_before = sum(len(outliers.points) for outliers in found), n_found
+    return found
+
+
+def _unusual(normal: _Normal, away: np.ndarray, share: float, least: np.ndarray) -> list[Outliers]:
+    """Return the points of each shape that are as unusual as a share of those that are not misplaced."""
+    # Quantile of Hotelling's statistic of two dimensions, 2 F(2, freedom).
+    limit = normal.freedom * (share ** (-2 / normal.freedom) - 1)
+    return [_outliers(normal, i, own, limit, least) for i, own in enumerate(away)]
 
 
 def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:

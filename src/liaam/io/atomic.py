@@ -1,7 +1,6 @@
 """Atomic writing of files: write a temporary file, fsync, then rename it over the target.
 
-A temporary file is locked while it is written. The system releases the lock when the process ends, however it ends, so
-an unlocked temporary file was left by a killed process; :func:`sweep` removes it.
+The name of a temporary file has the number of the process that writes it. :func:`sweep` removes those of killed ones.
 """
 
 import contextlib
@@ -23,15 +22,21 @@ from liaam.io.files import may_write_in, real_path
 
 try:
     import fcntl
-except ImportError:  # Windows, where temporary files are neither locked nor swept
+except ImportError:  # Windows
     fcntl = None
 
-_UNLOCKED = "0" * 8
-"""Stands in names for the machine if the disk has no usable locks; such files are swept by their age only."""
 
-_HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
-_TEMPORARY = re.compile(r"\.liaam-([0-9a-f]{8})[0-9a-f]{8,16}(\..*)?", re.DOTALL)
+def _machine() -> str:
+    """Return a name for what numbers processes: this machine, or the container that liaam runs in."""
+    space = Path("/proc/self/ns/pid")
+    name = f"{socket.gethostname()} {space.readlink() if space.is_symlink() else ''}"
+    return hashlib.sha256(name.encode()).hexdigest()[:8]
+
+
+_HOST = _machine()
+_TEMPORARY = re.compile(r"\.liaam-(?P<host>[0-9a-f]{8})-(?P<process>\d{1,9})-[0-9a-f]{16}(\..*)?", re.DOTALL)
 _DAY = 86400.0
+_SEES_PROCESSES = os.name == "posix"  # elsewhere os.kill would end them
 
 _TAKEN = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
@@ -101,32 +106,43 @@ def write_text_atomically(path: str | os.PathLike[str], text: str, error: type[L
 def sweep(folder: Path) -> None:
     """Remove the temporary files that killed processes left in a folder.
 
-    The first :func:`atomic_path` of a process in a folder does this. Files of other machines are kept for a day, as
-    some network disks do not show locks across machines.
+    The first :func:`atomic_path` of a process in a folder does this.
     """
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             name = _TEMPORARY.fullmatch(entry.name)
-            if name is not None and entry.is_file(follow_symlinks=False):
-                _remove_unlocked(Path(entry.path), 0.0 if name[1] == _HOST else _DAY)
+            if name is not None and entry.is_file(follow_symlinks=False) and _has_ended(name, entry):
+                with contextlib.suppress(OSError):  # another process may sweep too
+                    Path(entry.path).unlink()
 
 
-def lock(descriptor: int, *, wait: bool = False) -> bool:
+def _has_ended(name: re.Match[str], entry: os.DirEntry[str]) -> bool:
+    """Whether a temporary file's process has ended; where that is unknown, whether it was not written to for a day."""
+    if name["host"] != _HOST or not _SEES_PROCESSES:
+        return time.time() - entry.stat(follow_symlinks=False).st_mtime > _DAY
+    try:
+        os.kill(int(name["process"]), 0)
+    except OSError as fault:
+        return isinstance(fault, ProcessLookupError)  # else it is another user's
+    return False
+
+
+def lock(descriptor: int) -> bool:
     """Lock an open file until it is closed; False if the system or the disk has no locks.
 
-    Raise BlockingIOError if another process has it, and this one does not wait.
+    Raise BlockingIOError if another process has it.
     """
     try:
         if sys.platform == "win32":
             import msvcrt
 
             os.lseek(descriptor, _FAR, os.SEEK_SET)
-            msvcrt.locking(descriptor, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
             os.lseek(descriptor, 0, os.SEEK_SET)
         elif fcntl is None:
             return False
         else:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as fault:
         if fault.errno in _TAKEN:
             raise BlockingIOError(fault.errno, os.strerror(fault.errno)) from fault
@@ -134,62 +150,16 @@ def lock(descriptor: int, *, wait: bool = False) -> bool:
     return True
 
 
-def _remove_unlocked(path: Path, age: float) -> None:
-    """Remove a file that nobody writes to and that is at least so old, in seconds."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(path, os.O_RDWR)
-        try:
-            facts = os.fstat(descriptor)
-            is_old = not age or time.time() - facts.st_mtime > age
-            # Another process may have replaced the file before it was locked.
-            if is_old and lock(descriptor) and os.path.samestat(facts, path.lstat()):
-                path.unlink()
-        finally:
-            os.close(descriptor)
-
-
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Make an empty file beside another, locked if the disk has locks, and remove it at the end if it still exists."""
-    name = f"{secrets.token_hex(8)}{target.suffix}"
-    temp, unlocked = (target.parent / f".liaam-{tag}{name}" for tag in (_HOST, _UNLOCKED))
-    descriptor = None
+    """Make an empty file beside another, and remove it at the end if it still exists."""
+    temp = target.parent / f".liaam-{_HOST}-{os.getpid()}-{secrets.token_hex(8)}{target.suffix}"
     try:  # before the file exists, or Ctrl-C might leave it
-        descriptor = _made(temp)
-        if not _is_writable(temp):
-            os.close(descriptor)  # and so unlocked
-            descriptor = None
-            temp = temp.rename(unlocked)
+        os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temp
     finally:
-        for path in (temp, unlocked):
-            with contextlib.suppress(OSError):  # after a success there is nothing left to remove
-                path.unlink()
-        if descriptor is not None:
-            os.close(descriptor)
-
-
-def _is_writable(temp: Path) -> bool:
-    """Whether a locked file can be written by its name. SMB locks refuse that, and Windows renames no open file."""
-    if fcntl is None:
-        return False
-    try:
-        with temp.open("r+b") as file:
-            file.write(b"x")
-            file.truncate(0)
-    except PermissionError:
-        return False
-    return True
-
-
-def _made(temp: Path) -> int:
-    """Make a file and lock it."""
-    while True:
-        descriptor = os.open(temp, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666)
-        lock(descriptor, wait=True)
-        if temp.exists():
-            return descriptor
-        os.close(descriptor)  # another process has swept it before it was locked
+        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
+            temp.unlink()
 
 
 def _publish(temp: Path, target: Path) -> None:

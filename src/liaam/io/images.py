@@ -84,6 +84,8 @@ class _Opened:
     orientation: int = 1
     fault: str = ""
     """Why the pixels cannot be decoded, or empty."""
+    white: int = 65535
+    """Largest value of integers, which some PPM files state."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -234,13 +236,14 @@ def _open(file: Any, name: object, kind: str) -> _Opened:
 
     image: Any = _pillow(file, kind)
     width, height = image.size
-    fault, deep = "", image.mode.startswith("I")
+    fault, deep, white = "", image.mode.startswith("I"), 65535
     if kind == "PNG":
         deep, exif = "16" in image.tile[0][3], _png_exif(file)
         fault = "is cut short (it ends within a chunk): copy it again." if exif is None else ""
         image.info |= {"exif": exif} if exif else {}
     elif kind == "PPM":
-        deep = _white_of(image) > 255
+        white = _white_of(image)
+        deep = white > 255
         if deep and image.tile[0][0] == "ppm_plain":
             fault = "holds more than 8 bits per channel as plain text: save it as binary PPM or as PNG."
     frames = 1 if kind == "JPEG" else getattr(image, "n_frames", 1)  # a JPEG may hold previews of it
@@ -249,7 +252,7 @@ def _open(file: Any, name: object, kind: str) -> _Opened:
     orientation = 1
     with suppress(Exception):  # of damaged EXIF data, which programs that show the image ignore
         orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
-    return _Opened(file, name, kind, image, width, height, deep, orientation, fault)
+    return _Opened(file, name, kind, image, width, height, deep, orientation, fault, white)
 
 
 def _png_exif(file: Any) -> bytes | None:
@@ -327,8 +330,6 @@ def _decode_deep(opened: _Opened) -> np.ndarray:
     import cv2
 
     file = opened.file
-    if opened.kind == "PPM":
-        return _decode_deep_ppm(file, opened.image)
     if opened.image is not None:  # Pillow detects truncation, where OpenCV may fill missing pixels with zeros
         opened.image.load()
     if file.seek(0, os.SEEK_END) > _MAX_BYTES:
@@ -337,6 +338,8 @@ def _decode_deep(opened: _Opened) -> np.ndarray:
     array = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None:
         raise ValueError("its pixels cannot be decoded")
+    if opened.white != 65535:  # of a PPM, which OpenCV does not scale
+        array = np.rint(np.minimum(array, opened.white) * (65535 / opened.white)).astype(np.uint16)
     if array.dtype == np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float32)
@@ -345,19 +348,6 @@ def _decode_deep(opened: _Opened) -> np.ndarray:
     # In place: the picture may be all that the memory holds.
     rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, array) if array.shape[2] == 3 else array[:, :, 2::-1]
     return np.ascontiguousarray(rgb)
-
-
-def _decode_deep_ppm(file: Any, image: Any) -> np.ndarray:
-    """Decode 16-bit PPM and PGM, whose values Pillow would reduce and OpenCV would not scale."""
-    (width, height), n_channels, white = image.size, len(image.getbands()), _white_of(image)
-    file.seek(image.tile[0][2])
-    n_bytes = 2 * width * height * n_channels
-    data = file.read(n_bytes)
-    if len(data) < n_bytes:
-        raise ValueError(f"{n_bytes} bytes of pixels expected, {len(data)} found")
-    values = np.minimum(np.frombuffer(data, ">u2").astype(np.float64), white)
-    array = np.rint(values * (65535 / white)).astype(np.uint16).reshape(height, width, n_channels)
-    return array if n_channels == 3 else as_three_channels(array[:, :, 0])
 
 
 def _upright(array: np.ndarray, opened: _Opened) -> np.ndarray:

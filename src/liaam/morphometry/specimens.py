@@ -16,7 +16,7 @@ from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
 from liaam.evaluation import short_repr
 from liaam.fitting.files import corrected_file, points_of_fit, read_fit
-from liaam.io.files import existing_file, natural_key
+from liaam.io.files import existing_file, natural_key, some_names
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile
 from liaam.io.landmarks.matching import stem_of
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
@@ -24,6 +24,9 @@ from liaam.tables import Columns, landmark_columns
 
 _MOST = 1e9
 """Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""
+
+_SAME = 2.0
+"""Difference in pixels that rounding to whole pixels can make between distances, and a little more."""
 
 _ROUNDING = 1e-5
 """Smallest eigenvalue of a covariance, relative to the largest entry of all, because files round them."""
@@ -125,23 +128,35 @@ def read_specimens(
         return tuple(_of_file(existing_file(path, LiaamError, "file of results"), complain, reading))
     found: dict[str, Specimen] = {}
     for file in _chosen(path):
+        others = []
         try:
             for specimen in _of_file(file, complain, reading):
                 again = replicates and specimen.name in found
                 own = replace(specimen, name=f"{specimen.name}#{file.stem}") if again else specimen
-                found.setdefault(own.name, own)
+                if _differ(found.setdefault(own.name, own).points, own.points):
+                    others.append(own.name)
         except LiaamError as fault:
             if isinstance(fault, UnrecognisedError) and file.suffix.lower() == ".txt":
                 continue
             if reading.strict:
                 raise
             complain(f"skipped {file.name}: {str(fault).removeprefix(f'{file}: ')}")
+        if others:
+            complain(f"left out of {file.name}, because others of these names were read before: {some_names(others)}")
     if not found:
         raise LiaamError(
             f"{path} holds no results that can be read: name a folder of 'liaam fit', a table of 'liaam batch', or "
             f"landmark files ({', '.join(LANDMARK_SUFFIXES)})"
         )
     return tuple(found[name] for name in sorted(found, key=natural_key))
+
+
+def _differ(points: np.ndarray, others: np.ndarray) -> bool:
+    """Return whether landmarks have other distances than by rounding to whole pixels; those of y upwards do not."""
+    if points.shape != others.shape:
+        return True
+    steps, other_steps = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (points, others))
+    return bool((np.abs(steps - other_steps) > _SAME).any())
 
 
 def _chosen(folder: Path) -> list[Path]:
@@ -206,14 +221,18 @@ def _numbers(values: Any) -> np.ndarray:
 
 def _of_landmarks(path: Path, reading: Reading, complain: Callable[[str], object]) -> Iterator[Specimen]:
     file = LandmarkFile.read(path, reading)
-    for entry, landmarks in file.entries.items():
-        # Measures depend on neither the height of the image nor its orientation.
-        placing = landmarks.placing
-        placed = file.placed(entry, placing.size or (None if placing.fractions else (1, 1)))
-        try:
-            for name, own in placed.objects(path.stem if file.is_single else stem_of(entry)):
-                yield Specimen(name, own.points, names=own.names, scale=own.scale, curves=own.contours)
-        except LandmarkError as fault:
-            raise LandmarkError(f"{path}: {fault}") from fault
+
+    def make(entry: str) -> list[Specimen]:
+        # Measures depend on neither the height of an image nor its orientation, but on its size if the file states one.
+        placing = file.entries[entry].placing
+        placed = file.placed(entry, None if placing.size or placing.fractions else (1, 1))
+        every = placed.objects(path.stem if file.is_single else stem_of(entry))
+        return [Specimen(name, own.points, None, own.names, own.scale, curves=own.contours) for name, own in every]
+
+    try:
+        for specimens in file.each(((entry or path.stem, entry) for entry in file.entries), make):
+            yield from specimens
+    except LandmarkError as fault:
+        raise LandmarkError(f"{path}: {str(fault).removeprefix(f'{path}: ')}") from fault
     for line in file.notes.lines():
-        complain(f"{path.name}: {line}")
+        complain(f"{path.name}: {line.replace(f'{path}: ', '')}")

@@ -116,7 +116,8 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     """Parse the shapes of an image.
 
     Those of the type ``point`` are the landmarks, named by their labels if these differ. Points of one ``group_id``
-    are an object. Without points, the only polygon or line is read.
+    are an object; those without one belong to the only object that lacks their labels. Without points, the only polygon
+    or line is read.
     """
     shapes = source.json["shapes"]
     points = [shape for shape in shapes if shape.get("shape_type") == "point"]
@@ -130,6 +131,8 @@ def parse_labelme(source: Source) -> list[Landmarks]:
         keys = labels if len({*labels}) == len(labels) else list(groups)
         pairs = zip(keys, (own[0][1] for own in groups.values()), strict=True)
         groups = {"": sorted(pairs, key=lambda pair: natural_key(pair[0]))}
+    if len(groups) == 2 and len({label for own in groups.values() for label, _ in own}) == len(points) and "" in groups:
+        groups = {"": [pair for own in groups.values() for pair in own]}
     if not points and len(lines) == 1:
         groups = {"": [("", pair) for pair in lines[0]["points"]]}
     if not groups:
@@ -138,7 +141,7 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     usual = Counter(map(len, made)).most_common(1)[0][0]
     for own in made:
         if len(own) != usual:
-            which = f"group {own.label} of {source.path.name}"
+            which = f"group '{own.label}' of {source.path.name}"
             source.notes.leave_out(which, f"{len(own)} points where others have {usual}")
     return [own for own in made if len(own) == usual]
 
@@ -273,7 +276,7 @@ def parse_cvat(source: Source) -> list[Landmarks]:
     """Parse CVAT for images: each skeleton is an object, and its points are named by their labels.
 
     Without skeletons, the points of an image are its landmarks: one ``points`` with all of them, or one each with its
-    own label.
+    own label. Those of one ``group_id`` are an object.
     """
     if source.xml.find("track") is not None:
         raise LandmarkError("this is CVAT's for a video: export it as 'CVAT for images'.")
@@ -289,8 +292,10 @@ def _parts_of_image(image: Any) -> Iterator[tuple[str, list[Any]]]:
     yield from ((each.get("label", ""), each.findall("points")) for each in skeletons)
     if not skeletons:
         yield from ((each.get("label", ""), [each]) for each in several)
-    if points and not skeletons and not several:
-        yield "", points
+    groups: dict[str, list[Any]] = defaultdict(list)
+    for point in points if not skeletons and not several else ():
+        groups[point.get("group_id", "")].append(point)
+    yield from (("", group) for group in groups.values())
 
 
 def _skeleton(part: tuple[Any, str, list[Any]]) -> Found:

@@ -6,6 +6,7 @@ A missing landmark is (NaN, NaN). Each format's module converts from and to its 
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -131,15 +132,19 @@ class Landmarks:
             wanted, own = list(names), list(self.names)
         if self.names == tuple(names) or not set(wanted) & set(own):
             return self
-        lacking = [name for name, key in zip(names, wanted, strict=True) if own.count(key) != 1]
+        counts, place = Counter(own), {key: i for i, key in enumerate(own)}
+        lacking = [name for name, key in zip(names, wanted, strict=True) if counts[key] != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
-        order = [own.index(key) for key in wanted]
-        at = {old: new for new, old in enumerate(order)}
+        return self.in_order([place[key] for key in wanted], names)
+
+    def in_order(self, order: Sequence[int], names: Sequence[str]) -> "Landmarks":
+        """Return the landmarks of these indices, -1 for one that is missing, with these names."""
+        at = {old: new for new, old in enumerate(order) if old >= 0}
         contours = (Contour(tuple(at.get(i, -1) for i in each.indices), each.closed) for each in self.contours)
         return replace(
             self,
-            points=self.points[order],
+            points=np.where(np.less(order, 0)[:, None], np.nan, self.points[list(order)]),
             names=tuple(names),
             contours=tuple(contour for contour in contours if -1 not in contour.indices),
             invisible=tuple(at[i] for i in self.invisible if i in at),

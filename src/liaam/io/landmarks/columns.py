@@ -2,12 +2,12 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, groupby
 
 from liaam.errors import LandmarkError
-from liaam.io.files import is_number
+from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.matching import names_picture
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
@@ -27,8 +27,9 @@ _UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\
 _FORMS = (
     r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
     r"(?P<axis>[xyz])[ ._-](?P<key>\w.*)",
-    r"(?P<key>.*\w)[ ._-](?P<axis>[xyz])",
+    r"(?P<key>.*\w)[ ._-][(\[]?(?P<axis>[xyz])[)\]]?",
     r"(?P<key>\w*\d)(?P<axis>[xyz])",
+    r"(?-i:(?P<key>\w*[a-z])(?P<axis>[XYZ]))",
 )
 _OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
 _OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
@@ -81,12 +82,10 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         axes[axis] = first
     values = [[row[i].strip() for row in rows] for i in range(len(header))]
     texts = [i for i in range(len(header)) if i not in axes.values()]
-    image = _one(header, values, [i for i in texts if header[i] in IMAGES])
+    image = _one(header, values, [i for i in texts if header[i] in IMAGES or _are_files(values[i])])
     specimen = _one(header, values, [i for i in texts if header[i] in SPECIMENS])
     landmark = _one(header, values, [i for i in texts if header[i] in LANDMARKS])
-    if image is None:
-        image = next((i for i in texts if i not in (specimen, landmark) and _are_files(values[i])), None)
-    if image is None:
+    if image in (None, specimen):
         image, specimen = specimen, None
     unclear = [i for name in UNCLEAR for i in texts if header[i] == name and i not in (image, specimen, landmark)]
     for i in unclear:
@@ -98,6 +97,8 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
             landmark = i
     if image is None:
         _check_one_image(header, values, texts, landmark)
+        names = [i for i in texts if _name_rows(header[i], values[i])]
+        landmark = names[0] if landmark is None and len(names) == 1 else landmark
     elif landmark is None:
         keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
         landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
@@ -105,6 +106,15 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
     sizes = [own for own in sizes if len(own) == 2 and (header[own[0]] != "width" or _holds(own, axes, values))]
     visible = next((i for i in texts if header[i] in VISIBLE), None)
     return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, *sizes[:1])
+
+
+def _name_rows(title: str, values: Sequence[str]) -> bool:
+    """Return whether a column names each row of an image by another text, or numbers them in another order."""
+    if not len({*values}) == len(values) > 1 or "" in values:
+        return False
+    numbers = sorted(values, key=natural_key)
+    counted = numbers in ([str(i + first) for i in range(len(values))] for first in (0, 1))
+    return not any(map(is_number, values)) or (title in UNCLEAR and counted and numbers != [*values])
 
 
 def _holds(size: Sequence[int], axes: dict[str, int], values: list[list[str]]) -> bool:
@@ -126,18 +136,31 @@ def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool
 
 
 def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
-    """Return the indices of the columns of x and y by landmark, in a table of one row an image."""
+    """Return the indices of the columns of x and y by landmark, in a table of one row an image.
+
+    Positions in space (``X_0``, ``Y_0``, ``Z_0``) are not read beside those in the image (``x_0``, ``y_0``).
+    """
+    columns = list(_columns_of_axes(header))
+    kinds = {(key, axis.isupper()) for _, key, axis in columns}
+    in_space = {(key, axis.isupper()) for _, key, axis in columns if axis in "zZ" and (key, axis.islower()) in kinds}
     found: dict[str, dict[str, int]] = {}
-    for i, cell in enumerate(_numbered([cell.strip() for cell in header])):
-        match = next(filter(None, (re.fullmatch(form, cell, re.IGNORECASE) for form in _FORMS)), None)
-        if match is None or plain(match["key"]) in _OTHERS:
+    for i, key, axis in columns:
+        if (key, axis.isupper()) in in_space:
             continue
-        key, axis = match["key"], match["axis"].lower()
+        axis = axis.lower()
         at = found.setdefault(key, {}).setdefault(axis, i)
         if at != i:
             both = f"'{header[at]}' and '{header[i]}' both may be {axis} of '{key}'"
             raise LandmarkError(f"the columns {both}: remove one of them.")
     return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
+    """Yield the index, the landmark and the axis of the columns of landmarks."""
+    for i, cell in enumerate(_numbered([cell.strip() for cell in header])):
+        match = next(filter(None, (re.fullmatch(form, cell, re.IGNORECASE) for form in _FORMS)), None)
+        if match is not None and plain(match["key"]) not in _OTHERS:
+            yield i, match["key"], match["axis"]
 
 
 def _numbered(header: list[str]) -> list[str]:
@@ -162,6 +185,8 @@ def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]
         if found:
             return found[0]
     texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for row in rows)]
+    if len(texts) == 1 and header[texts[0]] in LANDMARKS:
+        raise LandmarkError("it has a row for each landmark and columns for each image: exchange rows and columns.")
     if len(texts) == 1 or len(rows) < 2:
         return texts[0] if len(texts) == 1 else None
     named = f" (the columns {', '.join(repr(header[i]) for i in texts)} may)" if texts else ""

@@ -145,7 +145,9 @@ class ImagesBeside:
         fault = ""
         try:
             if name:
-                return size_and_orientation(self._names.find(name, self._folder)[0] or self._folder / name)
+                path = self._folder / name
+                there = path.is_file()  # which spares the list of a folder that holds a file for each image
+                return size_and_orientation(path if there else self._names.find(name, self._folder)[0] or path)
         except (ImageError, OSError) as error:
             fault = f" ({error})"
         if declared is not None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks import annotations as an, lists, morphometrics as morph, plain, tables, writers as out
+from liaam.io.landmarks import annotations as an, morphometrics as morph, plain, tables, writers as out
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import has_points, pairs_of
 from liaam.io.landmarks.reading import Source, UnrecognisedError
@@ -61,7 +61,7 @@ FORMATS: tuple[Format, ...] = (
     Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
     Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
     Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_collection),
-    Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, lists.parse),
+    Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, tables.parse_list),
     Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines),
 )
 """Formats, in order of preference where an image has several files, and in the order that they are tried for a suffix.
@@ -77,7 +77,7 @@ _TOLD: dict[str, Callable[[Source], bool]] = {
     "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
     "table of one row an image": lambda file: len(pairs_of(file.rows[0][1])) > 1,
     "table": lambda file: has_points(file.header),
-    "list of lines with an image's name": lists.is_it,
+    "list of lines with an image's name": tables.is_list,
     "lines of x and y, HELEN's": plain.is_lines,
 }
 """What tells a file of a format from others of its suffix that come later."""

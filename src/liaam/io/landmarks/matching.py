@@ -43,8 +43,10 @@ class ImageNames:
         return None, ""
 
     def of_file(self, file: Path) -> Path | None:
-        """Return the image in the folder of a landmark file that has its name, if possible in the same case."""
-        beside = [image for image in self._by_stem.get(name_key(file.stem), ()) if image.parent == file.parent]
+        """Return the image beside a landmark file, ``a.pts`` or ``a.png.pts``, if possible in the same case."""
+        key = name_key(file.stem)
+        named = self._by_stem.get(key) or self._by_name.get(key, [])
+        beside = [image for image in named if image.parent == file.parent]
         return next((image for image in beside if image.stem == file.stem), beside[0] if beside else None)
 
     def _find(self, path: PurePosixPath, folder: Path) -> tuple[Path | None, str]:

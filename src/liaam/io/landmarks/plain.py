@@ -6,6 +6,7 @@ A missing landmark is written ``nan nan``, or by another of the usual words.
 import operator
 import re
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 from liaam.errors import LandmarkError
@@ -13,7 +14,7 @@ from liaam.io.files import is_number
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.contours import Contour, chain_edges, contour_of
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.reading import Source
+from liaam.io.landmarks.reading import Source, named_points, names_of
 from liaam.io.landmarks.text import check_count, decimal, parse_count, parse_number, parse_pair, parse_point
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
@@ -126,9 +127,8 @@ def parse_lines(source: Source) -> list[Landmarks]:
     """
     matches, first = _matches(source), _first(source)
     points: Any = [parse_point(match.group("x", "y"), match[0]) for match in matches]
-    names = [match["name"] for match in matches if match["name"]]
-    names = [] if names == [str(i + 1) for i in range(len(names))] else names
-    return [Landmarks(points, (), tuple(names), None if first.isdigit() else first or None)]
+    names = names_of([match["name"] for match in matches if match["name"]])
+    return named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
 
 
 def _matches(source: Source) -> list[re.Match[str]]:
@@ -143,11 +143,14 @@ def _matches(source: Source) -> list[re.Match[str]]:
 
 def _are_names(words: Sequence[str]) -> bool:
     """Whether the words before x and y name landmarks, and not images; nor are more numbers, as of x, y, confidence."""
-    numbers = [all(map(is_number, word.split())) for word in words]
-    whole = all(word.isdigit() for word, number in zip(words, numbers, strict=True) if number)
-    most = max(map(float, words), default=0.0) if all(numbers) and whole else 0.0
+    parts = [word.split() for word in words]
+    numbers = [[part for part in own if is_number(part)] for own in parts]
+    if any(len(own) > 1 for own in numbers) or not all(map(str.isdigit, chain.from_iterable(numbers))):
+        return False
+    if any(map(names_picture, chain.from_iterable(parts))):
+        return False
     # Numbered landmarks may lack, but not most of them.
-    return whole and most <= 2 * len(words) and not any(names_picture(word.split()[0]) for word in words)
+    return numbers != parts or max(map(float, words), default=0.0) <= 2 * len(words)
 
 
 def _with_points(line: str) -> str:

@@ -205,9 +205,7 @@ def names_of(labels: Sequence[str]) -> tuple[str, ...]:
 def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
     """Return landmarks of these names, in this order; those that lack are missing."""
     at = {name: i for i, name in enumerate(own.names)}
-    points: Any = [tuple(own.points[at[name]]) if name in at else MISSING for name in names]
-    invisible = tuple(i for i, name in enumerate(names) if at.get(name) in own.invisible)
-    return replace(own, points=points, names=tuple(names), invisible=invisible, contours=())
+    return own.in_order([at.get(name, -1) for name in names], names)
 
 
 def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
@@ -234,13 +232,15 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     counts = Counter(name for own in found for name in set(own.names))
     usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
     fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))
-    usual.sort(key=lambda name: fullest.names.index(name) if name in fullest.names else len(fullest))
+    place = {name: i for i, name in enumerate(fullest.names)}
+    usual.sort(key=lambda name: place.get(name, len(place)))
     numbers = numbers and all(name.isascii() and name.isdigit() for name in usual)
     usual = sorted(usual, key=natural_key) if numbers else usual
+    known = set(usual)
     plain = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
 
     def alike(own: Landmarks) -> Landmarks:
-        odd = [name for name in own.names if name not in usual or own.names.count(name) > 1]
+        odd = [name for name, count in Counter(own.names).items() if name not in known or count > 1]
         if odd:
             raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
         if not own.names or (len(own) == len(usual) and not numbers):

@@ -1,9 +1,10 @@
-"""Tables of landmarks (``.csv``, ``.tsv``, ``.txt``): a row for each landmark, or for each image, or DeepLabCut's.
+"""Tables of landmarks (``.csv``, ``.tsv``, ``.txt``): a row for each landmark or image, DeepLabCut's, and lists.
 
 Positions are centres counted from 0, x to the right and y downwards, but for ImageJ's results. The separator is a
 comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out what the columns mean.
 """
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LandmarkError
-from liaam.io.files import natural_key
+from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.columns import (
     LANDMARKS,
@@ -25,10 +26,17 @@ from liaam.io.landmarks.columns import (
     without_title,
 )
 from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
-from liaam.io.landmarks.text import Row, parse_point
+from liaam.io.landmarks.text import Row, decimal, parse_point
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 """Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
+
+_WFLW = 5
+"""Pairs of numbers of a box and of attributes."""
+
+_SEPARATORS = r"\t;", r"\t,;", r"\s,;"
+_FEW = 3
+"""Least number of lines, and of points in each, to tell boxes from landmarks."""
 
 
 def _check_width(header: Sequence[str], row: Row) -> Row:
@@ -57,7 +65,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
         column = header[columns.landmark]
-        source.notes.say("landmarks are named by a column that has the same values in all images", column)
+        source.notes.say("landmarks are named by the values of a column", column)
     for column in (columns.image, columns.specimen):
         rows = rows if column is None else _without_gaps(source, rows, column)
     shift = 0.5 if _is_imagej(source) else 0.0
@@ -135,6 +143,11 @@ def parse_wide(source: Source) -> list[Landmarks]:
     (_, header), *rows = source.rows
     rows = _whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
+    digits = {key: axes for key, axes in given.items() if key.isdigit()}
+    if 1 < len(digits) < len(given):
+        for key in given.keys() - digits.keys():
+            source.notes.say("columns of x and y beside those of numbered landmarks are not read", key)
+        given = digits
     numbered = all(map(str.isdigit, given))
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
@@ -188,3 +201,73 @@ def _of_rows(
         return Landmarks(points, names=tuple(pairs) if named else (), image_name=image_of(row), label=label)
 
     return list(source.each(((f"line {row[0]}", (row, label)) for row in rows for label in objects), make))
+
+
+# Lists -------------------------------------------------------------------------------------------
+
+
+def is_list(source: Source) -> bool:
+    """Whether lines have at least two landmarks and one name."""
+    return bool(source.lines) and all(_name_at(_words(line)) is not None for line in source.lines[:20])
+
+
+def _words(line: str) -> list[str]:
+    """Split a line; a name may hold blanks if others separate, and commas may be decimal if these do not."""
+    tabbed, marked, every = ([word.strip() for word in re.split(f"[{by}]", line) if word.strip()] for by in _SEPARATORS)
+    words = [decimal(cell) for cell in tabbed]
+    if words != tabbed:
+        return words
+    return every if _name_at(marked) is None else marked
+
+
+def _name_at(words: list[str]) -> int | None:
+    """Return the index of the name, the first or last word, if all others are numbers."""
+    for at, others in ((0, words[1:]), (-1, words[:-1])):
+        if len(others) > 3 and not _is_value(words[at]) and all(map(_is_value, others)):
+            return at
+    return None
+
+
+def _is_value(word: str) -> bool:
+    return is_number(word) or word.lower() == "nan"
+
+
+def parse_list(source: Source) -> list[Landmarks]:
+    """Parse x y of all landmarks and the image's name, first or last, in a line for each image, without a header.
+
+    Lines of WFLW also have a box and six attributes of 0 or 1 before the name, which are skipped, as is a box around
+    all points before or behind them.
+    """
+    lines = [_words(line) for line in source.lines]
+    at = _name_at(lines[0]) or 0
+
+    def make(words: list[str]) -> tuple[str, np.ndarray]:
+        if _name_at(words) != at or len(words) % 2 == 0:
+            raise LandmarkError("it has other parts than x y of landmarks and a name: correct it.")
+        name, values = words[at], words[1:] if at == 0 else words[:-1]
+        return name, np.array([parse_point(pair, f"'{name}'") for pair in zip(values[::2], values[1::2], strict=True)])
+
+    rows = list(source.each(((f"line {i}", words) for i, words in enumerate(lines, 1)), make))
+    whole = len(rows) == len(lines)
+    last = _WFLW if whole and all(_has_attributes(pairs) for _, pairs in rows) else 0
+    first = 0
+    if whole and not last and len(rows) >= _FEW:
+        first = 2 if all(_has_box(pairs) for _, pairs in rows) else 0
+        last = 2 if all(_has_box(np.roll(pairs, 2, axis=0)) for _, pairs in rows) else 0
+    for where in ["before"] * (first > 0) + ["behind"] * (last == 2):
+        source.notes.say(f"four numbers {where} the points are taken for a box around them", source.path.name)
+    return [Landmarks(pairs[first : len(pairs) - last], image_name=name) for name, pairs in rows]
+
+
+def _has_attributes(pairs: np.ndarray) -> bool:
+    flags, box = {*pairs[-3:].flat}, pairs[-_WFLW:]
+    return len(pairs) > _WFLW + 1 and flags <= {0.0, 1.0} and bool((box[0] < box[1]).all())
+
+
+def _has_box(pairs: np.ndarray) -> bool:
+    """Whether the first four numbers are a box around all points: two corners, or one and the size."""
+    if len(pairs) < 2 + _FEW:
+        return False
+    corner, other, low, high = pairs[0], pairs[1], pairs[2:].min(axis=0), pairs[2:].max(axis=0)
+    around = (other >= high).all() or (corner + other >= high).all()
+    return bool((corner <= low).all() and around and (other > 0).all())

@@ -34,7 +34,7 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _ABSENT = (-1.0, -999.0, -9999.0)
 """Numbers that programs write for x and y of a missing landmark."""
 
-_MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "none", "null", "missing", "?", "-"})
+_MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "missing", "?", "-", "."})
 
 
 def read_text(path: Path, data: bytes | None = None) -> str:
@@ -64,15 +64,14 @@ def rows_of(text: str) -> list[Row]:
     if declared is not None:  # as Excel writes it
         separator, text = declared[1], text[declared.end() :]
     first = text.splitlines()[0] if text else ""
-    most = max(";\t,", key=first.count)
+    most = max(";\t,|", key=first.count)
     separator = separator or (most if most in first else " ")
+    if separator == " ":
+        text = "\n".join(" ".join(line.split()) for line in text.splitlines())
+    blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
     try:
-        if separator == " ":
-            rows = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
-        else:
-            blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
-            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
-            rows = [(reader.line_num, row) for row in reader]
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
+        rows = [(reader.line_num, row) for row in reader]
     except csv.Error as fault:
         raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
     rows = rows or [(1, [""])]
