@@ -123,6 +123,8 @@ interface App {
   openTab(name: string, options?: object): void;
   /** Bringing files in. */
   adding: any;
+  /** Actions on several pictures. */
+  bulk: any;
   guest(): boolean;
   /** Indices of the selected points of the open picture. */
   selection(): number[];

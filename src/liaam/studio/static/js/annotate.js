@@ -70,7 +70,8 @@ export class AnnotateTab {
         this.toolbar.press("ruler", this.ruler.on);
         this.refresh();
       },
-      onpreview: () => viewer.redraw(),
+      onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
+      onshare: (bar, anyway) => this.shareBar(bar, anyway),
     });
     const commands = createCommands(this);
     this.commands = commands;
@@ -152,6 +153,14 @@ export class AnnotateTab {
     if (!this.templates.mayLeave(before)) return;
     if (this.visible) this.opening.open(name);
     else this.saver.flush();
+  }
+
+  /** Give the scale bar of the open picture to all others that the list can show. */
+  async shareBar(bar, anyway) {
+    const of = this.name;
+    await this.saver.flush();
+    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== of);
+    await this.app.bulk.run("scaled", others, { bar, of, anyway });
   }
 
   leavePicture(name) {

@@ -45,7 +45,7 @@ const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
   /** Whether the open tab shows a picture that is not in the folder. */
   showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
-  fits: new FitStore(state), adding: null, selection: () => [],
+  fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
 };
 app.adding = createAdding(app);
 

@@ -269,6 +269,7 @@ export function mountStrip(root, app) {
   state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
   state.wall = wall;
+  app.bulk = bulk;
   show();
   reveal();
 }
