@@ -733,7 +733,7 @@ test("before points change, what is lost is named: files, the model, checks", ()
   const said = (pictures, model = null) => template.consequences(draft, 4, { pictures, model });
   assert.equal(said([{ placed: 0, state: "new" }]), "");
   assert.equal(
-    said([{ placed: 4, state: "done", checked: "Ann" }], { source: "studio", careful: true }),
+    said([{ placed: 4, state: "done", checked: "Ann" }], { source: "studio" }),
     "The landmark files of 1 picture will be rewritten: 1 point will be deleted. The trained model and its proposed " +
       "points will be removed. A copy of the model stays in .liaam-studio/kept. The checks of 1 picture will be withdrawn.",
   );

@@ -47,7 +47,6 @@ interface Model {
   n_points: number;
   trained: string | null;
   stale: number;
-  careful: boolean;
   colour: boolean;
   /** Methods that it can fit with. */
   methods: string[];
