@@ -29,6 +29,7 @@ from liaam.training import train
 from scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
 
 SIZE = (480, 640)
+LARGE = (4000, 3000)
 N_DROPS, N_MOVES = 12, 120
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
@@ -80,6 +81,15 @@ def drops(page, pictures: list[Path]) -> list[float]:
         page.wait_for_timeout(300)  # until the first frame is painted and timed
         times.append(page.evaluate("() => window.liaamStudio.fit.lastDropMs"))
     return times
+
+
+def enlarged(path: Path) -> Path:
+    """Write a picture with 12 megapixels, as a camera's JPEG, beside it."""
+    import cv2
+
+    large = path.with_name(f"large-{path.stem}.jpg")
+    write_image(large, cv2.resize(read_image(path), LARGE, interpolation=cv2.INTER_CUBIC))
+    return large
 
 
 def theta_rate(page) -> float:
@@ -354,6 +364,9 @@ def main(data: str | None = None, letters: int = 2) -> None:
             report("studio_drop_to_fit_ms", float(np.median(times)), f"worst {max(times):.0f}", form=".0f")
             for part in ("search", "fit"):
                 report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
+            large = drops(page, [enlarged(path) for path in pictures[:4]])
+            report("studio_large_drop_to_fit_ms", float(np.median(large)), f"worst {max(large):.0f}", form=".0f")
+            drops(page, pictures[:1])
             report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
             report("studio_relit_images_per_second", relight_rate(page), form=".0f")
             live(page)

@@ -29,7 +29,7 @@ const COMMON_KEYS = [
   { keys: "Wheel", what: "Zoom at the pointer" },
   { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
-  { keys: "G W", what: "Wall of all pictures; open the worst of them" },
+  { keys: "G W", what: "Wall of all pictures (PageUp, PageDown: scroll it); open the worst of them" },
   { keys: "?", what: "Show these keys" },
 ];
 

@@ -22,6 +22,7 @@ export function mountStrip(root, app) {
   let selecting = false; // whether a click selects several pictures
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
+  let wallTop = 0; // how far the wall was scrolled
 
   const choose = (label, name, onchange, labels = {}) =>
     h("select.text", {
@@ -79,8 +80,9 @@ export function mountStrip(root, app) {
     space.replaceChildren();
     bulk.show(selecting || wall.on);
     show();
-    reveal();
-    if (wall.on) list.focus({ preventScroll: true });
+    if (!wall.on) return reveal();
+    list.scrollTop = wallTop; // a picture that was opened from the wall and corrected has moved to its end
+    return list.focus({ preventScroll: true });
   }
 
   /** Select a picture too, or no longer; with a range, all up to it. */
@@ -110,8 +112,11 @@ export function mountStrip(root, app) {
       enter(state.current);
       return;
     }
-    const { columns } = along();
-    const step = { ArrowDown: columns, ArrowRight: 1, ArrowUp: -columns, ArrowLeft: -1 }[event.key];
+    const { columns, room, size } = along();
+    const page = wall.on ? columns * Math.floor(room / size) : 0; // otherwise the keys are those of the next picture
+    const step = {
+      ArrowDown: columns, ArrowRight: 1, ArrowUp: -columns, ArrowLeft: -1, PageDown: page, PageUp: -page,
+    }[event.key];
     const isAll = event.key === "a" && (event.ctrlKey || event.metaKey);
     const isMark = event.key === " " || (event.key === "Escape" && selecting);
     if (!isAll && !isMark && (!step || event.ctrlKey || event.altKey || event.metaKey)) return;
@@ -263,6 +268,7 @@ export function mountStrip(root, app) {
     state.step(-Infinity);
   });
   list.addEventListener("scroll", perFrame(render), { passive: true });
+  list.addEventListener("scroll", () => { if (wall.on) wallTop = list.scrollTop; }, { passive: true });
   new ResizeObserver(() => { show(); reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
