@@ -30,11 +30,6 @@ DROP = """(input) => {
     document.body.dispatchEvent(new DragEvent(type, {dataTransfer: transfer, bubbles: true, cancelable: true}));
   input.remove();
 }"""
-SCROLL = """(name) => {
-  const list = document.querySelector("[data-testid=strip]");
-  const { order } = window.liaamStudio.state;
-  list.scrollTop = (list.scrollHeight * order.indexOf(name)) / order.length - 100;
-}"""
 INPUT = """() => document.body.append(
   Object.assign(document.createElement("input"), {type: "file", multiple: true, id: "by-hand"}))"""
 
@@ -69,10 +64,6 @@ class Person:
         """Click an element."""
         self.did["click"] += 1
         self.page.locator(selector).click(timeout=WAIT)
-
-    def show_on_wall(self, name: str) -> None:
-        """Scroll the wall to a picture; the person gets there by paging through all."""
-        self.page.evaluate(SCROLL, name)
 
     def click_at(self, point: Any) -> None:
         """Click a position of the open picture."""

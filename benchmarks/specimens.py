@@ -25,10 +25,11 @@ from liaam.io import Landmarks, read_collection
 N_LABELLED = 50
 SCALE = 0.005  # millimetres a pixel
 MEASURES = "distance:1-2 angle:1-2-3 area:3-4-5-6"
-ON_A_PAGE = 24  # pictures of the wall
+ON_A_PAGE = 16  # pictures of the wall
 
 N_DONE = f"{PICTURES}.filter(({{state}}) => state === 'done').length"
 IS_TRAINED = "window.liaamStudio.state.project.model"
+IS_TRAINING = "(window.liaamStudio.state.project.training.state === 'running')"
 IS_FITTED = f"!window.liaamStudio.state.project.fitting && !{PICTURES}.some(({{state}}) => state === 'new')"
 HAS_GONE_ON = """name => window.liaamStudio.annotate.name() !== name
   || window.liaamStudio.state.picture(name).state === 'done'"""
@@ -119,26 +120,32 @@ def share_scale(person: Person) -> None:
 
 
 def look_at_wall(person: Person) -> None:
-    """Glance at all proposals on the wall, open and correct what looks wrong, and accept the others."""
+    """Glance at all pictures on the wall, open and correct what looks wrong, and accept the others."""
     person.key("g")
-    waiting = [each["name"] for each in person.pictures() if each["state"] == "proposed"]
-    person.did["glance"] += len(waiting)
-    person.did["key"] += len(waiting) // ON_A_PAGE
     person.page.wait_for_timeout(1500)
     shoot(person, "wall")
-    points = {name: person.page.evaluate(POINTS, f"/api/pictures/{name}/landmarks") for name in waiting}
-    wrong = [name for name in waiting if person.error(name, points[name]).max() > SEEN_ON_WALL]
-    for name in wrong:
-        person.show_on_wall(name)
-        person.click_on(f"[data-testid=strip] [data-name='{name}']")
-        person.correct()
-        person.key("g")
+    order, opened = person.page.evaluate("() => window.liaamStudio.state.order"), 0
+    for first in range(0, len(order), ON_A_PAGE):
+        names = order[first : first + ON_A_PAGE]
+        person.did["glance"] += len(names)
+        points = {name: person.page.evaluate(POINTS, f"/api/pictures/{name}/landmarks") for name in names}
+        wrong = [name for name in names if person.error(name, points[name]).max() > SEEN_ON_WALL]
+        opened += len(wrong)
+        for name in wrong:
+            person.click_on(f"[data-testid=strip] [data-name='{name}']")
+            person.correct()
+            person.key("g")
+        if wrong:  # a person who looks at the next pages meanwhile takes longer than the training
+            person.wait(f"() => {IS_TRAINED} && !{IS_TRAINING} && {IS_FITTED}")
+        person.key("PageDown")
     person.wait(SAVED)
     person.slide("wall-level", 50)
     person.click("wall-accept")
     person.page.get_by_text("accepted.").wait_for(timeout=WAIT)
     done = sum(each["state"] == "done" for each in person.pictures())
-    report("specimens_done_on_wall", done - N_LABELLED, f"of {len(waiting)}; {len(wrong)} were opened", form=".0f")
+    report(
+        "specimens_done_on_wall", done - N_LABELLED, f"of {len(order) - N_LABELLED}; {opened} were opened", form=".0f"
+    )
 
 
 def finish(person: Person) -> tuple[int, int]:

@@ -45,6 +45,16 @@ DROP = """([name, base64]) => {
 }"""
 
 
+CIRCLE = """async ([x, y, radius, moves]) => {
+  const lamp = document.querySelector("[data-testid=lamp]");
+  for (let i = 0; i < moves; i += 1) {
+    const at = { clientX: x + radius * Math.cos(i / 8), clientY: y + radius * Math.sin(i / 8) };
+    lamp.dispatchEvent(new PointerEvent("pointermove", { ...at, pointerId: 1, bubbles: true }));
+    await new Promise(requestAnimationFrame);
+  }
+}"""
+
+
 def material(folder: Path) -> list[Path]:
     """Write a model, and images of the same head under hard light from either side. Return the images."""
     training = make_set(N_DROPS, Head(5), DIFFUSE, seed=3, size=(320, 240))
@@ -116,8 +126,8 @@ def relight_rate(page) -> float:
     lamp = page.locator("[data-testid=lamp]").bounding_box()
     page.mouse.move(lamp["x"] + lamp["width"] / 2, lamp["y"] + lamp["height"] / 2)
     page.mouse.down()
-    for i in range(N_MOVES):
-        page.mouse.move(x + radius * np.cos(i / 8), y + radius * np.sin(i / 8))
+    # Playwright moves the mouse less often than a screen is drawn.
+    page.evaluate(CIRCLE, [x, y, radius, N_MOVES])
     rate = page.evaluate("() => window.liaamStudio.fit.relightFps()")
     page.mouse.up()
     return rate

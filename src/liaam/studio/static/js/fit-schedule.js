@@ -1,46 +1,54 @@
 // Scheduling of requests and drawing, independent of the page.
 
 /**
- * Sends one request at a time. While one is running, only the newest of the others is kept. So a drag is answered as
- * fast as the server can, without a queue of outdated requests.
+ * Sends one request at a time, or `atOnce`. Beyond these, only the newest is kept. So a drag is answered as fast as the
+ * server can, without a queue of outdated requests. With two at once, the server computes while the page decodes.
  */
 export class LatestWins {
-  busy = false;
+  #running = 0;
   #waiting = null;
   #epoch = 0;
+  #asked = 0;
+  #answered = 0; // number of the newest request that was answered
 
-  constructor(task, { done, failed = (_error, _request) => {} }) {
+  constructor(task, { done, failed = (_error, _request) => {}, atOnce = 1 }) {
     this.task = task;
     this.done = done;
     this.failed = failed;
+    this.atOnce = atOnce;
   }
+
+  get busy() { return this.#running > 0; }
 
   ask(request) {
     this.#waiting = { request };
-    if (!this.busy) this.#run();
+    if (this.#running < this.atOnce) this.#run();
   }
 
-  /** Drop the waiting request, and the answer of a running one. */
+  /** Drop the waiting request, and the answers of running ones. */
   cancel() {
     this.#epoch += 1;
     this.#waiting = null;
   }
 
   async #run() {
-    this.busy = true;
+    this.#running += 1;
     while (this.#waiting) {
       const { request } = this.#waiting;
-      const epoch = this.#epoch;
+      const [epoch, number] = [this.#epoch, (this.#asked += 1)];
+      const isWanted = () => epoch === this.#epoch && number > this.#answered;
       this.#waiting = null;
       try {
         const answer = await this.task(request);
-        if (epoch === this.#epoch) this.done(answer, request);
+        if (!isWanted()) continue;
+        this.done(answer, request);
+        this.#answered = number;
       } catch (error) {
         // Report the last failure only, since a newer request may succeed.
-        if (epoch === this.#epoch && !this.#waiting) this.failed(error, request);
+        if (isWanted() && !this.#waiting) this.failed(error, request);
       }
     }
-    this.busy = false;
+    this.#running -= 1;
   }
 }
 

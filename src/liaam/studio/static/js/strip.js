@@ -23,10 +23,12 @@ export function mountStrip(root, app) {
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
   let wallTop = 0; // how far the wall was scrolled
+  let onWay = false; // whether a picture was opened from the wall, to which a person then returns
 
   const choose = (label, name, onchange, labels = {}) =>
     h("select.text", {
-      "aria-label": label, testid: `strip-${name}`, onchange: ({ target }) => { onchange(target.value); show(); },
+      "aria-label": label, testid: `strip-${name}`,
+      onchange: ({ target }) => { onchange(target.value); onWay = false; show(); },
     }, optionsOf(labels));
   const filter = choose("Show", "filter", (value) => { wanted.filter = value; }, labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", (value) => { wanted.order = value; }, filters.ORDERS);
@@ -42,7 +44,10 @@ export function mountStrip(root, app) {
   const adder = iconButton("Add pictures", "plus", () => app.adding.choose(), {
     small: true, testid: "add-pictures", title: "Add pictures, landmark files, a model or a video; or drop them on the page",
   });
-  const wall = createWall({ app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild });
+  const wall = createWall({
+    app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild,
+    onworst: () => { onWay = false; state.order = []; show(); },
+  });
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
     onall: () => mark(state.order), ondone: () => wall.on && list.focus({ preventScroll: true }) });
@@ -75,13 +80,17 @@ export function mountStrip(root, app) {
 
   /** Make all items again, as those of the list or of the wall. */
   function rebuild() {
-    if (wall.on) wanted.order = order.value = "quality";
+    if (wall.on && !onWay) {
+      wallTop = 0;
+      wanted.order = order.value = "quality";
+      state.order = []; // sorted anew, and then it stays
+    }
     items.clear();
     space.replaceChildren();
     bulk.show(selecting || wall.on);
     show();
     if (!wall.on) return reveal();
-    list.scrollTop = wallTop; // a picture that was opened from the wall and corrected has moved to its end
+    list.scrollTop = wallTop;
     return list.focus({ preventScroll: true });
   }
 
@@ -102,6 +111,7 @@ export function mountStrip(root, app) {
 
   /** Open a picture; the wall gives way to it. */
   function enter(name) {
+    onWay = wall.on;
     wall.open(false);
     state.select(name);
   }
@@ -220,9 +230,10 @@ export function mountStrip(root, app) {
     list.scrollTo(BESIDE.matches || wall.on ? { top: to } : { left: to });
   }
 
-  /** While pictures are added or fitted, those in the list keep their places, and others come after them. */
+  /** While pictures are added or fitted, and while a person is on the way through the wall, those in the list keep their
+   *  places, and others come after them. */
   function inPlace(found) {
-    if (!state.adding && !state.project.fitting) return found;
+    if (!state.adding && !state.project.fitting && !wall.on && !onWay) return found;
     const places = new Map(state.order.map((name, i) => [name, i]));
     return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
   }

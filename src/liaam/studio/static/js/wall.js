@@ -10,8 +10,9 @@ export const acceptable = (pictures, least) =>
   pictures.filter(({ state, doubtful, quality }) => state === "proposed" && !doubtful && quality >= least)
     .map(({ name }) => name);
 
-/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed. */
-export function createWall({ app, shown, accept, onchange }) {
+/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed; onworst(): the
+ *  worst is about to be opened. */
+export function createWall({ app, shown, accept, onchange, onworst }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing}
   const level = slider({
@@ -46,6 +47,7 @@ export function createWall({ app, shown, accept, onchange }) {
   }
 
   function openWorst() {
+    onworst();
     const [picture] = openIn(shown());
     if (!picture) return;
     open(false);
