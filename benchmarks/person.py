@@ -20,7 +20,7 @@ actions, a look at an open picture, and a glance at one picture of the wall."""
 
 LOOKS = ("look", "glance")
 SEEN_ON_WALL, SEEN_OPEN = 0.02, 0.01
-WAIT = 600_000  # milliseconds
+WAIT = 300_000  # milliseconds
 PICTURES = "(window.liaamStudio?.state.project?.pictures ?? [])"
 
 DROP = """(input) => {

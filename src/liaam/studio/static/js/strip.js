@@ -280,7 +280,7 @@ export function mountStrip(root, app) {
   });
   list.addEventListener("scroll", perFrame(render), { passive: true });
   list.addEventListener("scroll", () => { if (wall.on) wallTop = list.scrollTop; }, { passive: true });
-  new ResizeObserver(() => { show(); reveal(); }).observe(list);
+  new ResizeObserver(() => { show(); if (!wall.on) reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
   state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
