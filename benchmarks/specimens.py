@@ -141,7 +141,7 @@ def look_at_wall(person: Person) -> None:
     person.wait(SAVED)
     person.slide("wall-level", 50)
     person.click("wall-accept")
-    person.page.get_by_text("accepted.").wait_for(timeout=WAIT)
+    person.wait(f"() => !{PICTURES}.some(({{state, doubtful}}) => state === 'proposed' && !doubtful)")
     done = sum(each["state"] == "done" for each in person.pictures())
     report(
         "specimens_done_on_wall", done - N_LABELLED, f"of {len(order) - N_LABELLED}; {opened} were opened", form=".0f"
