@@ -33,7 +33,6 @@ IS_TRAINING = "(window.liaamStudio.state.project.training.state === 'running')"
 IS_FITTED = f"!window.liaamStudio.state.project.fitting && !{PICTURES}.some(({{state}}) => state === 'new')"
 HAS_GONE_ON = """name => window.liaamStudio.annotate.name() !== name
   || window.liaamStudio.state.picture(name).state === 'done'"""
-SAVED = "() => document.querySelector('[data-testid=save-status][data-state=saved]')"
 POINTS = "url => fetch(url).then((answer) => answer.json()).then(({points}) => points)"
 
 
@@ -120,7 +119,7 @@ def share_scale(person: Person) -> None:
 
 
 def look_at_wall(person: Person) -> None:
-    """Glance at all pictures on the wall, open and correct what looks wrong, and accept the others."""
+    """Glance at all pictures on the wall, open and correct what looks wrong, accept the others and go on."""
     person.key("g")
     person.page.wait_for_timeout(1500)
     shoot(person, "wall")
@@ -137,10 +136,8 @@ def look_at_wall(person: Person) -> None:
             person.key("g")
         if wrong:  # a person who looks at the next pages meanwhile takes longer than the training
             person.wait(f"() => {IS_TRAINED} && !{IS_TRAINING} && {IS_FITTED}")
-        person.key("PageDown")
-    person.wait(SAVED)
-    person.slide("wall-level", 50)
-    person.click("wall-accept")
+        person.key("Shift+Enter")
+        person.page.wait_for_timeout(200)  # until the next pictures are drawn
     person.wait(f"() => !{PICTURES}.some(({{state, doubtful}}) => state === 'proposed' && !doubtful)")
     done = sum(each["state"] == "done" for each in person.pictures())
     report(

@@ -190,6 +190,11 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_mod
     wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
     page.keyboard.press("g")  # and is where it was, although that picture may have moved in it
     wait_for(page, "top => Math.abs(document.querySelector('[data-testid=strip]').scrollTop - top) < 2", top)
+    page.keyboard.press("Shift+Enter")  # accept what is in view
+    page.locator(".toast", has_text="accepted").last.wait_for()
+    assert violations(page) == {}
+    left = [picture["name"] for picture in pictures_of(page) if picture["state"] == "proposed"]
+    assert len(left) < 12 and qualities[1][1] in left  # which is further up
 
 
 def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, folder, portraits, artefacts):

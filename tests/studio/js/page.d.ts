@@ -124,6 +124,8 @@ interface App {
   adding: any;
   /** Actions on several pictures. */
   bulk: any;
+  /** Resolves once all moved points are saved, or cannot be. */
+  saved(): Promise<any>;
   guest(): boolean;
   /** Indices of the selected points of the open picture. */
   selection(): number[];

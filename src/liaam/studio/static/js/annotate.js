@@ -37,6 +37,7 @@ export class AnnotateTab {
     this.app = app;
     this.state = app.state;
     app.selection = () => [...this.marking.selection];
+    app.saved = () => this.saver.flush();
     this.makePage();
     this.makeParts();
     root.classList.add("annotate");
@@ -158,7 +159,6 @@ export class AnnotateTab {
   /** Give the scale bar of the open picture to all others that the list can show. */
   async shareBar(bar, anyway) {
     const of = this.name;
-    await this.saver.flush();
     const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== of);
     await this.app.bulk.run("scaled", others, { bar, of, anyway });
   }

@@ -30,7 +30,8 @@ export function outcome(did, { changed, refused }) {
 }
 
 /** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message. */
-export async function act({ state, api, toast }, did, names, { more = {}, undo = null } = {}) {
+export async function act({ state, api, toast, saved }, did, names, { more = {}, undo = null } = {}) {
+  await saved(); // points that were just moved, or the action would be a change elsewhere to them
   const who = await myName(did === "checked");
   if (who === null) return [];
   const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who, ...more }));

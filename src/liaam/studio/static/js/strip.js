@@ -47,6 +47,14 @@ export function mountStrip(root, app) {
   const wall = createWall({
     app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild,
     onworst: () => { onWay = false; state.order = []; show(); },
+    turn: () => {
+      const { at, columns, room, size } = along();
+      const rows = Math.floor(room / size);
+      const first = Math.round(at / size) * columns;
+      const isLast = at + room >= list.scrollHeight - 1;
+      list.scrollTop += rows * size;
+      return pictures.slice(first, isLast ? undefined : first + rows * columns);
+    },
   });
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
@@ -119,7 +127,8 @@ export function mountStrip(root, app) {
   function key(event) {
     if (wall.on && event.key === "Enter" && state.current) {
       consume(event);
-      enter(state.current);
+      if (event.shiftKey) wall.acceptPage();
+      else enter(state.current);
       return;
     }
     const { columns, room, size } = along();
