@@ -172,23 +172,6 @@ test("never more than one request is under way, and the newest wish wins", async
   assert.equal(lights.busy, false);
 });
 
-test("of two requests under way, an answer that is overtaken is dropped", async () => {
-  const asked = [];
-  const done = [];
-  const task = (wish) => new Promise((resolve) => { asked.push({ wish, answer: () => resolve(wish) }); });
-  const lights = new LatestWins(task, { done: (answer) => done.push(answer), atOnce: 2 });
-  for (const wish of [1, 2, 3, 4]) lights.ask(wish);
-  assert.deepEqual(asked.map(({ wish }) => wish), [1, 2]);
-  asked[1].answer();
-  await settled();
-  assert.deepEqual(asked.map(({ wish }) => wish), [1, 2, 4]);
-  asked[0].answer();
-  asked[2].answer();
-  await settled();
-  assert.deepEqual(done, [2, 4]);
-  assert.equal(lights.busy, false);
-});
-
 test("a failure is told only if nothing newer is wished for, and cancelled answers are dropped", async () => {
   const [failed, done] = [[], []];
   const lights = new LatestWins(

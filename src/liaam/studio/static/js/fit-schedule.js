@@ -1,54 +1,46 @@
 // Scheduling of requests and drawing, independent of the page.
 
 /**
- * Sends one request at a time, or `atOnce`. Beyond these, only the newest is kept. So a drag is answered as fast as the
- * server can, without a queue of outdated requests. With two at once, the server computes while the page decodes.
+ * Sends one request at a time. While one is running, only the newest of the others is kept. So a drag is answered as
+ * fast as the server can, without a queue of outdated requests.
  */
 export class LatestWins {
-  #running = 0;
+  busy = false;
   #waiting = null;
   #epoch = 0;
-  #asked = 0;
-  #answered = 0; // number of the newest request that was answered
 
-  constructor(task, { done, failed = (_error, _request) => {}, atOnce = 1 }) {
+  constructor(task, { done, failed = (_error, _request) => {} }) {
     this.task = task;
     this.done = done;
     this.failed = failed;
-    this.atOnce = atOnce;
   }
-
-  get busy() { return this.#running > 0; }
 
   ask(request) {
     this.#waiting = { request };
-    if (this.#running < this.atOnce) this.#run();
+    if (!this.busy) this.#run();
   }
 
-  /** Drop the waiting request, and the answers of running ones. */
+  /** Drop the waiting request, and the answer of a running one. */
   cancel() {
     this.#epoch += 1;
     this.#waiting = null;
   }
 
   async #run() {
-    this.#running += 1;
+    this.busy = true;
     while (this.#waiting) {
       const { request } = this.#waiting;
-      const [epoch, number] = [this.#epoch, (this.#asked += 1)];
-      const isWanted = () => epoch === this.#epoch && number > this.#answered;
+      const epoch = this.#epoch;
       this.#waiting = null;
       try {
         const answer = await this.task(request);
-        if (!isWanted()) continue;
-        this.done(answer, request);
-        this.#answered = number;
+        if (epoch === this.#epoch) this.done(answer, request);
       } catch (error) {
         // Report the last failure only, since a newer request may succeed.
-        if (isWanted() && !this.#waiting) this.failed(error, request);
+        if (epoch === this.#epoch && !this.#waiting) this.failed(error, request);
       }
     }
-    this.#running -= 1;
+    this.busy = false;
   }
 }
 

@@ -200,7 +200,7 @@ export class Light extends EventTarget {
   }
 }
 
-/** Fetches the relit picture for the newest light. */
+/** Fetches the relit picture, with at most one request at a time for the newest light. */
 export class Relighter extends LatestWins {
   constructor({ done, failed }) {
     const task = async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query)));
@@ -208,7 +208,7 @@ export class Relighter extends LatestWins {
       this.meter.tick();
       done(image, fit);
     };
-    super(task, { done: shown, failed, atOnce: 2 });
+    super(task, { done: shown, failed });
     this.meter = new FrameMeter();
   }
 
