@@ -45,6 +45,8 @@ class Person:
     """How often each of :data:`SECONDS` was done."""
     waited: float = 0.0
     """Seconds."""
+    signed: bool = False
+    """Whether the page knows the person's name."""
 
     @property
     def actions(self) -> int:
@@ -80,10 +82,13 @@ class Person:
         self.did["typed"] += 1
         self.page.locator(f"[data-testid={testid}]").fill(text, timeout=WAIT)
 
-    def slide(self, testid: str, value: int) -> None:
-        """Drag a slider."""
-        self.did["drag"] += 1
-        self.page.locator(f"[data-testid={testid}]").fill(str(value), timeout=WAIT)
+    def sign(self) -> None:
+        """Give a name for the history, for which the page asks once."""
+        if self.signed:
+            return
+        self.signed = True
+        self.type("who", "Ada")
+        self.click("who-save")
 
     def key(self, key: str) -> None:
         """Press a key."""

@@ -33,6 +33,7 @@ IS_TRAINING = "(window.liaamStudio.state.project.training.state === 'running')"
 IS_FITTED = f"!window.liaamStudio.state.project.fitting && !{PICTURES}.some(({{state}}) => state === 'new')"
 HAS_GONE_ON = """name => window.liaamStudio.annotate.name() !== name
   || window.liaamStudio.state.picture(name).state === 'done'"""
+HAS_SLIP = "name => Boolean(window.liaamStudio.state.picture(name).slip)"
 POINTS = "url => fetch(url).then((answer) => answer.json()).then(({points}) => points)"
 
 
@@ -152,8 +153,12 @@ def finish(person: Person) -> tuple[int, int]:
         if not opened:
             person.key("w")
         name = person.opened()
-        dragged += person.correct()
-        opened += 1
+        moved = person.correct()
+        opened, dragged = opened + 1, dragged + moved
+        if not moved and person.page.evaluate(HAS_SLIP, name):  # one that is none
+            person.click("check")
+            person.sign()
+            person.wait(f"name => !({HAS_SLIP})(name)", name)
         person.key("Enter")
         person.wait(HAS_GONE_ON, name)
     return opened, dragged
@@ -165,8 +170,7 @@ def check_all(person: Person, is_in_picture: bool) -> None:
         person.key("g")
     person.key("Control+a")
     person.choose("bulk-action", "checked")
-    person.type("who", "Ada")
-    person.click("who-save")
+    person.sign()
     person.wait(f"() => {PICTURES}.every(({{checked}}) => checked)")
     shoot(person, "checked")
     person.key("g")
