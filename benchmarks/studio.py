@@ -29,6 +29,7 @@ from liaam.training import train
 from scenes import DIFFUSE, Head, lateral, make_set, random_expression, random_pose, render
 
 SIZE = (480, 640)
+LARGE = (4000, 3000)
 N_DROPS, N_MOVES = 12, 120
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update"]
@@ -41,6 +42,16 @@ DROP = """([name, base64]) => {
   const target = document.querySelector("[data-testid=fit-drop]");
   for (const type of ["dragenter", "dragover", "drop"])
     target.dispatchEvent(new DragEvent(type, {dataTransfer: transfer, bubbles: true, cancelable: true}));
+}"""
+
+
+CIRCLE = """async ([x, y, radius, moves]) => {
+  const lamp = document.querySelector("[data-testid=lamp]");
+  for (let i = 0; i < moves; i += 1) {
+    const at = { clientX: x + radius * Math.cos(i / 8), clientY: y + radius * Math.sin(i / 8) };
+    lamp.dispatchEvent(new PointerEvent("pointermove", { ...at, pointerId: 1, bubbles: true }));
+    await new Promise(requestAnimationFrame);
+  }
 }"""
 
 
@@ -82,6 +93,15 @@ def drops(page, pictures: list[Path]) -> list[float]:
     return times
 
 
+def enlarged(path: Path) -> Path:
+    """Write a picture with 12 megapixels, as a camera's JPEG, beside it."""
+    import cv2
+
+    large = path.with_name(f"large-{path.stem}.jpg")
+    write_image(large, cv2.resize(read_image(path), LARGE, interpolation=cv2.INTER_CUBIC))
+    return large
+
+
 def theta_rate(page) -> float:
     """Frames per second of the invariant image while its slider is dragged to and fro."""
     page.locator("[data-testid=layer-invariant]").click()
@@ -106,8 +126,8 @@ def relight_rate(page) -> float:
     lamp = page.locator("[data-testid=lamp]").bounding_box()
     page.mouse.move(lamp["x"] + lamp["width"] / 2, lamp["y"] + lamp["height"] / 2)
     page.mouse.down()
-    for i in range(N_MOVES):
-        page.mouse.move(x + radius * np.cos(i / 8), y + radius * np.sin(i / 8))
+    # Playwright moves the mouse less often than a screen is drawn.
+    page.evaluate(CIRCLE, [x, y, radius, N_MOVES])
     rate = page.evaluate("() => window.liaamStudio.fit.relightFps()")
     page.mouse.up()
     return rate
@@ -354,6 +374,9 @@ def main(data: str | None = None, letters: int = 2) -> None:
             report("studio_drop_to_fit_ms", float(np.median(times)), f"worst {max(times):.0f}", form=".0f")
             for part in ("search", "fit"):
                 report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
+            large = drops(page, [enlarged(path) for path in pictures[:4]])
+            report("studio_large_drop_to_fit_ms", float(np.median(large)), f"worst {max(large):.0f}", form=".0f")
+            drops(page, pictures[:1])
             report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
             report("studio_relit_images_per_second", relight_rate(page), form=".0f")
             live(page)

@@ -130,27 +130,23 @@ def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):
     assert by_name(background.project)["p4.png"]["slip"] is None  # not known of the new landmarks
 
 
-def test_the_quick_model_of_a_training_fits_a_few_pictures_and_the_careful_one_all(
-    folder, head_model, begin, monkeypatch
-):
-    monkeypatch.setattr("liaam.studio.background.SOON", 3)
-    background, _ = begin(folder(8, 0), head_model)
+def test_pictures_wait_for_the_model_of_a_training_and_not_for_its_measure(folder, head_model, begin):
+    background, _ = begin(folder(3, 0), head_model)
     project, models = background.project, background.models
+
+    def fitted_by():
+        return {proposal["model"] for proposal in project.store.all("proposal").values()}
+
     background.fit_new()
-    fitted = {name: proposal["model"] for name, proposal in project.store.all("proposal").items()}
-    assert set(fitted.values()) == {models.own.key} and len(fitted) == 8
+    assert fitted_by() == {models.own.key}
+    write_image(project.root / "q.png", read_image(FACE)[:, ::-1])
     background.trainer.state = Training("running")
     background.fit_new()  # a better model comes soon
-    facts = {"source": "studio", "trained": "1", "pictures": {}, "careful": False}
-    models.publish(head_model, facts)
-    for _ in range(2):
-        background.fit_new()
-        fitted = [proposal["model"] for proposal in project.store.all("proposal").values()]
-        assert fitted.count("1") == 3
-    background.trainer.state = Training("done")
-    models.publish(head_model, {**facts, "trained": "2", "careful": True})
+    assert len(project.store.all("proposal")) == 3
+    models.publish(head_model, {"source": "studio", "trained": "1", "pictures": {}})
+    background.trainer.is_measuring = True
     background.fit_new()
-    assert {proposal["model"] for proposal in project.store.all("proposal").values()} == {"2"}
+    assert len(project.store.all("proposal")) == 4 and fitted_by() == {"1"}
 
 
 def test_the_end_waits_for_the_fit_in_progress(folder, head_model, begin, monkeypatch):

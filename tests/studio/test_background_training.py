@@ -85,9 +85,9 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     ended = trainer.wait(240)
 
     assert (ended.state, ended.error) == ("done", None)
-    assert seen == [1, 2]  # the quick model, then the one that knows how far it can be trusted
+    assert seen == [1]
     assert models.current.model.n_images == 4
-    assert models.current.model.n_lamps > 0  # the careful model knows the lamps of generated heads
+    assert models.current.model.n_lamps > 0  # the model knows the lamps of generated heads
     (version,) = trainer.versions.as_json(project.templates.order)
     assert (version["pictures"], version["held_out"]) == (4, 1) and 0 < version["error"] < 0.05
     background.fit_new()
@@ -156,50 +156,48 @@ def test_stopping_ends_the_process_and_keeps_what_was_there(setting):
     trainer.stop()
 
 
-def wait_for_the_quick_model(told):
+def wait_for_the_model(told):
     told.wait_for(lambda event: event[0] == "project")
 
 
-def test_a_training_that_is_stopped_leaves_the_careful_model_in_place(setting):
+def test_a_training_that_is_stopped_leaves_the_earlier_model_in_place(setting):
     project, models, told, trainer = setting(5, 4)
     trainer.start()
     assert trainer.wait(240).state == "done"
-    careful, data = models.current, (project.root / STATE / "model.liaam").read_bytes()
-    assert shown(careful, project)["careful"] and shown(careful, project)["stale"] == 0
+    before, data = models.current, (project.root / STATE / "model.liaam").read_bytes()
+    assert shown(before, project)["stale"] == 0
     Background(project, models, trainer, told).fit_new()
     project.save_marks("p5.png", project.marks("p5.png"))
     told.events.clear()
     trainer.start()
     told.wait_for(lambda event: event[0] == "training" and event[1]["total"] > 0)
-    # The quick model is there once the careful one begins.
-    told.wait_for(lambda event: (project.root / STATE / "quick.liaam").exists())
     trainer.stop()
-    assert models.current is careful
+    assert models.current is before
     assert (project.root / STATE / "model.liaam").read_bytes() == data
     assert shown(models.current, project)["stale"] == 1
     store = ModelStore()
     load_studio_model(Project(project.root), store)
-    assert store.current.facts["trained"] == careful.facts["trained"] and store.current.is_careful
+    assert store.current.facts["trained"] == before.facts["trained"]
 
 
-def test_of_a_first_training_that_is_stopped_the_quick_model_stays_as_such(setting):
+def test_a_model_is_used_while_it_is_measured_and_stays_if_that_is_stopped(setting):
     project, models, told, trainer = setting(6, 4)
     trainer.start()
-    wait_for_the_quick_model(told)
+    wait_for_the_model(told)
+    assert trainer.is_measuring and trainer.state.state == "running"
     trainer.stop()
     again, store = Project(project.root), ModelStore()
     load_studio_model(again, store)
     for current in (models.current, store.current):
-        assert current.model.views[SURROUNDINGS].reliabilities == {}
-        told_of = shown(current, again)
-        assert (told_of["careful"], told_of["stale"]) == (False, 4)
-    assert not (project.root / STATE / "model.liaam").exists()
+        assert current.model.views[SURROUNDINGS].reliabilities
+        assert shown(current, again)["stale"] == 0
+    assert trainer.versions.as_json(project.templates.order) == []
 
 
 def test_a_model_of_points_in_another_order_is_not_taken_up_again(setting):
     project, models, told, trainer = setting(5, 4)
     trainer.start()
-    wait_for_the_quick_model(told)
+    wait_for_the_model(told)
     trainer.stop()
     names = project.templates.current.names
     order = [*range(1, len(names)), 0]
@@ -208,7 +206,7 @@ def test_a_model_of_points_in_another_order_is_not_taken_up_again(setting):
     load_studio_model(Project(project.root), store)
     assert store.current is None
     follow_template(project, models, trainer)
-    assert models.current is None and not (project.root / STATE / "quick.liaam").exists()
+    assert models.current is None and not (project.root / STATE / "model.liaam").exists()
 
 
 def test_stopping_what_does_not_run_changes_nothing(setting):

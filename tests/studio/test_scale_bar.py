@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from small_projects import POINTS, TRIANGLE, proposal, refused
+from small_projects import POINTS, TRIANGLE, by_name, proposal, refused
 
-from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
+from liaam.io import Landmarks, read_collection, read_landmarks, write_image, write_landmarks
 from liaam.morphometry import measure, read_specimens
 from liaam.studio.export import export_of, measurements_of
 from liaam.studio.project import Project
@@ -85,6 +85,58 @@ def test_a_bar_that_was_changed_elsewhere_is_a_conflict(small):
     late = {"points": POINTS, "revision": before, "bar": CM}
     assert refused(small.save_marks, "p1.png", late).details["current"]["bar"] == BAR
     small.save_marks("p1.png", {**late, "bar": BAR})  # sent again: there is nothing to change
+
+
+def share(project, bar=BAR, of="p1.png", did="scaled", **more):
+    names = ["p2.png", "p10.png", "q.jpg"]
+    return project.review({"pictures": names, "did": did, "bar": bar, "of": of, **more})
+
+
+def scales_of(project):
+    return {file.name: landmarks.scale for file, landmarks, _ in project.placed()}
+
+
+def test_one_bar_for_all_is_written_exported_and_taken_back(small):
+    put(small, "p1.png", bar=BAR)
+    put(small, "p2.png")
+    write_landmarks(small.root / "p10.pts", Landmarks(np.array(POINTS)))
+    small.add_proposals({"q.jpg": proposal()})
+    small.review({"pictures": ["p2.png"], "did": "checked", "who": "Ada"})
+    done = small.annotated()
+
+    answer = share(small)
+    assert answer["changed"] == ["p2.png", "p10.png", "q.jpg"]
+    assert answer["revisions"]["p2.png"] == small.marks("p2.png")["revision"]
+    assert read_landmarks(small.root / "p2.ljson").scale == pytest.approx(0.25)
+    assert small.marks("q.jpg")["bar"] == BAR and small.marks("q.jpg")["source"] == "proposal"
+    assert export_of(small, "tps")[1].count(b"SCALE=0.25") == 3
+    assert by_name(small)["p2.png"]["checked"] == "Ada"  # its points are as before,
+    assert [item.revision for item in small.annotated()] == [item.revision for item in done]  # for training, too
+    small.review({"pictures": ["q.jpg"], "did": "accepted"})
+    assert read_landmarks(small.root / "q.ljson").scale == pytest.approx(0.25)
+
+    assert share(small, CM)["changed"] == ["p2.png", "p10.png", "q.jpg"]  # another one: none of them has one of its own
+    assert set(scales_of(small).values()) == {0.25, 0.5}
+    assert share(small, did="unscaled")["changed"] and set(scales_of(small).values()) == {0.25}
+    assert share(small, did="unscaled")["changed"]
+    assert scales_of(small) == {"p1.png": 0.25, "p2.png": None, "p10.png": None, "q.jpg": None}
+    assert read_landmarks(small.root / "p2.ljson").scale is None
+    assert share(small, did="unscaled")["changed"] == []
+
+
+def test_a_scale_of_its_own_and_another_size_are_left_alone_unless_asked(small):
+    put(small, "p2.png", bar=CM)
+    write_landmarks(small.root / "p10.tps", Landmarks(np.array(POINTS), scale=0.1, image_name="p10.png"))
+    write_image(small.root / "q.jpg", np.full((50, 70, 3), 99, np.uint8))
+    refused_for = share(small)["refused"]
+    assert "own" in refused_for["p2.png"] and "own" in refused_for["p10.png"] and "size" in refused_for["q.jpg"]
+    assert len(share(small, anyway=True)["changed"]) == 3
+    assert scales_of(small) == {"p2.png": 0.25, "p10.png": 0.25}
+    share(small, did="unscaled")
+    assert scales_of(small) == {"p2.png": 0.5, "p10.png": pytest.approx(0.1)}
+    put(small, "p2.png", bar=BAR)  # drawn after the scale was shared
+    assert "p2.png" in share(small, did="unscaled")["refused"]
+    assert refused(share, small, None).status == 422
 
 
 @pytest.mark.parametrize(

@@ -41,15 +41,12 @@ STOP_SECONDS = 10.0
 TRIED = 4
 """Number of pictures in which faces are looked for before the points of the face model are offered."""
 
-SOON = 8
-"""Number of pictures that the quick model of a training fits, while the careful one is trained."""
-
 THREADS = min(4, os.cpu_count() or 1)
 
 BATCH_SECONDS = 0.5
 """Proposals are shown after so long, and after as long again for each thousand pictures, which the page fetches."""
 
-FACE_FACTS = {"source": FACE, "trained": None, "pictures": {}, "careful": False}
+FACE_FACTS = {"source": FACE, "trained": None, "pictures": {}}
 
 Picture = tuple[str, Path]
 
@@ -77,8 +74,6 @@ class Background:
         self._seen: object = None
         self._started = False
         self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
-        self._helped = ""
-        """Key of the quick model that has fitted some pictures."""
         models.listeners.append(lambda _: self.wake())
 
     def start(self) -> None:
@@ -141,9 +136,6 @@ class Background:
         if model is None:
             return
         waiting = self.project.unfitted(model.key)
-        if self._is_training():
-            waiting = waiting[:SOON] if self._helped != model.key else []
-            self._helped = model.key
         if waiting:
             self._propose(model, waiting)
 
@@ -174,13 +166,9 @@ class Background:
                 self.project.templates.offer(None)
         self._publish("project", {})
 
-    def _is_training(self) -> bool:
-        return self.trainer.state.state == "running"
-
     def _is_paused(self) -> bool:
         """Whether to wait for a better model."""
-        own = self.models.own
-        return self._stopped or (self._is_training() and (own is None or not own.is_quick))
+        return self._stopped or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
 
     def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,11 @@ class Marks:
         """Points for JSON: [x, y] or None."""
         placed = [] if self.landmarks is None else self.landmarks.points.tolist()
         return [None if x != x else [round(x, 3), round(y, 3)] for x, y in placed]
+
+    @cached_property
+    def placement(self) -> str:
+        """Hash of what a person places, and not of the scale: it tells whether points were checked or trained on."""
+        return revision_of(repr((self.points, self.landmarks and self.landmarks.invisible)).encode())
 
     @property
     def n_placed(self) -> int:
@@ -176,19 +182,43 @@ class LandmarkFiles:
 
     def bar_of(self, picture: File) -> dict[str, Any] | None:
         """Return the scale bar of a picture, unless the picture has been replaced since."""
-        known = self._bars.get(picture.name)
-        return known["bar"] if known is not None and known["tag"] == picture.tag else None
+        return self._scale(picture)["bar"]
 
     def scale_of(self, picture: File) -> float | None:
         """Return the length of a pixel: by the scale bar, or else by the landmark file."""
+        known = self._scale(picture)
+        return known["scale"] if known["bar"] is None else pixel_length(known["bar"])
+
+    def shares_scale(self, picture: File) -> bool:
+        """Whether the scale bar of a picture was drawn on another one."""
+        return "before" in self._scale(picture)
+
+    def _scale(self, picture: File) -> dict[str, Any]:
+        """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
         known, landmarks = self._bars.get(picture.name), self.of(picture).landmarks
         if known is not None and known["tag"] == picture.tag:
-            return None if known["bar"] is None else pixel_length(known["bar"])
-        return None if landmarks is None else landmarks.scale
+            return known
+        return {"tag": picture.tag, "bar": None, "scale": None if landmarks is None else landmarks.scale}
 
     def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
         """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
-        self._bars.save({picture.name: {"tag": picture.tag, "bar": bar}})
+        self._bars.save({picture.name: {"tag": picture.tag, "bar": bar, "scale": None}})
+
+    def share_bar(self, pictures: Sequence[File], bar: dict[str, Any]) -> None:
+        """Set a scale bar that was drawn on another picture."""
+        shared = {"bar": bar, "scale": None}
+        self._bars.save({each.name: {"tag": each.tag, **shared, "before": self._scale(each)} for each in pictures})
+
+    def unshare_bar(self, pictures: Sequence[File]) -> None:
+        """Give pictures the scale that they had before :meth:`share_bar`."""
+        self._bars.save({each.name: self._scale(each)["before"] for each in pictures})
+
+    def write_scale(self, picture: File, template: Template) -> None:
+        """Write the scale into the landmark file of a picture, if there is one that can hold it."""
+        marks = self.of(picture)
+        fits = marks.landmarks is not None and marks.n_placed and len(marks.landmarks) == len(template)
+        if marks.landmarks is not None and fits and self.target(picture).suffix.lower() != ".pts":
+            self.save(picture, template, marks.points, marks.landmarks.invisible)
 
     def save(
         self,

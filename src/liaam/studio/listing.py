@@ -103,16 +103,22 @@ class Listing:
         self._arrange()
 
     def renew(self, name: str) -> None:
-        """Update the entry of one file."""
+        """Update the entry of one landmark file in a format that the studio writes."""
+        subfolder = name.rpartition("/")[0]
+        self._times[subfolder] = self.folder.time(subfolder)
         try:
             self._found[name] = _signature((self.folder.root / name).stat())
-            self.files[name] = File(name, self._found[name])
         except OSError:
             self.files.pop(name, None)
             self._found.pop(name, None)
-        subfolder = name.rpartition("/")[0]
-        self._times[subfolder] = self.folder.time(subfolder)
-        self._arrange()
+            self._arrange()
+            return
+        file = self.files[name] = File(name, self._found[name])
+        if self._own.get(file.stem, file).name == name:
+            self._own[file.stem] = file  # to arrange thousands of files for each that is written would take minutes
+            self.version += 1
+        else:
+            self._arrange()
 
     def is_current(self, *files: File) -> bool:
         """Whether no file was added or removed, and the given files are unchanged."""

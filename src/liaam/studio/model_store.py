@@ -20,8 +20,8 @@ from liaam.studio.store import Store
 if TYPE_CHECKING:
     from liaam.studio.training import Trainer
 
-MODEL_FILE, QUICK_FILE = "model.liaam", "quick.liaam"
-"""Files of the trained models; the facts about each are in the store."""
+MODEL_FILE = "model.liaam"
+"""File of the trained model; the facts about it are in the store."""
 
 SHOWN_VERSIONS = 30
 """Number of versions that the page shows."""
@@ -36,18 +36,7 @@ class ModelInUse:
     """Incremented with every published model."""
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
-    model of the studio also has ``careful`` (whether its confidence is calibrated) and ``order``
-    (:attr:`TemplateStore.order`), a guest its ``name``."""
-
-    @property
-    def is_careful(self) -> bool:
-        """Whether a quick model must not replace it."""
-        return bool(self.facts.get("careful", True))
-
-    @property
-    def is_quick(self) -> bool:
-        """Whether it is the quick model of a training."""
-        return self.facts["source"] == "studio" and not self.is_careful
+    model of the studio also has ``order`` (:attr:`TemplateStore.order`), a guest its ``name``."""
 
     @property
     def key(self) -> str:
@@ -144,33 +133,27 @@ class Versions:
 
 def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
-    for file, careful in ((MODEL_FILE, True), (QUICK_FILE, False)):
-        if models.own is not None:
-            return
-        project.store.note(file, None)
-        try:
-            path = project.store.path(file)
-            if not path.exists():
-                continue
-            facts = project.store.get("model", file) or {"source": "studio", "trained": None, "pictures": {}}
-            facts = {"order": project.templates.order, **facts, "careful": careful}
-            if facts["order"] == project.templates.order:
-                models.publish(load_model(path), facts)
-        except (LiaamError, OSError) as fault:
-            project.store.note(file, f"{fault}; the model is ignored: train again")
+    project.store.note(MODEL_FILE, None)
+    try:
+        path = project.store.path(MODEL_FILE)
+        facts = project.store.get("model", MODEL_FILE) or {"source": "studio", "trained": None, "pictures": {}}
+        facts = {"order": project.templates.order, **facts}
+        if path.exists() and facts["order"] == project.templates.order:
+            models.publish(load_model(path), facts)
+    except (LiaamError, OSError) as fault:
+        project.store.note(MODEL_FILE, f"{fault}; the model is ignored: train again")
 
 
 def forget_studio_model(project: Project, models: ModelStore) -> None:
     """Withdraw the studio's model and remove its files, because the template changed. A given model stays.
 
-    A copy of the careful model is kept.
+    A copy of the model is kept.
     """
     own = models.own
     if own is not None and own.facts["source"] == "studio":
         models.withdraw()
     project.store.set_aside(MODEL_FILE)
-    project.store.remove(QUICK_FILE)
-    project.store.put("model", {MODEL_FILE: None, QUICK_FILE: None})
+    project.store.put("model", {MODEL_FILE: None})
 
 
 def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
@@ -212,7 +195,7 @@ def model_json(
     if current is None:
         return None
     model, facts = current.model, current.facts
-    known = facts["pictures"] if current.is_careful else {}
+    known = facts["pictures"]
     changed = sum(known.get(name) != revision for name, revision in done.items())
     served = known.keys() - facts.get("left_out", {}).keys()
     lost = served - done.keys() - set(unread)  # left out by the user since, or without landmarks now
@@ -225,7 +208,6 @@ def model_json(
         "n_points": model.n_points,
         "trained": facts["trained"],
         "stale": changed + len(lost),
-        "careful": current.is_careful,
         "colour": model.is_colour,
         "methods": methods_of(model),
         "triangles": model.triangles.tolist(),

@@ -25,7 +25,7 @@ class PictureStates:
     templates: TemplateStore
     log: ReviewLog
     slips: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """Revision of the landmarks in which a slip was found, and its description, by picture."""
+    """:meth:`version_of` the landmarks in which a slip was found, and its description, by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -50,7 +50,7 @@ class PictureStates:
             state = "done" if self.is_done(file) else "partial"
         else:
             state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
-        checked = self.log.checked_by(file.name, marks.revision) if state == "done" else None
+        checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
         revision, slip = self.slips.get(file.name, (None, None))
         return {
             "name": file.name,
@@ -65,7 +65,7 @@ class PictureStates:
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked,
-            "slip": slip if state == "done" and revision == marks.revision and not checked else None,
+            "slip": slip if state == "done" and revision == self.version_of(marks) and not checked else None,
             "left_out": self.log.left_out_by(file.name),
             "revision": marks.revision,
         }
@@ -106,6 +106,10 @@ class PictureStates:
             return None
         discarded = self.log.standing(file.name, "discarded")
         return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
+
+    def version_of(self, marks: Marks) -> str:
+        """Return a value that changes with what a model is trained on: points and template, but not the scale."""
+        return f"{marks.placement}-{self.templates.revision}"
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""

@@ -39,7 +39,7 @@ from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
 from liaam.studio.pictures import Source, source_of
 from liaam.studio.proposals import Proposals
-from liaam.studio.review import ReviewActions, ReviewLog, parse_who
+from liaam.studio.review import ReviewActions, ReviewLog, Sharing, parse_who
 from liaam.studio.safety import Refusal
 from liaam.studio.scale_bar import parse_bar
 from liaam.studio.settings import Settings
@@ -70,6 +70,7 @@ class Annotated:
     points: np.ndarray
     """(n, 2) float64 in pixels."""
     revision: str
+    """Changes with the points and the template, not with the scale (:meth:`PictureStates.version_of`)."""
 
 
 @dataclass(frozen=True)
@@ -248,9 +249,9 @@ class Project:
         kept = [file for file in usable if self._log.left_out_by(file.name) is None]
         found = [(file, self._landmarks.of(file)) for file in kept if self._states.is_done(file)]
         return [
-            Annotated(file.name, self.root / file.name, marks.landmarks.points, marks.revision)
+            Annotated(file.name, self.root / file.name, marks.landmarks.points, self._states.version_of(marks))
             for file, marks in found
-            if marks.landmarks is not None and marks.revision is not None
+            if marks.landmarks is not None
         ]
 
     def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
@@ -378,7 +379,8 @@ class Project:
         """Apply an action to several pictures (:meth:`liaam.studio.review.ReviewActions.apply`).
 
         The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
-        and perhaps ``who``.
+        and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
+        drawn, and ``anyway`` see :class:`liaam.studio.review.Sharing`.
         """
         names = data.get("pictures") if isinstance(data, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
@@ -388,7 +390,13 @@ class Project:
             self._changes.finish()
             self._listing.scan()
             files = [self._find(name) for name in dict.fromkeys(names)]
-            return self._actions.apply(files, str(data.get("did")), who)
+            did, sharing = str(data.get("did")), None
+            if did == "scaled":
+                bar, size = parse_bar(data.get("bar")), self._listing.usable_size(self._find(str(data.get("of"))))
+                if bar is None:
+                    raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
+                sharing = Sharing(bar, size, data.get("anyway") is True)
+            return self._actions.apply(files, did, who, sharing)
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the newest entries of a picture in the log."""

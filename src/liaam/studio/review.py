@@ -34,11 +34,11 @@ UNDONE = {
 }
 """Actions, the actions that they undo, and why there may be nothing to undo."""
 
-ACTIONS = (*(done for done, _ in UNDONE.values()), *UNDONE, "accepted")
+ACTIONS = (*(done for done, _ in UNDONE.values()), *UNDONE, "accepted", "scaled", "unscaled")
 
 OPPOSITE = {done: undo for undo, (done, _) in UNDONE.items()}
 
-WRITING = ("accepted", "deleted", "undeleted")
+WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")
 """Actions that write landmark files."""
 
 LONGEST_NAME = 60
@@ -97,6 +97,17 @@ class ReviewLog:
         return None if last is None else _who(last)
 
 
+@dataclass(frozen=True)
+class Sharing:
+    """A scale bar that several pictures share."""
+
+    bar: dict[str, Any]
+    size: tuple[int, int]
+    """Size of the picture on which it was drawn."""
+    anyway: bool
+    """Whether pictures of another size, or with a scale of their own, get it as well."""
+
+
 @dataclass(frozen=True, eq=False)
 class ReviewActions:
     """Actions on pictures: accept or discard proposals, mark as checked, leave out of training, delete, and undo."""
@@ -107,8 +118,8 @@ class ReviewActions:
     states: PictureStates
     log: ReviewLog
 
-    def apply(self, files: list[File], did: str, who: str) -> dict[str, Any]:
-        """Apply an action.
+    def apply(self, files: list[File], did: str, who: str, sharing: Sharing | None = None) -> dict[str, Any]:
+        """Apply an action; ``sharing`` is the scale bar of "scaled".
 
         Return ``changed``, the names of the pictures that changed; ``refused``, reasons by name of the others;
         and ``revisions`` of landmarks that were written, by name.
@@ -119,7 +130,7 @@ class ReviewActions:
         refused: dict[str, str] = {}
         for file in files:
             try:
-                revisions[file.name] = self._revision(file, did)
+                revisions[file.name] = self._revision(file, did, sharing)
             except (Refusal, LandmarkError) as fault:
                 refused[file.name] = self.store.folder.plain(fault)
         if revisions:
@@ -127,20 +138,27 @@ class ReviewActions:
         if did == "accepted" and revisions:
             self.templates.keep()  # the first save fixes a template that was taken from a file or offered
         written = [file for file in files if file.name in revisions] if did in WRITING else []
+        if sharing is not None:
+            self.landmarks.share_bar(written, sharing.bar)
+        elif did == "unscaled":
+            self.landmarks.unshare_bar(written)
         for file in written:
             self._write(file, did, revisions[file.name])
         now = {file.name: self.landmarks.of(file).revision for file in written}
         return {"changed": list(revisions), "refused": refused, "revisions": now}
 
-    def _revision(self, file: File, did: str) -> str | None:
+    def _revision(self, file: File, did: str, sharing: Sharing | None) -> str | None:
         """Return the revision of what an action is done to; refuse one that changes nothing."""
         marks, proposal = self.landmarks.of(file), self.states.proposal_of(file)
+        if did in ("scaled", "unscaled"):
+            self._check_scale(file, sharing)
+            return marks.revision
         if did == "undeleted" and marks.n_placed:
             raise Refusal(409, "there are landmarks again")
         if did in UNDONE:
             done, why_not = UNDONE[did]
             last = self.log.standing(file.name, done)
-            if last is None or (done == "checked" and last["revision"] != marks.revision):
+            if last is None or (done == "checked" and last["revision"] != marks.placement):
                 raise Refusal(409, why_not)
             if done == "deleted" and len(self._copy_of(last["revision"])) != len(self.templates.needed):
                 raise Refusal(409, "the deleted landmarks belong to an earlier template")
@@ -156,9 +174,9 @@ class ReviewActions:
         if did == "checked":
             if not self.states.is_done(file):
                 raise Refusal(409, "not all points are placed: place them first")
-            if self.log.checked_by(file.name, marks.revision):
+            if self.log.checked_by(file.name, marks.placement):
                 raise Refusal(409, "checked already")
-            return marks.revision
+            return marks.placement
         if marks.landmarks is None or not marks.n_placed:
             raise Refusal(409, "no landmarks")
         text = text_of(marks.landmarks, ".ljson")
@@ -166,8 +184,26 @@ class ReviewActions:
         self.store.put("deleted", {revision: text})
         return revision
 
+    def _check_scale(self, file: File, sharing: Sharing | None) -> None:
+        """Refuse to replace a scale of the picture's own, and to share one among pictures of several sizes."""
+        shares = self.landmarks.shares_scale(file)
+        size = self.states.listing.usable_size(file)
+        if sharing is None:
+            if not shares:
+                raise Refusal(409, "the scale was not set together with others")
+        elif not sharing.anyway and self.landmarks.scale_of(file) is not None and not shares:
+            raise Refusal(409, "has a scale of its own")
+        elif not sharing.anyway and sorted(size) != sorted(sharing.size):
+            raise Refusal(409, "has another size in pixels, so perhaps another scale")
+        elif self.landmarks.bar_of(file) == sharing.bar:
+            raise Refusal(409, "has this scale already")
+
     def _write(self, file: File, did: str, revision: str | None) -> None:
-        """Write landmarks from the proposal or from a copy, or remove them."""
+        """Write landmarks from the proposal or from a copy, or remove them; or write their scale."""
+        if did in ("scaled", "unscaled"):
+            if self.templates.current is not None:
+                self.landmarks.write_scale(file, self.templates.current)
+            return
         template = self.templates.needed
         points: Sequence[Any] = [None] * len(template)
         invisible: Sequence[int] = ()

@@ -1,10 +1,9 @@
 """Training in the background, in a separate process.
 
-A quick model comes first, so that the user can continue within seconds. It is not trained on a few held-out pictures,
-on which its error is measured. Then comes the careful model, which is trained on all pictures and whose confidence is
-calibrated by leaving pictures out. The quick model has its own file and is used only if there is no careful one, so a
-stopped training keeps the earlier model. The process (:mod:`liaam.studio.training_process`) reports over a pipe. It can
-be killed at any time, since all its writes are atomic. :mod:`liaam.studio.background` fits pictures with the models.
+The model is used as soon as it is trained. Then another one is trained without a few held-out pictures, on which its
+error is measured. A stopped training keeps the earlier model. The process (:mod:`liaam.studio.training_process`)
+reports over a pipe. It can be killed at any time, since all its writes are atomic. :mod:`liaam.studio.background` fits
+pictures with the model.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Any
 
 from liaam.errors import LiaamError
 from liaam.model import load_model
-from liaam.studio.model_store import MODEL_FILE, QUICK_FILE, ModelStore, Versions
+from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.training_process import LEAST, Job, choose_held_out, launch
@@ -38,7 +37,7 @@ class Training:
 
 
 class Trainer:
-    """Trains in a separate process, one training at a time, and publishes each model as soon as it is trained."""
+    """Trains in a separate process, one training at a time, and publishes the model as soon as it is trained."""
 
     def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
         self.project = project
@@ -48,6 +47,8 @@ class Trainer:
         self._lock = threading.RLock()
         self.state = Training()
         """The current state."""
+        self.is_measuring = False
+        """Whether the model of this training is in use already."""
         self._process: Any = None
         self._listener: threading.Thread | None = None
         self._stopped = False
@@ -59,7 +60,7 @@ class Trainer:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
             job = self._job()
-            self._order, self._stopped = job.order, False
+            self._order, self._stopped, self.is_measuring = job.order, False, False
             self._process, pipe = launch(job)
             self._set(Training("running", what="starting"))
             arguments = (job, pipe, self._process)
@@ -102,7 +103,6 @@ class Trainer:
             template.contours,
             template.names,
             self.project.store.path(MODEL_FILE),
-            self.project.store.path(QUICK_FILE),
             order,
             self.project.root.name,
             choose_held_out([item.name for item in done], self.versions.held_out(order)),
@@ -135,32 +135,30 @@ class Trainer:
         if kind == "progress":
             self._set(Training("running", **data))
         elif kind == "model":
-            self._use(job, **data)
+            self._use(job, data)
+        elif kind == "measured" and self.is_measuring and self.models.own is not None:
+            self.versions.add(self.models.own.facts, data)
+            self._publish("project", {})
         elif kind == "failed":
             return Training("failed", error=self.project.plain(data))
         elif kind == "done":
             return Training("done", what=data)
         return None
 
-    def _use(self, job: Job, left_out: Mapping[str, str], careful: bool, errors: Mapping[str, float]) -> None:
-        """Publish a model; a quick one only if there is no careful one."""
-        current = self.models.own
-        if job.order != self.project.templates.order or not (careful or current is None or not current.is_careful):
+    def _use(self, job: Job, left_out: Mapping[str, str]) -> None:
+        """Publish a model."""
+        if job.order != self.project.templates.order:
             return
         facts = {
             "source": "studio",
             "trained": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "pictures": {item.name: item.revision for item in job.done if careful or item.name not in job.held_out},
+            "pictures": {item.name: item.revision for item in job.done},
             "left_out": {name: self.project.plain(reason) for name, reason in left_out.items()},
-            "careful": careful,
             "order": job.order,
         }
-        self.project.store.put("model", {MODEL_FILE if careful else QUICK_FILE: facts})
-        self.models.publish(load_model(job.model if careful else job.quick), facts)
-        if careful:
-            self.versions.add(facts, errors)
-            self.project.store.remove(QUICK_FILE)
-            self.project.store.put("model", {QUICK_FILE: None})
+        self.project.store.put("model", {MODEL_FILE: facts})
+        self.models.publish(load_model(job.model), facts)
+        self.is_measuring = True
         self._publish("project", {})
 
     def _set(self, state: Training) -> None:

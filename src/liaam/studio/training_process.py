@@ -1,4 +1,4 @@
-"""The training process: it trains a quick model on the done pictures, then the careful one."""
+"""The training process: it trains a model on the done pictures, then measures one that is trained without some."""
 
 from __future__ import annotations
 
@@ -38,14 +38,12 @@ class Job:
     """Names of the landmarks."""
     model: Path
     """Output file of the model."""
-    quick: Path
-    """Output file of the quick model."""
     order: str
     """:attr:`TemplateStore.order` of the points."""
     name: str
     """Name of the model."""
     held_out: tuple[str, ...] = ()
-    """Pictures that the quick model is not trained on but measured on."""
+    """Pictures on which a model that is trained without them is measured."""
 
 
 def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
@@ -111,59 +109,53 @@ class _Worker:
     send: Callable[[tuple[str, Any]], None]
     left_out: dict[str, str] = field(default_factory=dict)
     warned: str = ""
-    errors: dict[str, float] = field(default_factory=dict)
 
     def run(self) -> str:
-        """Train the quick model, then the careful one; return a summary."""
-        self.errors = self._measure(self._train(leave_out=False))
-        model = self._train(leave_out=True)
+        """Train the model, then measure another that is trained without the held-out pictures; return a summary."""
+        model = self._train((), lamps="auto")
+        model.save(self.job.model)
+        self.send(("model", self.left_out))
         without = f", without {', '.join(self.left_out)}" if self.left_out else ""
-        return f"trained on {model.n_all_images} pictures{without}{self.warned}"
+        summary = f"trained on {model.n_all_images} pictures{without}{self.warned}"
+        with suppress(LiaamError, MemoryError):  # such as too few pictures without those
+            rest = self._train(self.job.held_out, "measuring", leave_out=False, lamps=None)
+            self.send(("measured", self._measure(rest)))
+        return summary
 
-    def _progress(self, done: int, total: int, what: str) -> None:
-        self.send(("progress", {"done": done, "total": total, "what": what}))
-
-    def _train(self, leave_out: bool) -> AAM:
+    def _train(self, unused: Sequence[str], what: str = "", **options: Any) -> AAM:
         """Train a model. Leave out pictures that turn out to be unusable and start again."""
         from liaam.training import train
 
-        unused = {*self.left_out, *(() if leave_out else self.job.held_out)}
-        items = [_Picture(item, self.job) for item in self.job.done if item.name not in unused]
+        def progress(done: int, total: int, doing: str) -> None:
+            self.send(("progress", {"done": done, "total": total, "what": what or doing}))
+
+        items = [_Picture(item, self.job) for item in self.job.done if item.name not in {*self.left_out, *unused}]
         while True:
             try:
                 with warnings.catch_warnings(record=True) as caught:
                     warnings.simplefilter("always", UserWarning)
-                    model = train(
-                        items,
-                        leave_out=leave_out,
-                        lamps="auto" if leave_out else None,  # slower, and a person waits for the quick model
-                        name=self.job.name,
-                        progress=self._progress,
-                        **OPTIONS,
-                    )
+                    model = train(items, name=self.job.name, progress=progress, **OPTIONS, **options)
                 self.warned = "".join(f"; {warning.message}" for warning in caught)
-                break
+                return model
             except (ImageError, TrainingError):
                 unfit = {item.name: item.fault for item in items if item.fault is not None}
                 if not unfit or len(items) - len(unfit) < LEAST:
                     raise
                 self.left_out |= unfit
                 items = [item for item in items if item.name not in unfit]
-        model.save(self.job.model if leave_out else self.job.quick)
-        self.send(("model", {"left_out": self.left_out, "careful": leave_out, "errors": self.errors}))
-        return model
 
     def _measure(self, model: AAM) -> dict[str, float]:
         """Return the mean distance of the fitted points to the placed ones in the held-out pictures.
 
         The unit is the diagonal of the box around the placed points. Pictures that cannot be fitted are missing.
         """
+        from liaam.evaluation import point_error
         from liaam.fitting import Fitter
 
         fitter, errors = Fitter(model), {}
         for item in self.job.done:
             if item.name in self.job.held_out:
                 with suppress(LiaamError, MemoryError):
-                    distances = np.linalg.norm(fitter.fit(item.path).landmarks - item.points, axis=1)
-                    errors[item.name] = round(float(distances.mean() / diagonal_of(item.points)), 5)
+                    error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
+                    errors[item.name] = round(error, 5)
         return {name: error for name, error in errors.items() if np.isfinite(error)}

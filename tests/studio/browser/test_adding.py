@@ -178,6 +178,24 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_mod
     page.keyboard.press("Enter")  # then the next worst
     wait_for(page, "name => window.liaamStudio.annotate.name() === name", qualities[1][1])
 
+    page.set_viewport_size({"width": 640, "height": 560})  # so that the wall has to be scrolled
+    page.keyboard.press("g")
+    wait_for(page, "() => document.querySelector('[data-testid=strip]').scrollTop === 0")  # it begins with the worst
+    page.keyboard.press("PageDown")
+    page.keyboard.press("PageDown")
+    wait_for(page, "() => document.querySelector('[data-testid=strip]').scrollTop > 100")
+    page.wait_for_timeout(100)
+    top = page.evaluate("() => document.querySelector('[data-testid=strip]').scrollTop")
+    page.keyboard.press("Enter")
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    page.keyboard.press("g")  # and is where it was, although that picture may have moved in it
+    wait_for(page, "top => Math.abs(document.querySelector('[data-testid=strip]').scrollTop - top) < 2", top)
+    page.keyboard.press("Shift+Enter")  # accept what is in view
+    page.locator(".toast", has_text="accepted").last.wait_for()
+    assert violations(page) == {}
+    left = [picture["name"] for picture in pictures_of(page) if picture["state"] == "proposed"]
+    assert len(left) < 12 and qualities[1][1] in left  # which is further up
+
 
 def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, folder, portraits, artefacts):
     for i, scene in enumerate(portraits[:9], 1):

@@ -1,7 +1,7 @@
 """A scale bar drawn on the picture: two clicks along a ruler, and a length with its unit."""
 
 import pytest
-from people import annotate, client, open_picture, opened, saved, shoot, violations, wait_for, wait_until
+from people import NAMES, annotate, client, open_picture, opened, saved, shoot, violations, wait_for, wait_until
 
 from liaam.io import read_landmarks
 
@@ -77,6 +77,40 @@ def test_a_scale_bar_is_drawn_undone_changed_and_exported(marked, serve, open_pa
     page.locator("[data-testid=scale-bar]").click()
     page.locator("[data-testid=scale-remove]").click()
     wait_until(page, lambda: scale_of(marked, "portrait-01.png") is None)
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (390, 844)], ids=str)
+def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artefacts, size):
+    touch = size[0] < 1280
+    server = serve(marked)
+    page = open_page(*size, has_touch=touch)
+    page.goto(server.address)
+    opened(page, "portrait-01.png")
+    draw(page, "2", "cm", page.touchscreen.tap if touch else page.mouse.click)
+    shoot(page, artefacts, f"scale-share-{size[0]}-dialog")
+    page.locator("[data-testid=scale-share]").click()
+    page.get_by_text("Scale of 2 pictures set").wait_for()
+    shoot(page, artefacts, f"scale-share-{size[0]}")
+    assert violations(page) == {}
+    scales = [scale_of(marked, name) for name in NAMES]
+    assert scales == [pytest.approx(20 / 160, rel=0.02)] * 3
+    with page.expect_download() as waited:
+        page.locator("[data-testid=export-all]").select_option("tps")
+    assert waited.value.path().read_text().count("SCALE=0.12") == 3
+
+    page.locator("[data-testid=toast-action]").click()  # Undo
+    wait_until(page, lambda: scale_of(marked, NAMES[1]) is None and scale_of(marked, NAMES[2]) is None)
+    assert scale_of(marked, NAMES[0]) is not None  # the bar that was drawn here has an undo of its own
+
+    page.locator("[data-testid=scale-bar]").click()  # again, with the bar that is there
+    page.locator("[data-testid=scale-share]").click()
+    page.get_by_text("Scale of 2 pictures set").wait_for()
+    open_picture(page, NAMES[1])
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 2")
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowRight")  # a point is moved, and the scale stays
+    saved(page)
+    assert scale_of(marked, NAMES[1]) == pytest.approx(20 / 160, rel=0.02)
 
 
 def test_escape_ends_drawing_and_the_bar_of_a_picture_is_its_own(marked, serve, page):

@@ -505,13 +505,27 @@ test("marks say which template they are of, and go over to another by their name
   assert.deepEqual(log.sent[1].body, {
     points: [[9, 9], [2, 0], [1, 0]],
     invisible: [1],
-    bar: null,
     revision: "r5",
     template: "t2",
   });
   await answer("ok");
   assert.equal(state(), "saved");
   assert.deepEqual([log.lost, log.conflicts], [[], []]);
+});
+
+test("a scale bar is sent if it changes, since it may have been set for all pictures meanwhile", async () => {
+  const { saver, log, run, answer } = bench();
+  const bar = { ends: [[0, 0], [9, 0]], length: 1, unit: "mm" };
+  const send = async (what) => {
+    saver.change("a", { points: [[1, 1]], invisible: [], ...what });
+    run();
+    await answer("ok");
+    return log.sent.at(-1).body;
+  };
+  saver.known("a", "r1", { points: [[0, 0]], invisible: [], bar: null });
+  assert.equal("bar" in (await send({ bar: null })), false);
+  assert.deepEqual((await send({ bar })).bar, bar);
+  assert.equal((await send({ bar: null })).bar, null);
 });
 
 test("where the picture was changed as well as its template, the person is asked", async () => {
@@ -719,7 +733,7 @@ test("before points change, what is lost is named: files, the model, checks", ()
   const said = (pictures, model = null) => template.consequences(draft, 4, { pictures, model });
   assert.equal(said([{ placed: 0, state: "new" }]), "");
   assert.equal(
-    said([{ placed: 4, state: "done", checked: "Ann" }], { source: "studio", careful: true }),
+    said([{ placed: 4, state: "done", checked: "Ann" }], { source: "studio" }),
     "The landmark files of 1 picture will be rewritten: 1 point will be deleted. The trained model and its proposed " +
       "points will be removed. A copy of the model stays in .liaam-studio/kept. The checks of 1 picture will be withdrawn.",
   );

@@ -47,7 +47,6 @@ interface Model {
   n_points: number;
   trained: string | null;
   stale: number;
-  careful: boolean;
   colour: boolean;
   /** Methods that it can fit with. */
   methods: string[];
@@ -123,6 +122,10 @@ interface App {
   openTab(name: string, options?: object): void;
   /** Bringing files in. */
   adding: any;
+  /** Actions on several pictures. */
+  bulk: any;
+  /** Resolves once all moved points are saved, or cannot be. */
+  saved(): Promise<any>;
   guest(): boolean;
   /** Indices of the selected points of the open picture. */
   selection(): number[];

@@ -37,6 +37,7 @@ export class AnnotateTab {
     this.app = app;
     this.state = app.state;
     app.selection = () => [...this.marking.selection];
+    app.saved = () => this.saver.flush();
     this.makePage();
     this.makeParts();
     root.classList.add("annotate");
@@ -70,7 +71,8 @@ export class AnnotateTab {
         this.toolbar.press("ruler", this.ruler.on);
         this.refresh();
       },
-      onpreview: () => viewer.redraw(),
+      onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
+      onshare: (bar, anyway) => this.shareBar(bar, anyway),
     });
     const commands = createCommands(this);
     this.commands = commands;
@@ -152,6 +154,13 @@ export class AnnotateTab {
     if (!this.templates.mayLeave(before)) return;
     if (this.visible) this.opening.open(name);
     else this.saver.flush();
+  }
+
+  /** Give the scale bar of the open picture to all others that the list can show. */
+  async shareBar(bar, anyway) {
+    const of = this.name;
+    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== of);
+    await this.app.bulk.run("scaled", others, { bar, of, anyway });
   }
 
   leavePicture(name) {

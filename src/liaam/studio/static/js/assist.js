@@ -257,7 +257,7 @@ export function createAssist({ app, accept, skip, confirm }) {
       ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
-    end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null;
+    end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
     explain(project, done);
     why.hidden = !end.hidden && why.textContent === allDone(state.folder);
     note(project);

@@ -13,6 +13,8 @@ const ACTIONS = {
   "left out": { label: "Leave out of training", done: (of) => `${of} left out of training`, undo: "taken in" },
   "taken in": { label: "Use for training", done: (of) => `${of} used for training`, undo: "left out" },
   deleted: { label: "Delete landmarks", done: (of) => `Landmarks of ${of} deleted`, undo: "undeleted" },
+  scaled: { done: (of) => `Scale of ${of} set`, undo: "unscaled" },
+  unscaled: { done: (of) => `Scale of ${of} as before`, undo: "" },
   restored: { done: (of) => `Proposed points of ${of} restored`, undo: "discarded" },
   undeleted: { done: (of) => `Landmarks of ${of} restored`, undo: "deleted" },
 };
@@ -27,12 +29,13 @@ export function outcome(did, { changed, refused }) {
   return [done, not].filter(Boolean).join(" ");
 }
 
-/** Apply an action to pictures; resolves to the names that changed. */
-export async function act({ state, api, toast }, did, names) {
+/** Apply an action to pictures, with `more` data; resolves to the names that changed. `undo` is offered with the message. */
+export async function act({ state, api, toast, saved }, did, names, { more = {}, undo = null } = {}) {
+  await saved(); // points that were just moved, or the action would be a change elsewhere to them
   const who = await myName(did === "checked");
   if (who === null) return [];
-  const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who }));
-  toast(outcome(did, answer), answer.changed.length ? "good" : "info");
+  const answer = await state.send((folder) => api.post(api.url("review"), { folder, pictures: names, did, who, ...more }));
+  toast(outcome(did, answer), answer.changed.length ? "good" : "info", answer.changed.length && undo && { label: "Undo", onclick: () => undo(answer.changed) });
   await state.refresh();
   return answer.changed;
 }
@@ -47,7 +50,8 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
   }, {
     "aria-label": "Action on the selected pictures", testid: "bulk-action",
   });
-  const undo = iconButton("Undo", "undo", () => run(ACTIONS[last.did].undo, last.names), {
+  const takeBack = (did) => ACTIONS[did].undo && ((names) => run(ACTIONS[did].undo, names));
+  const undo = iconButton("Undo", "undo", () => takeBack(last.did)(last.names), {
     kind: "", small: true, disabled: true, testid: "bulk-undo",
   });
   const small = (label, onclick, testid) => button(label, { small: true, kind: "ghost", onclick, testid });
@@ -62,12 +66,12 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     return !some.length || app.confirm("Delete landmarks?", text, "Delete");
   }
 
-  async function run(did, names) {
-    const changed = await act(app, did, names);
+  async function run(did, names, more = {}) {
+    const changed = await act(app, did, names, { more, undo: takeBack(did) });
     ondone();
     if (!changed.length) return;
     last = { did, names: changed };
-    undo.disabled = false;
+    undo.disabled = !ACTIONS[did].undo;
     undo.title = `Undo: ${ACTIONS[did].done(pictures(changed))}`;
   }
 

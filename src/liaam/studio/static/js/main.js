@@ -29,7 +29,7 @@ const COMMON_KEYS = [
   { keys: "Wheel", what: "Zoom at the pointer" },
   { keys: "I D Z", what: "Slide away or show the list of pictures, the panel, both" },
   { keys: "A", what: "Change brightness, contrast and gamma for looking" },
-  { keys: "G W", what: "Wall of all pictures; open the worst of them" },
+  { keys: "G W", what: "Wall of all pictures (PageUp, PageDown: scroll it; Shift+Enter: accept what is in view); open the worst of them" },
   { keys: "?", what: "Show these keys" },
 ];
 
@@ -45,7 +45,8 @@ const app = {
   state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
   /** Whether the open tab shows a picture that is not in the folder. */
   showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
-  fits: new FitStore(state), adding: null, selection: () => [],
+  fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
+  saved: async () => {},
 };
 app.adding = createAdding(app);
 

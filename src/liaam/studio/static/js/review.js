@@ -10,6 +10,7 @@ const DID = {
   placed: "placed points", accepted: "accepted proposed points", cleared: "removed all points", checked: "checked it", unchecked: "withdrew the check",
   "left out": "left it out of training", "taken in": "took it into training", discarded: "discarded proposed points",
   restored: "restored proposed points", deleted: "deleted the landmarks", undeleted: "restored the landmarks",
+  scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", measure: "Measurements (.csv)…" };
 

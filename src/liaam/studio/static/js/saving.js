@@ -1,15 +1,19 @@
 // Saving after every change: one request at a time per picture, with the latest content, which is kept in the browser
 // while the server is unreachable. The content is {points, invisible, bar}. This module is independent of the page.
 
-import { sameMarks } from "./points.js";
+import { sameBar, sameMarks } from "./points.js";
 import { carried } from "./template.js";
 
 const DELAY = 250; // milliseconds between a change and its request
 const RETRY = [1000, 2000, 4000, 8000];
 
-/** Body of a request: the content with the revisions of the file and, if known, of the template. */
-const body = ({ sent, revision, template }) =>
-  template?.revision === undefined ? { ...sent, revision } : { ...sent, revision, template: template.revision };
+/** Body of a request: the content with the revisions of the file and, if known, of the template. A scale bar that stays
+ *  is left out, since it may have been set with those of other pictures meanwhile. */
+function body({ sent, saved, revision, template }) {
+  const { bar, ...points } = sent;
+  const content = saved && sameBar(bar, saved.bar) ? points : sent;
+  return template?.revision === undefined ? { ...content, revision } : { ...content, revision, template: template.revision };
+}
 
 const sizeOf = ({ width = null, height = null }) => ({ width, height });
 

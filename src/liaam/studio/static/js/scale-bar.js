@@ -20,11 +20,13 @@ export class ScaleBar {
   selection = new Set();
   active = -1;
 
-  /** onturn(): drawing starts or stops; onpreview(): an end moves.
-   *  @param {import("./marking.js").Marking} marking
-   *  @param {{onturn: () => void, onpreview: () => void}} options */
-  constructor(marking, { onturn, onpreview }) {
+  /** onturn(): drawing starts or stops; onpreview(): an end moves; onshare(bar, anyway): the other pictures get it too;
+   *  alone(): whether there are none.
+   *  @param {import("./marking.js").Marking} marking */
+  constructor(marking, { onturn, onpreview, onshare, alone }) {
     this.marking = marking;
+    this.onshare = onshare;
+    this.alone = alone;
     this.onturn = onturn;
     this.onpreview = onpreview;
   }
@@ -60,7 +62,7 @@ export class ScaleBar {
     const [answer, change] = await this.ask(bar, again);
     if (answer === "remove") this.set(null, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
-    else if (answer) this.set({ ...bar, ...change }, "change the scale bar");
+    else if (answer) this.settle(answer, { ...bar, ...change }, "change the scale bar");
   }
 
   preview(ends) {
@@ -91,9 +93,15 @@ export class ScaleBar {
     const [answer, bar] = await this.ask(known());
     if (this.marking.book !== book) return;
     this.turn(false);
-    if (answer !== "save") return;
-    localStorage.setItem(KEY, JSON.stringify(bar));
-    this.set({ ends, ...bar }, "scale bar");
+    if (!answer) return;
+    const { length, unit } = bar;
+    localStorage.setItem(KEY, JSON.stringify({ length, unit }));
+    this.settle(answer, { ends, ...bar }, "scale bar");
+  }
+
+  settle(answer, { anyway, ...bar }, what) {
+    this.set(bar, what);
+    if (answer === "share") this.onshare(bar, anyway);
   }
 
   /** Ask for the length; resolves to the answer and {length, unit}. */
@@ -103,13 +111,17 @@ export class ScaleBar {
     });
     const unit = h("select.text", { "aria-label": "Unit", testid: "scale-unit" }, optionsOf(UNITS));
     unit.value = bar.unit;
+    const anyway = h("input", { type: "checkbox", testid: "scale-anyway" });
+    const others = h("label.check", anyway, "Same scale for all: replace other scales too, and include pictures of another size");
     const kept = "Files .ljson and .tps keep the scale for liaam measure; .pts and .csv do not.";
     const note = h("p.small.muted", `Measurements of this picture are then in millimetres. ${kept}`);
-    const body = h("div.column", h("div.row", length, unit), note);
-    const actions = [...more, { label: "Set the scale", kind: "primary", value: "save", testid: "scale-save" }];
+    const body = h("div.column", h("div.row", length, unit), note, !this.alone() && others);
+    const share = { label: "Same scale for all", value: "share", testid: "scale-share" };
+    const actions = [...more, ...(this.alone() ? [] : [share]), { label: "Set the scale", kind: "primary", value: "save", testid: "scale-save" }];
     const answer = await dialog("Length of the scale bar", body, actions);
     const value = Number(length.value);
-    return [answer === "save" && !(value > 0) ? null : answer, { length: value, unit: unit.value }];
+    const wrong = (answer === "save" || answer === "share") && !(value > 0);
+    return [wrong ? null : answer, { length: value, unit: unit.value, anyway: anyway.checked }];
   }
 
   set(bar, what) {

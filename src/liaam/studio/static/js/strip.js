@@ -22,10 +22,13 @@ export function mountStrip(root, app) {
   let selecting = false; // whether a click selects several pictures
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
+  let wallTop = 0; // how far the wall was scrolled
+  let onWay = false; // whether a picture was opened from the wall, to which a person then returns
 
   const choose = (label, name, onchange, labels = {}) =>
     h("select.text", {
-      "aria-label": label, testid: `strip-${name}`, onchange: ({ target }) => { onchange(target.value); show(); },
+      "aria-label": label, testid: `strip-${name}`,
+      onchange: ({ target }) => { onchange(target.value); onWay = false; show(); },
     }, optionsOf(labels));
   const filter = choose("Show", "filter", (value) => { wanted.filter = value; }, labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", (value) => { wanted.order = value; }, filters.ORDERS);
@@ -41,7 +44,18 @@ export function mountStrip(root, app) {
   const adder = iconButton("Add pictures", "plus", () => app.adding.choose(), {
     small: true, testid: "add-pictures", title: "Add pictures, landmark files, a model or a video; or drop them on the page",
   });
-  const wall = createWall({ app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild });
+  const wall = createWall({
+    app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild,
+    onworst: () => { onWay = false; state.order = []; show(); },
+    turn: () => {
+      const { at, columns, room, size } = along();
+      const rows = Math.floor(room / size);
+      const first = Math.round(at / size) * columns;
+      const isLast = at + room >= list.scrollHeight - 1;
+      list.scrollTop += rows * size;
+      return pictures.slice(first, isLast ? undefined : first + rows * columns);
+    },
+  });
   const count = h("p.small.muted.grow", { "aria-live": "polite" });
   const bulk = createBulk({ app, chosen: () => [...chosen], onend: () => select(false),
     onall: () => mark(state.order), ondone: () => wall.on && list.focus({ preventScroll: true }) });
@@ -74,13 +88,18 @@ export function mountStrip(root, app) {
 
   /** Make all items again, as those of the list or of the wall. */
   function rebuild() {
-    if (wall.on) wanted.order = order.value = "quality";
+    if (wall.on && !onWay) {
+      wallTop = 0;
+      wanted.order = order.value = "quality";
+      state.order = []; // sorted anew, and then it stays
+    }
     items.clear();
     space.replaceChildren();
     bulk.show(selecting || wall.on);
     show();
-    reveal();
-    if (wall.on) list.focus({ preventScroll: true });
+    if (!wall.on) return reveal();
+    list.scrollTop = wallTop;
+    return list.focus({ preventScroll: true });
   }
 
   /** Select a picture too, or no longer; with a range, all up to it. */
@@ -100,6 +119,7 @@ export function mountStrip(root, app) {
 
   /** Open a picture; the wall gives way to it. */
   function enter(name) {
+    onWay = wall.on;
     wall.open(false);
     state.select(name);
   }
@@ -107,11 +127,15 @@ export function mountStrip(root, app) {
   function key(event) {
     if (wall.on && event.key === "Enter" && state.current) {
       consume(event);
-      enter(state.current);
+      if (event.shiftKey) wall.acceptPage();
+      else enter(state.current);
       return;
     }
-    const { columns } = along();
-    const step = { ArrowDown: columns, ArrowRight: 1, ArrowUp: -columns, ArrowLeft: -1 }[event.key];
+    const { columns, room, size } = along();
+    const page = wall.on ? columns * Math.floor(room / size) : 0; // otherwise the keys are those of the next picture
+    const step = {
+      ArrowDown: columns, ArrowRight: 1, ArrowUp: -columns, ArrowLeft: -1, PageDown: page, PageUp: -page,
+    }[event.key];
     const isAll = event.key === "a" && (event.ctrlKey || event.metaKey);
     const isMark = event.key === " " || (event.key === "Escape" && selecting);
     if (!isAll && !isMark && (!step || event.ctrlKey || event.altKey || event.metaKey)) return;
@@ -215,9 +239,10 @@ export function mountStrip(root, app) {
     list.scrollTo(BESIDE.matches || wall.on ? { top: to } : { left: to });
   }
 
-  /** While pictures are added or fitted, those in the list keep their places, and others come after them. */
+  /** While pictures are added or fitted, and while a person is on the way through the wall, those in the list keep their
+   *  places, and others come after them. */
   function inPlace(found) {
-    if (!state.adding && !state.project.fitting) return found;
+    if (!state.adding && !state.project.fitting && !wall.on && !onWay) return found;
     const places = new Map(state.order.map((name, i) => [name, i]));
     return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
   }
@@ -263,12 +288,14 @@ export function mountStrip(root, app) {
     state.step(-Infinity);
   });
   list.addEventListener("scroll", perFrame(render), { passive: true });
-  new ResizeObserver(() => { show(); reveal(); }).observe(list);
+  list.addEventListener("scroll", () => { if (wall.on) wallTop = list.scrollTop; }, { passive: true });
+  new ResizeObserver(() => { show(); if (!wall.on) reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
   state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
   state.wall = wall;
+  app.bulk = bulk;
   show();
   reveal();
 }

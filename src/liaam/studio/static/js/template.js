@@ -230,7 +230,7 @@ export function changes(draft, count) {
 export function consequences(draft, count, { pictures, model }) {
   const files = pictures.filter(({ placed, state }) => state === "reading" || (placed > 0 && state !== "proposed")).length;
   const checks = pictures.filter(({ checked }) => checked).length;
-  const copy = model?.careful ? " A copy of the model stays in .liaam-studio/kept." : "";
+  const copy = model?.source === "studio" ? " A copy of the model stays in .liaam-studio/kept." : "";
   return [
     files && `The landmark files of ${several(files, "picture")} will be rewritten: ${changes(draft, count).join("; ")}.`,
     model?.source === "studio" && `The trained model and its proposed points will be removed.${copy}`,

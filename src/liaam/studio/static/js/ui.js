@@ -217,18 +217,20 @@ export function saveFile(blob, name) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have read it yet
 }
 
-/** Show a message at the bottom of the page; errors stay until they are closed. Returns a function that removes it. */
-export function toast(message, kind = "info") {
+/** Show a message at the bottom of the page; errors stay until they are closed. `action`: {label, onclick} of a
+ *  button. Returns a function that removes it. */
+export function toast(message, kind = "info", action = null) {
   if (message?.unreachable) return () => {}; // the notice above the page says so
   const box = document.getElementById("toasts");
   const text = message instanceof Error ? message.message : String(message);
-  for (const other of box.querySelectorAll(".toast")) if (other.textContent === text) other.remove();
+  for (const other of box.querySelectorAll(".toast")) if (other.firstChild.textContent === text) other.remove();
   const remove = () => item.remove();
   const item = h("div.toast", { class: kind, role: kind === "bad" ? "alert" : null }, h("span.grow", text),
+    action && button(action.label, { small: true, testid: "toast-action", onclick: () => { remove(); action.onclick(); } }),
     iconButton("Dismiss", "close", remove, { small: true }));
   box.append(item);
   while (box.children.length > 4) box.firstChild.remove();
-  if (kind !== "bad") setTimeout(remove, 5000);
+  if (kind !== "bad") setTimeout(remove, action ? 10_000 : 5000);
   return remove;
 }
 

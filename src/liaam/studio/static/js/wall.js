@@ -10,19 +10,24 @@ export const acceptable = (pictures, least) =>
   pictures.filter(({ state, doubtful, quality }) => state === "proposed" && !doubtful && quality >= least)
     .map(({ name }) => name);
 
-/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed. */
-export function createWall({ app, shown, accept, onchange }) {
+/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed; onworst(): the
+ *  worst is about to be opened; turn(): show the next page, and return the pictures of this one. */
+export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing}
   const level = slider({
     min: "50", max: "100", value: String(FIRST), "aria-label": "Least quality to accept", testid: "wall-level", oninput: show,
   });
-  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: () => accept(chosen()) });
+  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: () => acceptSome(chosen) });
+  const page = button("Accept these", {
+    testid: "wall-page", shortcut: "Shift+Enter", onclick: () => acceptPage(),
+    title: "Accept the points of the pictures that are in view, but for doubtful ones, and go on to the next",
+  });
   const worst = button("Open the worst", {
     testid: "wall-worst", shortcut: "W", title: "Open the first that is not done, or that has a possible slip",
     onclick: () => openWorst(),
   });
-  const element = h("div.wall-bar", { hidden: true }, level, take, worst);
+  const element = h("div.wall-bar", { hidden: true }, level, take, page, worst);
   const toggler = iconButton("Wall of all pictures", "wall", () => open(!wall.on), {
     small: true, pressed: false, shortcut: "G", testid: "wall",
   });
@@ -36,6 +41,19 @@ export function createWall({ app, shown, accept, onchange }) {
     worst.disabled = !openIn(shown()).length;
   }
 
+  /** A training that ends later may change points that a person has looked at, but not accepted ones. */
+  function acceptPage() {
+    const pictures = turn();
+    return acceptSome(() => acceptable(pictures.map(({ name }) => state.picture(name)), 0));
+  }
+
+  /** Accept names() once all points that were just moved are saved. */
+  async function acceptSome(names) {
+    await app.saved();
+    const found = names();
+    if (found.length) accept(found);
+  }
+
   function open(on) {
     if (wall.on === on || !state.project.pictures.length) return;
     wall.on = on;
@@ -46,6 +64,7 @@ export function createWall({ app, shown, accept, onchange }) {
   }
 
   function openWorst() {
+    onworst();
     const [picture] = openIn(shown());
     if (!picture) return;
     open(false);
@@ -71,6 +90,6 @@ export function createWall({ app, shown, accept, onchange }) {
     return svg("svg", { class: "wall-points", viewBox, "stroke-width": dot, "aria-hidden": "true" }, svg("path", { d }));
   }
 
-  const wall = { element, toggler, on: false, open, openWorst, outline, show };
+  const wall = { element, toggler, on: false, open, openWorst, acceptPage, outline, show };
   return wall;
 }
