@@ -93,11 +93,11 @@ def drops(page, pictures: list[Path]) -> list[float]:
     return times
 
 
-def enlarged(path: Path) -> Path:
-    """Write a picture with 12 megapixels, as a camera's JPEG, beside it."""
+def enlarged(path: Path, folder: Path) -> Path:
+    """Write a picture with 12 megapixels, as a camera's JPEG, to a folder."""
     import cv2
 
-    large = path.with_name(f"large-{path.stem}.jpg")
+    large = folder / f"large-{path.stem}.jpg"
     write_image(large, cv2.resize(read_image(path), LARGE, interpolation=cv2.INTER_CUBIC))
     return large
 
@@ -374,7 +374,7 @@ def main(data: str | None = None, letters: int = 2) -> None:
             report("studio_drop_to_fit_ms", float(np.median(times)), f"worst {max(times):.0f}", form=".0f")
             for part in ("search", "fit"):
                 report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
-            large = drops(page, [enlarged(path) for path in pictures[:4]])
+            large = drops(page, [enlarged(path, Path(name)) for path in pictures[:4]])
             report("studio_large_drop_to_fit_ms", float(np.median(large)), f"worst {max(large):.0f}", form=".0f")
             drops(page, pictures[:1])
             report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
