@@ -274,3 +274,11 @@ def test_a_strange_shape_never_speaks_for_a_fit(rng):
     weights = _weights(evidence, np.repeat([True, False], 10))
     assert weights[1] > 0
     assert weights[2] == 0
+
+
+def test_the_quality_is_one_half_where_right_and_wrong_fits_come_closest():
+    """Not halfway between their means, where few but right fits under hard light may lie."""
+    features = np.repeat([0.45, 0.12, -0.1], [17, 3, 20])
+    weights = _logistic(features[:, None], features > 0.0)
+    border, closest, halfway = -weights[0] / weights[1], 0.01, 0.15
+    assert abs(border - closest) < abs(border - halfway)
