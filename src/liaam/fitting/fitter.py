@@ -312,44 +312,43 @@ class Fitter:
         first fit has low quality, other detections are fitted too. At most one is the object, so each other likely one
         lowers the odds.
         """
-        tried, n_starts, (low, high), (target, found) = [(first, start)], 1, region, start
+        tried, left, (low, high), (target, found) = [(first, start)], [], region, start
         large = LARGE * float((high - low).min())
 
-        def prior(result: FitResult) -> float:
-            return (diagonal_of(result.landmarks) / large) ** 2 if result.quality > 0 else 0.0
+        def prior(shape: np.ndarray, quality: float) -> float:
+            return (diagonal_of(shape) / large) ** 2 if quality > 0 else 0.0
 
-        if not with_prior(first, min(prior(first), 1.0)).quality >= known.low:
+        def odds(shape: np.ndarray, quality: float) -> float:
+            return prior(shape, quality) * odds_of(quality)
+
+        if not with_prior(first, min(prior(first.landmarks, first.quality), 1.0)).quality >= known.low:
             brief = replace(self.options, max_iterations=BRIEF)
-            starts = [
-                (target._replace(start=place.landmarks + low), found and replace(place, others=found.others))
-                for place in self.finder.others_in(target.linear.crop(low, high))
-            ]
-            n_starts += len(starts)
-            tried += [(self._fit_from(each[0], brief), each) for each in self._promising(known, starts, brief)]
+            for place in self.finder.others_in(target.linear.crop(low, high)):
+                there = target._replace(start=place.landmarks + low)
+                at = there, found and replace(place, others=found.others)
+                left.append((*self._blurred(known, there, brief), at))
+            left.sort(key=lambda each: odds(*each[:2]), reverse=True)
+            tried += [(self._fit_from(at[0], brief), at) for *_, at in left[:PROMISING]]
+        n_starts, left = 1 + len(left), left[PROMISING:]
         unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
         while True:
-            odds = [prior(each) * odds_of(each.quality) for each, _ in tried]
-            at = int(np.argmax(odds))
-            best, start = tried[at]
-            if at not in unfinished:
+            i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
+            best, start = tried[i]
+            if i not in unfinished:
                 break
-            unfinished.remove(at)
-            tried[at] = self._fit_from(start[0]), start
-        others = sum(o for o, (each, _) in zip(odds, tried, strict=True) if are_apart(best.landmarks, each.landmarks))
-        own = prior(best)
+            unfinished.remove(i)
+            tried[i] = self._fit_from(start[0]), start
+        seen = [(each.landmarks, each.quality) for each, _ in tried] + [each[:2] for each in left]
+        others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
+        own = prior(best.landmarks, best.quality)
         shared = own / (own + others) if own > 0 else 1.0
         return replace(best, n_starts=n_starts), min(own, 1.0) * shared, start
 
-    def _promising(self, known: Reliability, starts: list[Start], options: SolverOptions) -> list[Start]:
-        """Return the starts whose fits at all levels but the sharpest are most likely right."""
-
-        def odds(start: Start) -> float:
-            level = self._solved(start[0], spare(options), last=-1)[-1]
-            if not is_sane(level.reached, start[0].start):
-                return 0.0
-            return diagonal_of(level.reached) ** 2 * odds_of(known.quality(quality_features(level)))
-
-        return sorted(starts, key=odds, reverse=True)[:PROMISING] if len(self._levels) > 1 else starts
+    def _blurred(self, known: Reliability, target: Target, options: SolverOptions) -> tuple[np.ndarray, float]:
+        """Return shape and quality of a fit at all levels but the sharpest."""
+        level = self._solved(target, spare(options), last=max(1, len(self._levels) - 1))[-1]
+        sane = is_sane(level.reached, target.start)
+        return level.reached, known.quality(quality_features(level)) if sane else 0.0
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
         """Return the best fit by quality, of the first and those from other starts; stop at a typical quality."""

@@ -46,7 +46,7 @@ class Marks:
 
     @cached_property
     def placement(self) -> str:
-        """Hash of what a person places, and not of the scale: it tells whether points were checked or trained on."""
+        """Hash of the points without the scale, by which checks and training know whether they have changed."""
         return revision_of(repr((self.points, self.landmarks and self.landmarks.invisible)).encode())
 
     @property
