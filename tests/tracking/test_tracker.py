@@ -144,7 +144,7 @@ def astray(tracker: Tracker, monkeypatch, quality: float) -> None:
 def test_what_has_gone_astray_is_put_right(head_model, moving, monkeypatch):
     tracker = Tracker(head_model, options=TrackingOptions(review=4))
     first = tracker.update(moving[0].image)
-    astray(tracker, monkeypatch, 1.0 - 1.5 * (1.0 - first.quality))
+    astray(tracker, monkeypatch, 1.0 - 3.0 * (1.0 - first.quality))
     frames = [tracker.update(scene.image) for scene in moving[1:6]]
     followed, corrected = TrackStatus.TRACKED, TrackStatus.CORRECTED
     assert [frame.status for frame in frames] == [followed, followed, followed, corrected, followed]
