@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.datasets import load_folder
-from liaam.io import Landmarks, read_image, write_collection, write_image
+from liaam.io import Landmarks, write_collection, write_image
 
 
 def deformed(image: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -21,7 +21,7 @@ def deformed(image: np.ndarray, points: np.ndarray, rng: np.random.Generator) ->
     bend = cv2.resize(rng.normal(0, 0.01 * width, (4, 4, 2)), (width, height), interpolation=cv2.INTER_CUBIC)
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)
     source = ((pixels - shift) @ np.linalg.inv(matrix).T + bend).astype(np.float32)
-    warped = cv2.remap(image, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    warped = cv2.remap(image, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     placed = points @ matrix.T + shift
     for _ in range(20):  # the inverse of the bent map
         at = np.clip(placed.round().astype(int), 0, [width - 1, height - 1])
@@ -35,7 +35,7 @@ def write_wings(data: Path, folder: Path, count: int, labelled: int, slip: bool 
 
     Those with landmarks and the others are of different wings. A ``slip`` exchanges two points of the first.
     """
-    wings = [(read_image(sample.image), sample.landmarks.points) for sample in load_folder(data).samples]
+    wings = [(sample.read_image(), sample.landmarks.points) for sample in load_folder(data).samples]
     random.Random(1).shuffle(wings)
     rng, half, truth = np.random.default_rng(1), len(wings) // 2, {}
     for i in range(count):
