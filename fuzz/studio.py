@@ -19,6 +19,7 @@ from liaam.studio.folder import STATE, Folder
 from liaam.studio.store import DATABASE, Store
 
 POINTS = [[1.0, 2.0], [30.5, 2.25], [15.0, 20.0]]
+BAR = {"ends": [[1.0, 2.0], [21.0, 2.0]], "length": 5.0, "unit": "mm"}
 TEMPLATE = {
     "names": ["a", "b", "c"],
     "contours": [{"indices": [0, 1, 2], "closed": True}],
@@ -101,7 +102,8 @@ def check_state(data: bytes) -> None:
     json.dumps(answers, allow_nan=False).encode()  # as sent to the page
     if project.templates.current is not None and len(project.templates.current) == 3:
         project.save_marks("p1.png", {"points": POINTS, "invisible": [], "revision": None})
-        answers += [project.review({"pictures": ["p1.png", "p2.png"], "did": did}) for did in ACTIONS]
+        asked = {"pictures": ["p1.png", "p2.png"], "bar": BAR, "of": "p1.png"}
+        answers += [project.review({**asked, "did": did}) for did in ACTIONS]
         json.dumps(answers, allow_nan=False).encode()
     project.store.close()
     if project.problems:

@@ -124,6 +124,11 @@ def test_one_bar_for_all_is_written_exported_and_taken_back(small):
     assert share(small, did="unscaled")["changed"] == []
 
 
+@pytest.mark.parametrize("part", [{"bar": None}, {"of": None}, {"of": 3}])
+def test_a_bar_for_all_needs_the_bar_and_its_picture(small, part):
+    assert "send the scale bar" in str(refused(lambda: share(small, **part)))
+
+
 def test_a_scale_of_its_own_and_another_size_are_left_alone_unless_asked(small):
     put(small, "p2.png", bar=CM)
     write_landmarks(small.root / "p10.tps", Landmarks(np.array(POINTS), scale=0.1, image_name="p10.png"))

@@ -392,9 +392,10 @@ class Project:
             files = [self._find(name) for name in dict.fromkeys(names)]
             did, sharing = str(data.get("did")), None
             if did == "scaled":
-                bar, size = parse_bar(data.get("bar")), self._listing.usable_size(self._find(str(data.get("of"))))
-                if bar is None:
+                bar, drawn_on = parse_bar(data.get("bar")), data.get("of")
+                if bar is None or not isinstance(drawn_on, str):
                     raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
+                size = self._listing.usable_size(self._find(drawn_on))
                 sharing = Sharing(bar, size, data.get("anyway") is True)
             return self._actions.apply(files, did, who, sharing)
 
