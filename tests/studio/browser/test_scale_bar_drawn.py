@@ -21,18 +21,22 @@ def draw(page, length, unit, press):
     page.locator("[data-testid=scale-unit]").select_option(unit)
 
 
+def at_first_picture(marked, serve, open_page, size):
+    """Open the first picture; return the page and what presses a position on it."""
+    touch = size[0] < 1280
+    page = open_page(*size, has_touch=touch)
+    page.goto(serve(marked).address)
+    opened(page, "portrait-01.png")
+    return page, page.touchscreen.tap if touch else page.mouse.click
+
+
 def scale_of(root, name):
     return read_landmarks((root / name).with_suffix(".ljson")).scale
 
 
 @pytest.mark.parametrize("size", [(1280, 720), (820, 1180), (390, 844)], ids=str)
 def test_a_scale_bar_is_drawn_undone_changed_and_exported(marked, serve, open_page, artefacts, size):
-    touch = size[0] < 1280
-    server = serve(marked)
-    page = open_page(*size, has_touch=touch)
-    page.goto(server.address)
-    opened(page, "portrait-01.png")
-    press = page.touchscreen.tap if touch else page.mouse.click
+    page, press = at_first_picture(marked, serve, open_page, size)
     points = annotate(page, "points()")
 
     draw(page, "2", "cm", press)
@@ -81,12 +85,8 @@ def test_a_scale_bar_is_drawn_undone_changed_and_exported(marked, serve, open_pa
 
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)], ids=str)
 def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artefacts, size):
-    touch = size[0] < 1280
-    server = serve(marked)
-    page = open_page(*size, has_touch=touch)
-    page.goto(server.address)
-    opened(page, "portrait-01.png")
-    draw(page, "2", "cm", page.touchscreen.tap if touch else page.mouse.click)
+    page, press = at_first_picture(marked, serve, open_page, size)
+    draw(page, "2", "cm", press)
     shoot(page, artefacts, f"scale-share-{size[0]}-dialog")
     page.locator("[data-testid=scale-share]").click()
     page.get_by_text("Scale of 2 pictures set").wait_for()
