@@ -374,7 +374,9 @@ def summarise(request: GenericRequest, rows: list[Row]) -> dict[str, Any]:
 
 def _cell(rows: list[Row]) -> dict[str, Any]:
     """Return statistics, area under the ROC curve and coverage; None where unknown."""
-    right, known = [row for row in rows if is_right(row)], any(np.isfinite(row["quality"]) for row in rows)
+    known = any(np.isfinite(row["quality"]) for row in rows)
+    # By outline: fits that are right by points would be those that happen not to have slid along the contours.
+    right = [row for row in rows if is_right(row, "outline")]
     return statistics(rows) | {
         **_silent_and_refused(rows, "nme"),
         "by_outline": _silent_and_refused(rows, "outline"),
@@ -456,10 +458,9 @@ def report(summary: dict[str, Any]) -> str:
         "not seen. Errors are mean distances of the landmarks, per cent of the inter-ocular distance; silent: fits "
         "beyond 8 % whose status says that they can be used; refused: share of the right fits whose status says that "
         "they cannot be used; by outline: the same, with the distances of landmarks on contours from the contours; "
-        "ROC: area under the curve by which the quality tells fits "
-        "beyond 8 % from others; bias: largest difference of quality and share of fits right by outline, in "
-        "tenths of the quality with 30 fits; in 95 %: share of the landmarks of right fits in their ellipse, and "
-        "in the 95 % intervals along and across contours; excess: "
-        "median of what the error has on top of that of the true shape projected on the shape model."
+        "ROC: area under the curve by which the quality tells fits beyond 8 % from others; bias: largest difference of "
+        "quality and share of fits right by outline, in tenths of the quality with 30 fits; in 95 %: share of the "
+        "landmarks of fits that are right by outline in their ellipse, and in the 95 % intervals along and across "
+        "contours; excess: median of what the error has on top of that of the true shape projected on the shape model."
     )
     return tell(question, table(summary))

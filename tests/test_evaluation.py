@@ -8,6 +8,7 @@ from liaam.evaluation import (
     along_and_across,
     angle_difference,
     contour_directions,
+    contour_turns,
     cumulative_errors,
     error_statistics,
     landmark_errors,
@@ -81,6 +82,16 @@ def test_landmarks_where_contours_meet_do_not_slide():
     found = contour_directions(ARC, [((0, 1, 2), False), ((2, 3, 4), False)])
     assert np.isnan(found[2]).all() and np.isfinite(found[[0, 1, 3, 4]]).all()
     assert np.isnan(contour_directions(ARC, ())).all()
+
+
+def test_contours_turn_with_their_shape_and_other_landmarks_do_not():
+    turned = np.asarray(ARC) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    turns, before = contour_turns(np.asarray(ARC), turned, LINES), contour_directions(ARC, LINES)
+    on = np.isfinite(before[:, 0])
+    assert 0 < on.sum() < len(on)
+    after = np.einsum("nab,nb->na", turns[on], before[on])
+    np.testing.assert_allclose(after, contour_directions(turned, LINES)[on], atol=1e-12)
+    np.testing.assert_array_equal(turns[~on], np.broadcast_to(np.eye(2), turns[~on].shape))
 
 
 def test_a_slide_along_a_contour_is_no_error_of_the_outline():

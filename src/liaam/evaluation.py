@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -72,19 +73,37 @@ def contour_directions(shapes: np.ndarray, contours: Contours) -> np.ndarray:
     contours : sequence of (indices, closed)
     """
     shapes = np.asarray(shapes, np.float64)
-    found = np.full(shapes.shape, np.nan)
+    before, after = _neighbours(tuple((tuple(indices), closed) for indices, closed in contours), shapes.shape[-2])
+    steps = shapes[..., after, :] - shapes[..., before, :]
+    with np.errstate(invalid="ignore"):
+        return steps / np.sqrt(np.square(steps).sum(axis=-1, keepdims=True))
+
+
+@lru_cache(maxsize=64)
+def _neighbours(contours: tuple[tuple[tuple[int, ...], bool], ...], n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Landmarks before and after each of n on its contour, (n,) int64 each; itself where it is on none or several."""
+    before, after = np.arange(n), np.arange(n)
     for indices, closed in _curves(contours):
-        own = shapes[..., indices, :]
-        if closed:
-            steps = np.roll(own, -1, axis=-2) - np.roll(own, 1, axis=-2)
-        else:
-            steps = np.diff(own, axis=-2)
-            between = own[..., 2:, :] - own[..., :-2, :]
-            steps = np.concatenate([steps[..., :1, :], between, steps[..., -1:, :]], axis=-2)
-        with np.errstate(invalid="ignore"):
-            found[..., indices, :] = steps / np.linalg.norm(steps, axis=-1, keepdims=True)
-    found[..., _junctions(contours), :] = np.nan
-    return found
+        whole = indices[[-1, *range(len(indices)), 0]] if closed else indices[[0, *range(len(indices)), -1]]
+        before[indices], after[indices] = whole[:-2], whole[2:]
+    several = _junctions(contours)
+    before[several] = after[several] = several
+    return before, after
+
+
+def contour_axes(shapes: np.ndarray, contours: Contours) -> np.ndarray:
+    """Unit vectors along and across contours at their landmarks, (..., n, 2, 2) float64; x and y at other landmarks.
+
+    ``shapes`` and ``contours`` are those of :func:`contour_directions`.
+    """
+    along = contour_directions(shapes, contours)
+    along = np.where(np.isnan(along), [1.0, 0.0], along)
+    return np.stack([along, along[..., ::-1] * [-1.0, 1.0]], axis=-2)
+
+
+def contour_turns(shape: np.ndarray, to: np.ndarray, contours: Contours) -> np.ndarray:
+    """Rotations of contours at their landmarks, from a shape (n, 2) to another, (n, 2, 2) float64."""
+    return np.swapaxes(contour_axes(to, contours), -1, -2) @ contour_axes(shape, contours)
 
 
 def along_and_across(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:

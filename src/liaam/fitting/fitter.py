@@ -421,9 +421,8 @@ class Fitter:
         theta_model, theta = solution.angles if self._method.has_angles else (np.nan, np.nan)
         spread = covariance(stage, self.options.shape_prior / solution.prior_scale, target.pull)
         spread = spread if known is None else known.variance_factor * spread
-        seen = quality_features(stage)
+        seen, unit = quality_features(stage), stage.objective.noise_variance(solution)
         status = status_of(target.image, history, stage, self.model, self.shapes)
-        unit = stage.objective.noise_variance(solution)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # A fit that explains nothing is doubtful, also without calibration.
         explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)
@@ -441,7 +440,9 @@ class Fitter:
             n_iterations=sum(stage.solution.n_iterations for stage in stages),
             history=history,
             covariance=spread,
-            landmark_covariances=landmark_covariances(self.shapes, stage.pose, spread, known, unit),
+            landmark_covariances=landmark_covariances(
+                self.shapes, stage.pose, p, spread, self.model.contours, known, unit
+            ),
             residual_variance=unit,
             evidence=seen,
             quality=quality,

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from liaam.evaluation import Contours, contour_turns
 from liaam.fitting.levels import FittedLevel
 from liaam.fitting.objective import Objective
 from liaam.model import Reliability
@@ -95,7 +96,9 @@ def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
 def landmark_covariances(
     shapes: ShapeModel,
     pose: Similarity,
+    p: np.ndarray,
     spread: np.ndarray,
+    contours: Contours = (),
     reliability: Reliability | None = None,
     unit: float = 1.0,
 ) -> np.ndarray:
@@ -106,8 +109,11 @@ def landmark_covariances(
     shapes : ShapeModel
     pose : Similarity
         Model pixels to image pixels.
+    p : (n_p,) float64
     spread : (n_q, n_q) float64
         Covariance of (p, free angles).
+    contours : sequence of (indices, closed)
+        The model's contours. Errors on left-out images are those along and across them.
     reliability : Reliability, optional
         Source of the fits' errors on left-out images; by default the shape model's errors on left-out shapes.
     unit : float
@@ -115,5 +121,6 @@ def landmark_covariances(
     """
     fitted = fitted_covariances(shapes, spread)
     unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
-    own = fitted if unexplained is None else fitted + unexplained
+    turns = contour_turns(shapes.mean, shapes.shape(p), contours)
+    own = fitted if unexplained is None else fitted + turns @ unexplained @ np.swapaxes(turns, 1, 2)
     return pose.matrix @ own @ pose.matrix.T

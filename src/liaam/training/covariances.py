@@ -4,10 +4,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam.evaluation import Contours, contour_directions
+from liaam.evaluation import Contours, contour_axes, contour_directions
 
-SHRINK = 5.0
-"""Weight, in left-out images, of the average over landmarks that are alike in the estimate of one's covariance."""
+SHRINK = 15.0
+"""Weight, in left-out images, of what is known without them: of the average over landmarks that are alike in the
+estimate of one's covariance, and of 1 in the factor on a fit's own variances. With 5, the noise of 20 images makes
+ellipses too large, because remainders below 0 are set to 0 (experiments/notes/uncertainty.md)."""
 
 TAIL, STEADY = 12.0, 10.0
 """Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
@@ -55,9 +57,7 @@ class Alike(NamedTuple):
         groups, along = np.zeros(shape.shape, int), contour_directions(shape, contours)
         for i, (indices, _) in enumerate(contours):
             groups[list(indices)] = 2 * i + 1, 2 * i + 2
-        on = np.isfinite(along)
-        along = np.where(on, along, [1.0, 0.0])
-        return cls(np.where(on, groups, 0), np.stack([along, along[:, ::-1] * [-1.0, 1.0]], axis=1))
+        return cls(np.where(np.isfinite(along), groups, 0), contour_axes(shape, contours))
 
     def variances(self, moments: np.ndarray) -> np.ndarray:
         """Return the variances along and across, (..., n, 2), of second moments (..., n, 2, 2)."""
@@ -85,9 +85,10 @@ def learn_covariances(
     Parameters
     ----------
     errors : (m, n, 2) float64
-        Errors of right fits to left-out images, pixels of the frame.
+        Errors of right fits to left-out images, pixels of the frame, along and across the contours of the mean shape
+        as they are along and across those of the image.
     spreads : (m, n, 2, 2) float64
-        Covariances of the landmarks by the fits.
+        Covariances of the landmarks by the fits, turned as the errors.
     factor : float
         Factor on these (:func:`variance_factor`).
     units : (m,) float64

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.evaluation import outline_errors
+from liaam.evaluation import contour_turns, outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.levels import LinearImage
@@ -67,7 +67,8 @@ class LeftOutFit(NamedTuple):
     """A fit to a left-out image.
 
     ``error`` is the mean distance of the landmarks from the true ones, or of those on contours from the true contours,
-    as a fraction of the shape's diagonal; ``near`` fits start near the object. The rest is in pixels of the frame.
+    as a fraction of the shape's diagonal; ``near`` fits start near the object. The rest is in pixels of the frame,
+    turned from the contours of the image to those of the mean shape.
     """
 
     near: bool
@@ -140,13 +141,14 @@ def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: 
         return None
     error = outline_errors(result.landmarks, picture.points, model.contours).mean() / diagonal_of(picture.points)
     unposed, shapes = result.pose.inverse(), fitter.shapes
-    off = shapes.parameters(unposed(picture.points)) - result.p
+    truth = unposed(picture.points)
+    turns, off = contour_turns(truth, shapes.mean, model.contours), shapes.parameters(truth) - result.p
     return LeftOutFit(
         near,
         float(error),
         result.evidence,
-        (picture.points - result.landmarks) @ unposed.matrix.T,
-        fitted_covariances(shapes, result.covariance),
+        np.einsum("nab,nb->na", turns, (picture.points - result.landmarks) @ unposed.matrix.T),
+        turns @ fitted_covariances(shapes, result.covariance) @ np.swapaxes(turns, 1, 2),
         surprise(off, result.covariance),
         result.residual_variance,
     )
