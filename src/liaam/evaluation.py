@@ -103,7 +103,11 @@ def contour_axes(shapes: np.ndarray, contours: Contours) -> np.ndarray:
 
 def contour_turns(shape: np.ndarray, to: np.ndarray, contours: Contours) -> np.ndarray:
     """Rotations of contours at their landmarks, from a shape (n, 2) to another, (n, 2, 2) float64."""
-    return np.swapaxes(contour_axes(to, contours), -1, -2) @ contour_axes(shape, contours)
+    before, after = (contour_directions(each, contours) @ np.array([1.0, 1.0j]) for each in (shape, to))
+    with np.errstate(invalid="ignore"):
+        turns = after * before.conj()  # of complex unit vectors
+    turns[np.isnan(turns)] = 1.0
+    return np.stack([turns.real, -turns.imag, turns.imag, turns.real], axis=-1).reshape(*turns.shape, 2, 2)
 
 
 def along_and_across(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.fitting import Detection, FitStatus, Fitter
-from liaam.fitting.fitter import BRIEF
+from liaam.fitting import Detection, FitStatus, Fitter, other_places
+from liaam.fitting.other_places import BRIEF
 from liaam.fitting.search import LARGE
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
@@ -46,6 +46,7 @@ def place(calibrated, lit_scene, monkeypatch):
             return fit if call.ends is None or len(call.briefly) == 1 else replace(fit, quality=call.ends)
 
         monkeypatch.setattr(Fitter, "_fit_from", fit_from)
+        monkeypatch.setattr(other_places, "_sharpened", lambda own, each, brief: fit_from(own, each.start[0], brief))
         result = fitter.fit(image)
         return next(i for i, shape in enumerate(shapes) if shape is result.landmarks), result
 
@@ -88,14 +89,19 @@ def test_of_places_that_look_alike_the_largest_is_taken(place):
     assert place((0.4, 0.3), (0.2, 0.9))[0] == 1
 
 
-def test_where_two_places_look_right_neither_is_believed(place):
-    _, alone = place((0.5, 0.6))
-    _, one_of_two = place((0.5, 0.6), (0.5, 0.59))
+def test_where_the_first_place_looks_wrong_and_two_others_right_neither_is_believed(place):
+    _, alone = place((0.5, 0.1), (0.5, 0.6))
+    which, one_of_two = place((0.5, 0.1), (0.5, 0.6), (0.5, 0.59))
     assert alone.status is FitStatus.CONVERGED
+    assert (which, one_of_two.n_starts) == (1, 3)
     assert one_of_two.status is FitStatus.DOUBTFUL
-    assert one_of_two.n_starts == 2
-    own, other = 0.6 / 0.4, 0.59 / 0.41
-    assert one_of_two.quality == pytest.approx(own / (1 + own + other))
+    own, others = 0.6 / 0.4, 0.59 / 0.41 + 0.1 / 0.9
+    assert one_of_two.quality == pytest.approx(own / (1 + own + others))
+
+
+def test_a_first_place_that_is_more_likely_right_than_wrong_is_not_compared_with_others(place):
+    which, result = place((0.5, 0.6), (0.5, 0.9))
+    assert (which, result.n_starts) == (0, 1)
 
 
 def test_what_is_lost_everywhere_stays_lost(place):

@@ -7,21 +7,22 @@ from functools import cached_property
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.fitting.detection import DOUBTFUL, Detection, are_apart
+from liaam.fitting.detection import DOUBTFUL, Detection
 from liaam.fitting.level_image import MARGIN, NEAR
-from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, is_sane, solve_levels, spare
+from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.other_places import likeliest
 from liaam.fitting.picture import load_picture, path_of
 from liaam.fitting.restarts import other_starts
-from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, odds_of, trace, with_prior
-from liaam.fitting.search import LARGE, Finder
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, trace, with_prior
+from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions, scored
 from liaam.fitting.start import mapped_points, part_of_start, region_of, start_shape
 from liaam.fitting.status import status_of
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
 from liaam.model import AAM, Level, Reliability, View
-from liaam.model.shape import ShapeModel, diagonal_of
+from liaam.model.shape import ShapeModel
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
@@ -29,14 +30,6 @@ from liaam.photometry.encoding import refuse_unscaled, stored_values
 SLOW = 25
 """Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
 have low quality in harder light than that of training, but take about 15 steps; 11 wrong ones took 27 and more."""
-
-BRIEF = 12
-"""Largest number of steps per level of fits to other detections. Right fits take fewer; wrong ones, and most are, take
-up to ``max_iterations``. Photographs without a face take two thirds of the time, and nothing is lost."""
-
-PROMISING = 3
-"""Number of these detections that are fitted at the sharpest level, which takes most of the time: those of the highest
-quality at the level before. All of 145 doubtful fits end as with every detection; with two, 6 end elsewhere."""
 
 REACH = 0.35
 """Largest blur of the levels that a fit from another landmarker's points uses, as a multiple of the points' root mean
@@ -46,9 +39,6 @@ distance between the eyes off: errors as with all levels, within 0.1 %."""
 MAPPED_TOLERANCE = 1.0
 """``SolverOptions.early_tolerance`` of these fits, unless it is set: a start of known precision needs fewer steps. On
 the spot protocol two steps instead of three, and the same errors within 0.1 %."""
-
-Start = tuple[Target, Detection | None]
-"""A start, and the detection that it is from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +241,7 @@ class Fitter:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
         prior, known, region = 1.0, self._known_for(result), region_of(init, target.image)
         if known is not None and region is not None and (init is None or self.restarts):
-            result, prior, (target, found) = self._likeliest(known, result, (target, found), region)
+            result, prior, (target, found) = likeliest(self, known, result, (target, found), region)
         if self.restarts and self._falls_short(with_prior(result, prior)):
             result = self._fit_again(target, result)
         result, model, known = with_prior(result, prior), self.model, self.reliability
@@ -304,51 +294,6 @@ class Fitter:
         known = self._known_for(result)
         least = max(LEAST_QUALITY, known.low if known is not None and result.n_iterations > SLOW else 0.0)
         return known is not None and result.quality < least
-
-    def _likeliest(self, known: Reliability, first: FitResult, start: Start, region) -> tuple[FitResult, float, Start]:
-        """Return the most likely fit in a region (its corners), the factor on its odds, and its start.
-
-        The prior of a place is proportional to its area, because there are more small places than large ones. If the
-        first fit has low quality, other detections are fitted too. At most one is the object, so each other likely one
-        lowers the odds.
-        """
-        tried, left, (low, high), (target, found) = [(first, start)], [], region, start
-        large = LARGE * float((high - low).min())
-
-        def prior(shape: np.ndarray, quality: float) -> float:
-            return (diagonal_of(shape) / large) ** 2 if quality > 0 else 0.0
-
-        def odds(shape: np.ndarray, quality: float) -> float:
-            return prior(shape, quality) * odds_of(quality)
-
-        if not with_prior(first, min(prior(first.landmarks, first.quality), 1.0)).quality >= known.low:
-            brief = replace(self.options, max_iterations=BRIEF)
-            for place in self.finder.others_in(target.linear.crop(low, high)):
-                there = target._replace(start=place.landmarks + low)
-                at = there, found and replace(place, others=found.others)
-                left.append((*self._blurred(known, there, brief), at))
-            left.sort(key=lambda each: odds(*each[:2]), reverse=True)
-            tried += [(self._fit_from(at[0], brief), at) for *_, at in left[:PROMISING]]
-        n_starts, left = 1 + len(left), left[PROMISING:]
-        unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
-        while True:
-            i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
-            best, start = tried[i]
-            if i not in unfinished:
-                break
-            unfinished.remove(i)
-            tried[i] = self._fit_from(start[0]), start
-        seen = [(each.landmarks, each.quality) for each, _ in tried] + [each[:2] for each in left]
-        others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
-        own = prior(best.landmarks, best.quality)
-        shared = own / (own + others) if own > 0 else 1.0
-        return replace(best, n_starts=n_starts), min(own, 1.0) * shared, start
-
-    def _blurred(self, known: Reliability, target: Target, options: SolverOptions) -> tuple[np.ndarray, float]:
-        """Return shape and quality of a fit at all levels but the sharpest."""
-        level = self._solved(target, spare(options), last=max(1, len(self._levels) - 1))[-1]
-        sane = is_sane(level.reached, target.start)
-        return level.reached, known.quality(quality_features(level)) if sane else 0.0
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
         """Return the best fit by quality, of the first and those from other starts; stop at a typical quality."""

@@ -121,6 +121,8 @@ def landmark_covariances(
     """
     fitted = fitted_covariances(shapes, spread)
     unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
-    turns = contour_turns(shapes.mean, shapes.shape(p), contours)
-    own = fitted if unexplained is None else fitted + turns @ unexplained @ np.swapaxes(turns, 1, 2)
+    if contours and unexplained is not None:
+        turns = contour_turns(shapes.mean, shapes.shape(p), contours)
+        unexplained = turns @ unexplained @ np.swapaxes(turns, 1, 2)
+    own = fitted if unexplained is None else fitted + unexplained
     return pose.matrix @ own @ pose.matrix.T
