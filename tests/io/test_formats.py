@@ -134,6 +134,7 @@ READ = [
     ("a.json", labelme([3, 1, 2], ["lm"] * 3), POINTS),
     ("a.json", labelme([5, 6, 7], ["r", "p", "q"]), POINTS),
     ("a.json", coco(width=0, height=0), POINTS),
+    ("a.json", coco().replace("10, 20,", '"10", "20",'), POINTS),  # numbers as text
     ("a.json", coco(width=400, height=320, factor=2), POINTS),
 ]
 
@@ -169,7 +170,7 @@ REFUSED = [
     ("a.nts", "1 9 0 0 DIM=2\n", "9 x 0 numbers are promised but 0 are there"),
     ("a.txt", "<landmarks.pixel>" * 20_000, "it is cut short within its landmarks"),
     ("a.nts", "1 999999999 2 0 DIM=2\n1 2\n", "999999999 x 2 numbers are promised but 2 are there"),
-    ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
+    ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "has keypoints for several sizes, or none"),
     ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),
     ("a.nts", f"1 9{' ' * 40_000}9{' ' * 40_000}1 1 dim\n1 2\n", "there is no header of a matrix"),
     ("a.nts", f"1 2L 4 1 -{'9' * 200_000}x\n1 2\n", "there is no header of a matrix"),

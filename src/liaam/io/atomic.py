@@ -40,11 +40,9 @@ _SEES_PROCESSES = os.name == "posix"  # elsewhere os.kill would end them
 
 _TAKEN = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
-_FAR = 1 << 30
-"""Position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read."""
+_FAR = 1 << 30  # position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read
 
-_swept: set[Path] = set()
-"""Folders that this process has swept."""
+_swept: set[Path] = set()  # folders that this process has swept
 
 
 def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Path:

@@ -15,11 +15,8 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError, missing
 
-MAX_PIXELS = 200_000_000
-"""Default limit on width x height. Larger images are rejected before decoding."""
-
-MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"
-"""Environment variable of another limit."""
+MAX_PIXELS = 200_000_000  # default limit on width x height. Larger images are rejected before decoding
+MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"  # environment variable of another limit
 
 
 def natural_key(text: str) -> list[Any]:
@@ -44,11 +41,11 @@ def count_of(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def is_number(text: str) -> bool:
-    """Return whether a table cell holds a finite number."""
+def is_number(cell: Any) -> bool:
+    """Return whether a table cell, or a value of JSON, holds a finite number."""
     try:
-        return math.isfinite(float(text))
-    except ValueError:
+        return math.isfinite(float(cell))
+    except (TypeError, ValueError, OverflowError):
         return False
 
 

@@ -74,18 +74,13 @@ class _Opened:
     file: Any
     name: object
     kind: str
-    image: Any
-    """Pillow's image; None for a TIFF of more than 8 bits per channel."""
-    width: int
-    """As stored, before the orientation is applied."""
+    image: Any  # Pillow's image; None for a TIFF of more than 8 bits per channel
+    width: int  # as stored, before the orientation is applied
     height: int
-    deep: bool = False
-    """Whether channels have more than 8 bits."""
+    deep: bool = False  # whether channels have more than 8 bits
     orientation: int = 1
-    fault: str = ""
-    """Why the pixels cannot be decoded, or empty."""
-    white: int = 65535
-    """Largest value of integers, which some PPM files state."""
+    fault: str = ""  # why the pixels cannot be decoded, or empty
+    white: int = 65535  # largest value of integers, which some PPM files state
 
     @property
     def size(self) -> tuple[int, int]:

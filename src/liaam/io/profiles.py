@@ -6,14 +6,11 @@ from typing import Any
 
 import numpy as np
 
-ROWS_AT_ONCE = 256
-"""Rows converted at a time, because Pillow's conversions take several times the image's memory."""
-
+ROWS_AT_ONCE = 256  # rows converted at a time, because Pillow's conversions take several times the image's memory
 _PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
 """Modes of Pillow's images that the colour profiles of each colour space are for."""
 
-_SAME = 2
-"""Largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding."""
+_SAME = 2  # largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding
 
 
 def rgb_of(image: Any) -> np.ndarray:

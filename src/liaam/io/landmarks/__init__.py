@@ -16,29 +16,11 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.landmarks import writers
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.contours import Contour
+from liaam.io.landmarks.contours import Contour as Contour
 from liaam.io.landmarks.file import ImagesBeside, LandmarkFile, Size
-from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES, writer_of
+from liaam.io.landmarks.formats import FORMATS as FORMATS, LANDMARK_SUFFIXES as LANDMARK_SUFFIXES, writer_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading
-
-__all__ = [
-    "FORMATS",
-    "LANDMARK_SUFFIXES",
-    "USUAL",
-    "Contour",
-    "ImageNames",
-    "LandmarkFile",
-    "Landmarks",
-    "Notes",
-    "Reading",
-    "collection_text",
-    "parse_landmark_data",
-    "read_collection",
-    "read_landmarks",
-    "write_collection",
-    "write_landmarks",
-]
 
 
 def read_landmarks(

@@ -23,12 +23,9 @@ from liaam.io.landmarks.contours import Contour
 class Placing:
     """What the positions in a file count from."""
 
-    size: tuple[float, float] | None = None
-    """Width and height of the image that the positions are for, if the file states it."""
-    upwards: bool = False
-    """Whether y counts upwards from the bottom row."""
-    fractions: bool = False
-    """Whether x and y are fractions of the width and height."""
+    size: tuple[float, float] | None = None  # width and height of the image, if the file states them
+    upwards: bool = False  # whether y counts upwards from the bottom row
+    fractions: bool = False  # whether x and y are fractions of the width and height
 
 
 @dataclass(frozen=True, eq=False, repr=False)

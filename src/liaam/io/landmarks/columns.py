@@ -46,8 +46,7 @@ class Columns:
     specimen: int | None = None
     landmark: int | None = None
     visible: int | None = None
-    size: tuple[int, ...] = ()
-    """Those of the width and height of the images."""
+    size: tuple[int, ...] = ()  # those of the width and height of the images
 
 
 def plain(cell: str) -> str:

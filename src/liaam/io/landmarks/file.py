@@ -21,12 +21,8 @@ from liaam.io.landmarks.text import read_text
 
 Size = tuple[float, float]
 
-_FRACTION = 1.5
-"""Largest fraction of an image's size of a point beyond its border, or of half its size."""
-
-_SMALL = 16
-"""Width and height in pixels up to which all landmarks may lie within one pixel."""
-
+_FRACTION = 1.5  # largest fraction of an image's size of a point beyond its border, or of half its size
+_SMALL = 16  # width and height in pixels up to which all landmarks may lie within one pixel
 SCALED = "positions are for another size of the image, and are scaled along"
 TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
 UNDECIDED = (

@@ -15,22 +15,16 @@ from liaam.io.landmarks.reading import Source, UnrecognisedError
 class Format:
     """A landmark file format."""
 
-    title: str
-    """Name of the format."""
-    suffixes: tuple[str, ...]
-    """Suffixes of its files, lower case."""
-    origin: str
-    """What its numbers count from, for the documentation."""
-    many: bool
-    """Whether one file can hold many images."""
+    title: str  # name of the format
+    suffixes: tuple[str, ...]  # suffixes of its files, lower case
+    origin: str  # what its numbers count from, for the documentation
+    many: bool  # whether one file can hold many images
     contours: bool
     names: bool
-    parse: Callable[[Source], list[Landmarks]]
-    """Make the landmarks of each object, as the file counts them."""
+    parse: Callable[[Source], list[Landmarks]]  # make the landmarks of each object, as the file counts them
+    # The text of one image's landmarks, and of those of many images of these sizes; None if it is not written.
     text: Callable[[Landmarks], str] | None = None
-    """Format landmarks as a file's text; None if the format is read-only. y of ``.tps`` counts upwards."""
     text_of_many: Callable[[Mapping[str, Landmarks], out.Sizes], str] | None = None
-    """Format the landmarks of many images, of these sizes, as a file's text."""
 
 
 _CENTRES = "centres counted from 0"
@@ -44,23 +38,21 @@ _TABLES = (".csv", ".tsv", ".txt")
 _IMAGES, _LINES, _NAMES = True, True, True  # whether a format holds many images, contours, names
 
 FORMATS: tuple[Format, ...] = (
-    Format("300-W points", (".pts",), _FIRST, False, False, False, plain.parse_pts, text=out.pts_text),
-    Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, text=out.ljson_text),
+    Format("300-W points", (".pts",), _FIRST, False, False, False, plain.parse_pts, out.pts_text),
+    Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, out.ljson_text),
     Format("WebMorph template", (".tem",), _TAKEN, False, _LINES, False, plain.parse_tem),
     Format("AAM-API shape", (".asf",), _FRACTIONS, False, _LINES, False, plain.parse_asf),
     Format("LabelMe", (".json",), _TAKEN, False, False, _NAMES, an.parse_labelme),
     Format("CVAT for images", (".xml",), _TAKEN, _IMAGES, False, _NAMES, an.parse_cvat),
     Format("dlib imglab", (".xml",), _CENTRES, _IMAGES, False, _NAMES, an.parse_dlib),
     Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio),
-    Format(
-        "COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, text_of_many=out.coco_collection
-    ),
-    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, out.tps_text, out.tps_collection),
+    Format("COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, None, out.coco_of_many),
+    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, out.tps_text, out.tps_of_many),
     Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, morph.parse_nts),
     Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes),
     Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
     Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
-    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_collection),
+    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_of_many),
     Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, tables.parse_list),
     Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines),
 )

@@ -17,9 +17,7 @@ CASE = "images are named in another case in the landmark file"
 EXTENSION = "images are named with another extension in the landmark file"
 SPELLING = "images are named in another spelling in the landmark file"
 
-_UPLOADED = r"^[0-9a-f]{8}-(?=.)"
-"""What Label Studio puts before the names of images that are uploaded."""
-
+_UPLOADED = r"^[0-9a-f]{8}-(?=.)"  # what Label Studio puts before the names of images that are uploaded
 _SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
 
 

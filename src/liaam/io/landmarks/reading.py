@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,15 +15,16 @@ from liaam.errors import LandmarkError
 from liaam.io.files import natural_key, some_names
 from liaam.io.landmarks.base import Landmarks, Placing, without_zeros
 from liaam.io.landmarks.columns import plain
-from liaam.io.landmarks.text import Row, rows_of, short
+from liaam.io.landmarks.text import Row, parse_point, rows_of, short
 
 T = TypeVar("T")
 R = TypeVar("R")
 
+# Errors of a reader where parts of a file are absent, or are of another type.
 LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
-"""Errors of a reader where parts of a file are absent, or are of another type."""
 
-MISSING = (math.nan, math.nan)
+MISSING, HIDDEN, SEEN = range(3)  # how a landmark is marked
+Mark = tuple[str, Any, Any, int]  # the name of a landmark, x and y as numbers or text, and how it is marked
 
 
 class UnrecognisedError(LandmarkError):
@@ -54,7 +55,6 @@ class Reading:
 
 
 USUAL = Reading()
-"""How files are read unless the user says otherwise."""
 
 
 @dataclass
@@ -62,10 +62,8 @@ class Notes:
     """What has to be said about a file: records that are left out, and what was done with others."""
 
     strict: bool = False
-    left_out: dict[str, str] = field(default_factory=dict)
-    """Reasons by record."""
-    done: dict[str, list[str]] = field(default_factory=dict)
-    """Names of records or images, by what was done with them."""
+    left_out: dict[str, str] = field(default_factory=dict)  # reasons by record
+    done: dict[str, list[str]] = field(default_factory=dict)  # records or images, by what was done with them
 
     def leave_out(self, which: str, why: LandmarkError | str) -> None:
         """Note that a record is left out; raise instead if strict."""
@@ -160,35 +158,41 @@ class Source:
             raise first
 
 
-def size_of_file(width: Any, height: Any) -> Placing:
-    """Return how positions count in an image whose size a file states as numbers or text, if it does."""
-    size = _numbers(width, height)
-    return Placing((size[0], size[1]) if size and min(size) > 0 else None)
+def size_of_file(width: Any, height: Any) -> tuple[float, float] | None:
+    """Return the size of an image that a file states as numbers or text, if it does."""
+    return (float(width), float(height)) if area_of(width, height) > 0 and float(width) > 0 else None
 
 
 def area_of(*sides: Any) -> float:
     """Return an area, or the product of the sides of a box; 0 if it is not known."""
-    return math.prod(_numbers(*sides) or [0.0])
-
-
-def _numbers(*values: Any) -> list[float]:
-    """Return values as finite numbers; nothing if one is none."""
     try:
-        numbers = list(map(float, values))
+        area = math.prod(map(float, sides))
     except (TypeError, ValueError, OverflowError):
-        return []
-    return numbers if math.isfinite(math.prod(numbers)) else []
+        return 0.0
+    return area if sides and math.isfinite(area) else 0.0
 
 
 def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
     """Return landmarks by image; further ones of an image are its others, unless they have no point."""
-    found: dict[str, list[Landmarks]] = {}
+    found = defaultdict[str, list[Landmarks]](list)
     for own in landmarks:
-        found.setdefault(own.image_name or "", []).append(own)
+        found[own.image_name or ""].append(own)
     return {
         image: replace(first, others=(*first.others, *(other for other in others if not other.missing.all())))
         for image, (first, *others) in found.items()
     }
+
+
+def object_of(
+    marks: Iterable[Mark], image: str | None, size: tuple[float, float] | None = None, label: str = ""
+) -> Landmarks:
+    """Make the landmarks of an object as an annotation tool has them."""
+    marks, of = list(marks), f" of '{image}'" if image else ""
+    nowhere = (math.nan, math.nan)
+    points: Any = [parse_point(at, f"point '{name}'{of}") if how else nowhere for name, *at, how in marks]
+    hidden = tuple(i for i, mark in enumerate(marks) if mark[-1] == HIDDEN)
+    names = names_of([mark[0] for mark in marks])
+    return Landmarks(points, (), names, image, hidden, label=label, placing=Placing(size))
 
 
 def names_of(labels: Sequence[str]) -> tuple[str, ...]:
@@ -226,18 +230,14 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     Where an image lacks some of the names that most have, these landmarks are missing. It is left out where it has
     names that most lack, or has a name twice. If asked for, numbers are sorted, and those from 1 on are no names.
     """
-    if not found:
-        return []
     found = numbered_alike(found)
-    counts = Counter(name for own in found for name in set(own.names))
-    usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
-    fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))
-    place = {name: i for i, name in enumerate(fullest.names)}
-    usual.sort(key=lambda name: place.get(name, len(place)))
+    counts, n_named = Counter(name for own in found for name in set(own.names)), sum(bool(own.names) for own in found)
+    known = {name for name, count in counts.items() if name and 2 * count >= n_named}
+    fullest = max((own.names for own in found), key=lambda names: len(known & {*names}), default=())
+    usual = [name for name in dict.fromkeys((*fullest, *counts)) if name in known]
     numbers = numbers and all(name.isascii() and name.isdigit() for name in usual)
     usual = sorted(usual, key=natural_key) if numbers else usual
-    known = set(usual)
-    plain = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
+    counted = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
 
     def alike(own: Landmarks) -> Landmarks:
         odd = [name for name, count in Counter(own.names).items() if name not in known or count > 1]
@@ -245,7 +245,7 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
             raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
         if not own.names or (len(own) == len(usual) and not numbers):
             return own
-        return replace(with_names(own, usual), names=() if plain else tuple(usual))
+        return replace(with_names(own, usual), names=() if counted else tuple(usual))
 
     return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
 
@@ -255,20 +255,17 @@ class Found:
     """An object of an image, before it is decided which category is read."""
 
     landmarks: Landmarks
-    category: str
-    """Number or name of its category."""
-    title: str = ""
-    """Name of its category, if it is another."""
-    kind: object = None
-    """Categories of one kind are one."""
+    category: str  # number or name
+    title: str = ""  # name, if it is another
+    kind: object = None  # categories of one kind are one; by default those whose landmarks have the same names
 
 
 def of_category(source: Source, objects: Iterable[Found]) -> list[Landmarks]:
     """Return the landmarks of the category that is asked for, or else that has more of them, then more images."""
-    groups: dict[str, list[Found]] = {}
-    found = list(objects)
+    found, groups = list(objects), defaultdict[str, list[Found]](list)
     for each in found:
-        groups.setdefault(each.category, []).append(each)
+        groups[each.category].append(each)
+    kinds = {key: own[0].kind or {name for each in own for name in each.landmarks.names} for key, own in groups.items()}
     titles = {key: own[0].title or key for key, own in groups.items()}
     wanted = source.reading.category
     if wanted is not None:
@@ -283,7 +280,7 @@ def of_category(source: Source, objects: Iterable[Found]) -> list[Landmarks]:
         return usual, len({each.landmarks.image_name for each in groups[key]})
 
     first, *others = sorted(groups, key=rank, reverse=True) if groups else [""]
-    others = [key for key in others if groups[key][0].kind != groups[first][0].kind]
+    others = [key for key in others if kinds[key] != kinds[first]]
     if others and rank(others[0]) == rank(first):
         both = f"'{titles[first]}' and '{titles[others[0]]}'"
         raise LandmarkError(f"the categories {both} have as many landmarks and images: choose one with --category.")

@@ -4,6 +4,7 @@ Positions are centres counted from 0, x to the right and y downwards, but for Im
 comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out what the columns mean.
 """
 
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -25,18 +26,15 @@ from liaam.io.landmarks.columns import (
     pairs_of,
     without_title,
 )
-from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
+from liaam.io.landmarks.reading import Source, named_points, size_of_file
 from liaam.io.landmarks.text import Row, decimal, parse_point
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")
 """Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
 
-_WFLW = 5
-"""Pairs of numbers of a box and of attributes."""
-
+_WFLW = 5  # pairs of numbers of a box and of attributes
 _SEPARATORS = r"\t;", r"\t,;", r"\s,;"
-_FEW = 3
-"""Least number of lines, and of points in each, to tell boxes from landmarks."""
+_FEW = 3  # least number of lines, and of points in each, to tell boxes from landmarks
 
 
 def _check_width(header: Sequence[str], row: Row) -> Row:
@@ -74,7 +72,7 @@ def parse_long(source: Source) -> list[Landmarks]:
         (image, specimen), own = group
         points = np.array([_point(number, row, columns) for number, row in own]) - shift
         names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
-        placing = size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else Placing()
+        placing = Placing(size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else None)
         return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen, placing=placing)
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(rows, columns))
@@ -125,7 +123,7 @@ def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]
     """Return the point of a row; missing if it is marked invisible and has no position."""
     point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
     seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
-    return MISSING if point == (0.0, 0.0) and seen in ("0", "false") else point
+    return (math.nan, math.nan) if point == (0.0, 0.0) and seen in ("0", "false") else point
 
 
 # One row an image ---------------------------------------------------------------------------------

@@ -4,7 +4,6 @@ import csv
 import io
 import math
 import re
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,28 +11,17 @@ from typing import Any
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, read_bytes
 
-MAX_BYTES = 500_000_000
-"""Size limit of landmark files, in bytes."""
+MAX_BYTES = 500_000_000  # of a landmark file
 
-Row = tuple[int, list[str]]
-"""A line number, and the cells of the line."""
+Row = tuple[int, list[str]]  # a line number, and the cells of the line
 
-_SUMMARY = {"Mean", "SD", "Min", "Max"}
-"""Labels of rows that ImageJ adds below its results."""
-
-_SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")
-"""A line of x and y with a comma or semicolon between them."""
-
-_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")
-"""Control characters, which binary files hold and text does not."""
-
+_SUMMARY = {"Mean", "SD", "Min", "Max"}  # labels of rows that ImageJ adds below its results
+_SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")  # x and y with a comma or semicolon between them
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")  # characters that binary files hold and text does not
 _MARKED = re.compile(r"[-+]?\d+[.,]\d+")
 _THOUSANDS = re.compile(r"[-+]?\d{1,3}[.,]\d{3}")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
-
-_ABSENT = (-1.0, -999.0, -9999.0)
-"""Numbers that programs write for x and y of a missing landmark."""
-
+_ABSENT = (-1.0, -999.0, -9999.0)  # what programs write for x and y of a missing landmark
 _MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "missing", "?", "-", "."})
 
 
@@ -111,13 +99,14 @@ def check_count(where: str, count: int, rows: Sequence[object]) -> None:
         raise LandmarkError(f"the {where} promises {count} points but {len(rows)} are there; {cut}.")
 
 
-def parse_number(token: str, where: str) -> float:
-    """Parse one coordinate, NaN for the usual words for a missing value."""
-    if token.strip().lower() in _MISSING_WORDS:
+def parse_number(value: Any, where: str) -> float:
+    """Parse one coordinate as text or of JSON; NaN for null and the usual words for a missing value."""
+    if value is None or str(value).strip().lower() in _MISSING_WORDS:
         return math.nan
-    if not is_number(token) or "_" in token:
-        raise LandmarkError(f"'{short(token)}' in {where} is not a number: correct it (decimal points, as in 12.5).")
-    return float(token)
+    if isinstance(value, bool) or not is_number(value) or "_" in str(value):
+        what = short(str(value))
+        raise LandmarkError(f"'{what}' in {where} is not a number: correct it (decimal points, as in 12.5).")
+    return float(value)
 
 
 def decimal(cell: str) -> str:
@@ -142,15 +131,6 @@ def parse_pair(line: str, where: str) -> tuple[float, float]:
     if len(tokens) != 2:
         raise LandmarkError(f"{where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
     return parse_point(tokens, where)
-
-
-def check_number(value: Any, where: str) -> float:
-    """Check one coordinate from JSON, a number or null for a missing value."""
-    if value is None:
-        return math.nan
-    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > sys.float_info.max:
-        raise LandmarkError(f"'{short(str(value))}' in {where} is not a number: correct it, or use null.")
-    return float(value)
 
 
 def short(text: str, length: int = 40) -> str:
