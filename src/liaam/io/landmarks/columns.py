@@ -8,7 +8,7 @@ from itertools import count, groupby
 
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
-from liaam.io.landmarks.matching import names_picture
+from liaam.io.landmarks.matching import names_picture, without_title
 
 IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
 IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
@@ -213,11 +213,6 @@ def _one(header: list[str], values: list[list[str]], found: list[int]) -> int | 
 
 def _ambiguous(header: list[str], why: str, column: int) -> LandmarkError:
     return LandmarkError(f"the column '{header[column]}' {why}.")
-
-
-def without_title(name: str) -> str:
-    """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
-    return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)
 
 
 def _are_files(values: Sequence[str]) -> bool:

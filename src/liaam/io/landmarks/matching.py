@@ -87,6 +87,11 @@ def names_picture(entry: str) -> bool:
     return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
 
 
+def without_title(name: str) -> str:
+    """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
+    return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)
+
+
 def stem_of(entry: str) -> str:
     """Return an image's name without folders, its suffix, and what Label Studio puts before it."""
     return re.sub(_UPLOADED, "", PureWindowsPath(_path_of(entry)).stem)

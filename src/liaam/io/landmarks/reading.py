@@ -24,7 +24,7 @@ R = TypeVar("R")
 LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
 
 MISSING, HIDDEN, SEEN = range(3)  # how a landmark is marked
-Mark = tuple[str, Any, Any, int]  # the name of a landmark, x and y as numbers or text, and how it is marked
+Mark = tuple[Any, ...]  # the name of a landmark, x and y as numbers or text, and how it is marked
 
 
 class UnrecognisedError(LandmarkError):

@@ -6,7 +6,7 @@ comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out
 
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -16,29 +16,18 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.columns import (
-    LANDMARKS,
-    UNCLEAR,
-    Columns,
-    columns_of,
-    filled,
-    name_column,
-    pairs_of,
-    without_title,
-)
+from liaam.io.landmarks.columns import LANDMARKS, UNCLEAR, Columns, columns_of, filled, name_column, pairs_of
+from liaam.io.landmarks.matching import without_title
 from liaam.io.landmarks.reading import Source, named_points, size_of_file
 from liaam.io.landmarks.text import Row, decimal, parse_point
 
-_HEADERS = ("scorer", "individuals", "bodyparts", "coords")
-"""Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
-
+_HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
 _WFLW = 5  # pairs of numbers of a box and of attributes
 _SEPARATORS = r"\t;", r"\t,;", r"\s,;"
 _FEW = 3  # least number of lines, and of points in each, to tell boxes from landmarks
 
 
 def _check_width(header: Sequence[str], row: Row) -> Row:
-    """Return a row. Raise unless it has as many cells as the header."""
     if len(row[1]) != len(header):
         raise LandmarkError(f"line {row[0]} has {len(row[1])} cells but the header {len(header)}: correct the line.")
     return row
@@ -62,57 +51,50 @@ def parse_long(source: Source) -> list[Landmarks]:
     rows = [_check_width(header, row) for row in source.rows[1:] if any(row[1]) or len(row[1]) == len(header)]
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
-        column = header[columns.landmark]
-        source.notes.say("landmarks are named by the values of a column", column)
-    for column in (columns.image, columns.specimen):
-        rows = rows if column is None else _without_gaps(source, rows, column)
-    shift = 0.5 if _is_imagej(source) else 0.0
+        source.notes.say("landmarks are named by the values of a column", header[columns.landmark])
+    # ImageJ's first column has a blank as its name, or one of two is "Label".
+    raw = source.rows[0][1]
+    is_imagej = {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2])
 
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
-        points = np.array([_point(number, row, columns) for number, row in own]) - shift
-        names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
+        points = np.array([_point(number, row, columns) for number, row in own]) - (0.5 if is_imagej else 0.0)
+        names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in own)
         placing = Placing(size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else None)
-        return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen, placing=placing)
+        return Landmarks(points, (), names if any(names) else (), image or None, label=specimen, placing=placing)
 
-    groups = ((group[0][0] or "its table", group) for group in _grouped(rows, columns))
+    groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
     made = list(source.each(groups, make))
     numbers = columns.landmark is not None and header[columns.landmark] != "name"
     return named_points(source, made, numbers) if columns.image is not None or numbers else made
 
 
-def _without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
-    """Name the image or specimen in rows that lack it, as exports of merged cells do."""
+def _filled(source: Source, rows: list[Row], column: int | None) -> list[str]:
+    """Return the names of the images or specimens of rows, which exports of merged cells give in the first row only."""
+    if column is None:
+        return [""] * len(rows)
     names = filled([row[column] for _, row in rows])
     for name, (_, row) in zip(names, rows, strict=True):
         if name and not row[column]:
             source.notes.say("rows without a name of the image or specimen belong to the one above", name)
-    return [(n, [*row[:column], name, *row[column + 1 :]]) for name, (n, row) in zip(names, rows, strict=True)]
+    return names
 
 
-def _is_imagej(source: Source) -> bool:
-    """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
-    header = source.rows[0][1]
-    return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
-
-
-def _grouped(rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
+def _grouped(source: Source, rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
     """Yield the image and the specimen of each object, and its rows.
 
     The rows of an image whose every landmark occurs as often are those of several specimens or replicates.
     """
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for number, row in rows:
-        image = "" if columns.image is None else without_title(row[columns.image])
-        specimen = "" if columns.specimen is None else row[columns.specimen].strip()
-        groups.setdefault((image, specimen), []).append((number, row))
+    groups = defaultdict[tuple[str, str], list[Row]](list)
+    images = map(without_title, _filled(source, rows, columns.image))
+    for image, specimen, row in zip(images, _filled(source, rows, columns.specimen), rows, strict=True):
+        groups[image, specimen.strip()].append(row)
     for (image, specimen), own in groups.items():
-        parts: dict[int, list[Row]] = {}
-        seen: Counter[str] = Counter()
+        parts, seen = defaultdict[int, list[Row]](list), Counter[str]()
         for number, row in own:
             name = "" if columns.landmark is None else row[columns.landmark].strip()
             seen[name] += 1
-            parts.setdefault(seen[name], []).append((number, row))
+            parts[seen[name]].append((number, row))
         if columns.image is None or "" in seen or len({*map(len, parts.values())}) > 1:
             parts = {1: own}
         for i, part in parts.items():
@@ -128,8 +110,7 @@ def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]
 
 # One row an image ---------------------------------------------------------------------------------
 
-_Pairs = dict[str, dict[str, int]]
-"""Indices of columns by landmark and axis."""
+_Pairs = dict[str, dict[str, int]]  # indices of columns by landmark and axis
 
 
 def parse_wide(source: Source) -> list[Landmarks]:
@@ -141,11 +122,11 @@ def parse_wide(source: Source) -> list[Landmarks]:
     (_, header), *rows = source.rows
     rows = _whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
-    digits = {key: axes for key, axes in given.items() if key.isdigit()}
-    if 1 < len(digits) < len(given):
-        for key in given.keys() - digits.keys():
+    others = [key for key in given if not key.isdigit()]
+    if len(others) < len(given) - 1:
+        for key in others:
             source.notes.say("columns of x and y beside those of numbered landmarks are not read", key)
-        given = digits
+            del given[key]
     numbered = all(map(str.isdigit, given))
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
@@ -166,29 +147,25 @@ def parse_dlc(source: Source) -> list[Landmarks]:
     headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
     if not {"scorer", "bodyparts", "coords"} <= headers.keys():
         raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
-    rows, coords = rows[len(headers) :], headers["coords"]
+    coords = headers["coords"]
     for header in headers.values():
         _check_width(coords, (0, header))
-    rows = _whole(source, coords, rows)
+    rows = _whole(source, coords, rows[len(headers) :])
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
-    scorers = list(dict.fromkeys(headers["scorer"][first:]))
-    if len(scorers) > 1:
-        source.notes.say(f"of several scorers '{scorers[0]}' is read", source.path.name)
-    objects: dict[str, _Pairs] = {}
+    scorer, *others = dict.fromkeys(headers["scorer"][first:]) or [""]
+    if others:
+        source.notes.say(f"of several scorers '{scorer}' is read", source.path.name)
+    objects = defaultdict[str, _Pairs](lambda: defaultdict(dict))
     for i in range(first, len(coords)):
-        if headers["scorer"][i] == scorers[0] and coords[i] in ("x", "y"):
+        if headers["scorer"][i] == scorer and coords[i] in ("x", "y"):
             individual = headers["individuals"][i] if "individuals" in headers else ""
-            objects.setdefault(individual, {}).setdefault(headers["bodyparts"][i], {})[coords[i]] = i
+            objects[individual][headers["bodyparts"][i]][coords[i]] = i
     found = _of_rows(source, rows, objects, lambda row: "/".join(cell for cell in row[:first] if cell))
     return [own for own in found if not own.missing.all()]
 
 
 def _of_rows(
-    source: Source,
-    rows: list[Row],
-    objects: dict[str, _Pairs],
-    image_of: Callable[[list[str]], str | None],
-    named: bool = True,
+    source: Source, rows: list[Row], objects: dict[str, _Pairs], image_of: Callable[[list[str]], str | None], named=True
 ) -> list[Landmarks]:
     """Return the landmarks of the objects of each row."""
 
