@@ -6,7 +6,6 @@ from liaam.io.atomic import (
     write_text_atomically as write_text_atomically,
 )
 from liaam.io.files import make_folder as make_folder
-from liaam.io.image_writer import write_image as write_image
 from liaam.io.images import (
     IMAGE_SUFFIXES as IMAGE_SUFFIXES,
     decode_image as decode_image,
@@ -14,6 +13,7 @@ from liaam.io.images import (
     image_size as image_size,
     read_image as read_image,
     read_preview as read_preview,
+    write_image as write_image,
 )
 from liaam.io.landmarks import (
     LANDMARK_SUFFIXES as LANDMARK_SUFFIXES,

@@ -37,7 +37,6 @@ _HOST = _machine()
 _TEMPORARY = re.compile(r"\.liaam-(?P<host>[0-9a-f]{8})-(?P<process>\d{1,9})-[0-9a-f]{16}(\..*)?", re.DOTALL)
 _DAY = 86400.0
 _SEES_PROCESSES = os.name == "posix"  # elsewhere os.kill would end them
-
 _TAKEN = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
 
 _FAR = 1 << 30  # position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read
@@ -49,10 +48,8 @@ def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamEr
     """Return the real path of a file to write. Raise if it cannot be written, so that no work is done in vain."""
     target = _target(path, error)
     if not may_write_in(target.parent):
-        raise error(
-            f"{path} cannot be written: the folder {target.parent} is read-only. Change its permissions, or name "
-            "another folder."
-        )
+        remedy = "Change its permissions, or name another folder."
+        raise error(f"{path} cannot be written: the folder {target.parent} is read-only. {remedy}")
     return target
 
 
@@ -77,13 +74,17 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     if target.parent not in _swept:
         _swept.add(target.parent)
         sweep(target.parent)
-    try:
-        with _temporary_file(target) as temp:
-            yield temp
-            _publish(temp, target)
+    temp = target.parent / f".liaam-{_HOST}-{os.getpid()}-{secrets.token_hex(8)}{target.suffix}"
+    try:  # before the file exists, or Ctrl-C might leave it
+        os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield temp
+        _publish(temp, target)
     except OSError as fault:
         reason = fault.strerror or fault
         raise error(f"{path} cannot be written ({reason}): check the permissions and the free space.") from fault
+    finally:
+        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
+            temp.unlink()
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError) -> None:
@@ -146,18 +147,6 @@ def lock(descriptor: int) -> bool:
             raise BlockingIOError(fault.errno, os.strerror(fault.errno)) from fault
         return False
     return True
-
-
-@contextmanager
-def _temporary_file(target: Path) -> Iterator[Path]:
-    """Make an empty file beside another, and remove it at the end if it still exists."""
-    temp = target.parent / f".liaam-{_HOST}-{os.getpid()}-{secrets.token_hex(8)}{target.suffix}"
-    try:  # before the file exists, or Ctrl-C might leave it
-        os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        yield temp
-    finally:
-        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
-            temp.unlink()
 
 
 def _publish(temp: Path, target: Path) -> None:

@@ -118,9 +118,8 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise LiaamError(
-            f"{folder}: the folder cannot be created ({error.strerror or error}); give another folder with -o"
-        ) from error
+        why = f"cannot be created ({error.strerror or error})"
+        raise LiaamError(f"{folder}: the folder {why}; give another folder with -o") from error
     if not may_write_in(folder):
         raise LiaamError(f"{folder}: the folder is read-only; change its permissions, or give another folder with -o")
 
@@ -139,10 +138,9 @@ def check_size(name: object, width: int, height: int, max_pixels: int | None = N
         )
     limit = int(given) if max_pixels is None else max_pixels
     if width * height > limit:
-        raise ImageError(
-            f"{name} has {width} x {height} pixels, more than the {limit:,} allowed: make the image smaller, or raise "
-            f"max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})."
-        )
+        remedy = f"raise max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})"
+        size = f"{width} x {height} pixels, more than the {limit:,} allowed"
+        raise ImageError(f"{name} has {size}: make the image smaller, or {remedy}.")
 
 
 def as_three_channels(grey: np.ndarray) -> np.ndarray:
