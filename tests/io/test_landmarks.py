@@ -560,7 +560,7 @@ def test_asf_without_a_size_says_what_to_pass(tmp_path: Path) -> None:
 
 
 def test_a_huge_file_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("liaam.io.landmarks.text.MAX_BYTES", 10)
+    monkeypatch.setattr("liaam.io.landmarks.reading.MAX_BYTES", 10)
     assert "more than the 10 allowed" in refusal(save(tmp_path, "a.pts", "{\n1 1\n2 2\n}"))
 
 

@@ -133,9 +133,7 @@ def check_size(name: object, width: int, height: int, max_pixels: int | None = N
     """Raise if an image has too many pixels: by default more than the environment variable LIAAM_MAX_PIXELS allows."""
     given = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
     if max_pixels is None and not given.isdecimal():
-        raise ImageError(
-            f"{MAX_PIXELS_VARIABLE}={given} is not a number of pixels: set it to one such as {MAX_PIXELS}."
-        )
+        raise ImageError(f"{MAX_PIXELS_VARIABLE}={given} is not a number of pixels: set it, such as to {MAX_PIXELS}.")
     limit = int(given) if max_pixels is None else max_pixels
     if width * height > limit:
         remedy = f"raise max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})"

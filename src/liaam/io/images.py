@@ -165,9 +165,6 @@ def image_kind(file: Path | bytes) -> str | None:
     return next((kind for kind, form in _SIGNATURES.items() if re.match(form, file, re.DOTALL)), None)
 
 
-# Headers ------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def _opened(path: str | os.PathLike[str] | bytes, name: object = "") -> Iterator[_Opened]:
     """Yield the header of a file. Raise what Pillow and OpenCV raise in the block as ImageError."""
@@ -305,9 +302,6 @@ def _tiff_fault(tags: Any, n_bytes: int) -> str:
     return ""
 
 
-# Decoding -----------------------------------------------------------------------------------------
-
-
 def _decode_deep(opened: _Opened) -> np.ndarray:
     """Decode images of more than 8 bits per channel."""
     import cv2
@@ -340,9 +334,6 @@ def _upright(array: np.ndarray, opened: _Opened) -> np.ndarray:
     array = array.swapaxes(0, 1) if opened.orientation >= 5 else array
     array = array[::-1] if opened.orientation in (3, 4, 7, 8) else array
     return np.ascontiguousarray(array[:, ::-1] if opened.orientation in (2, 3, 6, 7) else array)
-
-
-# Writing ------------------------------------------------------------------------------------------
 
 
 def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:

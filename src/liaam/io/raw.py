@@ -15,9 +15,8 @@ import numpy as np
 from liaam.errors import ImageError, installing
 from liaam.io.files import as_three_channels, check_size, existing_file
 
+# RAW files are recognised by name, because many are TIFF files whose first page is a thumbnail.
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-"""Suffixes (lower case) of RAW files. They are recognised by name, because many are TIFF files whose first page is a
-thumbnail."""
 
 
 def is_raw(path: str | os.PathLike[str]) -> bool:
@@ -54,13 +53,11 @@ def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.
             output_bps=16,
             highlight_mode=rawpy.HighlightMode.Clip,
         )
-    image = image.reshape(*image.shape[:2], -1)
-    if image.shape[2] == 1:
-        return as_three_channels(image[:, :, 0])
-    if image.shape[2] != 3:
-        raise ImageError(
-            f"{path} is from a sensor with {image.shape[2]} colours, not three: convert it to a 16-bit TIFF."
-        )
+    colours = 1 if image.ndim == 2 else image.shape[2]
+    if colours == 1:
+        return as_three_channels(image.reshape(image.shape[:2]))
+    if colours != 3:
+        raise ImageError(f"{path} is from a sensor with {colours} colours, not three: convert it to a 16-bit TIFF.")
     return image
 
 
@@ -77,19 +74,16 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
     try:
         rawpy = importlib.import_module("rawpy")  # optional
     except ImportError as fault:
-        raise ImageError(
-            f"{path} is a RAW file, and rawpy, which reads them, is not installed: {installing('raw')}."
-        ) from fault
+        need = "rawpy, which reads them, is not installed"
+        raise ImageError(f"{path} is a RAW file, and {need}: {installing('raw')}.") from fault
     try:
         with rawpy.imread(str(path)) as raw:
             yield rawpy, raw
     except (ImageError, MemoryError):
         raise
     except rawpy.LibRawFileUnsupportedError as fault:
-        raise ImageError(
-            f"{path} is not a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read: convert it to "
-            "DNG, or install a newer rawpy."
-        ) from fault
+        what = f"a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read"
+        raise ImageError(f"{path} is not {what}: convert it to DNG, or install a newer rawpy.") from fault
     except Exception as fault:  # LibRaw raises many classes on bad bytes
         reason = fault.args[0].decode() if fault.args and isinstance(fault.args[0], bytes) else fault
         raise ImageError(f"{path} is damaged or cut short ({reason}): copy it again from the camera.") from fault
@@ -102,8 +96,6 @@ def _upright_size(raw: Any) -> tuple[int, int]:
     """
     sizes = raw.sizes
     width, height, aspect = sizes.iwidth, sizes.iheight, sizes.pixel_aspect
-    if aspect < 1:
-        height = int(height / aspect + 0.5)
-    elif aspect > 1:
-        width = int(width * aspect + 0.5)
+    height = int(height / aspect + 0.5) if aspect < 1 else height
+    width = int(width * aspect + 0.5) if aspect > 1 else width
     return (height, width) if sizes.flip in (5, 6) else (width, height)

@@ -147,9 +147,8 @@ class VideoReader:
             ahead.close()
         seen, start = self._source.n_seen, self._start
         if not n_given and seen > self._source.n_damaged:
-            raise VideoError(
-                f"{self.name} has only {seen} frames, so none from frame {start} on; choose an earlier start"
-            )
+            few = f"has only {seen} frames, so none from frame {start} on"
+            raise VideoError(f"{self.name} {few}; choose an earlier start")
         if not n_given:
             why = f"it is damaged or cut short, or its frames have more than {MAX_PIXELS:,} pixels"
             raise VideoError(f"{self.name} has no frame that can be decoded: {why}; export it again")
@@ -252,9 +251,7 @@ class _File(_Source):
             self.container = av.open(str(path), metadata_errors="replace", options=options)
         except self.errors as fault:
             why = f"({fault.strerror}): it has another format or is cut short before its index"
-            raise VideoError(
-                f"{path} is not a video that FFmpeg can open {why}; export it again, such as .mp4"
-            ) from fault
+            raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it, such as .mp4") from fault
         try:
             self._check_stream()
             self.stream = stream = self.container.streams.video[0]
@@ -274,9 +271,7 @@ class _File(_Source):
         if not streams or kind == "tty":  # FFmpeg takes text for a terminal
             raise VideoError(f"{self.path} has no video stream: give a video file")
         if streams[0].codec_context is None:
-            raise VideoError(
-                f"{self.path} has a codec that FFmpeg does not know: export it again, such as .mp4 with H.264"
-            )
+            raise VideoError(f"{self.path} has a codec that FFmpeg does not know: export it as .mp4 with H.264")
 
     def _check_size(self, what: Any, whose: str) -> None:
         """Refuse a stream or a frame of too many pixels."""

@@ -68,10 +68,8 @@ def _entry_of(file: LandmarkFile, image_name: str | None) -> str:
     if len(entries) == 1:
         return entries[0]
     if image_name is None:
-        raise LandmarkError(
-            f"{file.path} holds the landmarks of {len(entries)} images ({', '.join(entries[:3])} ...): use "
-            "read_collection, or load its folder."
-        )
+        many = f"{len(entries)} images ({', '.join(entries[:3])} ...)"
+        raise LandmarkError(f"{file.path} holds the landmarks of {many}: use read_collection, or load its folder.")
     names = ImageNames([Path(image_name)])
     same = [entry for entry in entries if PureWindowsPath(entry).name == image_name]
     alike = same or [entry for entry in entries if names.find(entry)[0] is not None]
@@ -143,13 +141,9 @@ def write_landmarks(
     path = Path(path)
     text = writer_of(path).text
     assert text is not None
-    own = _landmarks(landmarks)
+    own = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
     [own] = _to_write(path, [own], {} if image_size is None else {own.image_name or "": image_size})
     write_text_atomically(path, text(own), LandmarkError)
-
-
-def _landmarks(given: Landmarks | np.ndarray) -> Landmarks:
-    return given if isinstance(given, Landmarks) else Landmarks(given)
 
 
 def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> list[Landmarks]:
@@ -193,5 +187,9 @@ def collection_text(
     assert text is not None
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    sizes, named = image_sizes or {}, [replace(_landmarks(own), image_name=name) for name, own in collection.items()]
+    every = (own if isinstance(own, Landmarks) else Landmarks(own) for own in collection.values())
+    sizes, named = (
+        image_sizes or {},
+        [replace(own, image_name=name) for name, own in zip(collection, every, strict=True)],
+    )
     return text(dict(zip(collection, _to_write(path, named, sizes), strict=True)), sizes)

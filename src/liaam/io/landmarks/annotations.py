@@ -29,14 +29,12 @@ from liaam.io.landmarks.reading import (
     numbered_alike,
     object_of,
     of_category,
+    parse_number,
     size_of_file,
     with_names,
 )
-from liaam.io.landmarks.text import parse_number
 
 _MOST_MISSING = 20  # maximum ratio of missing to present parts; above it the part names must be wrong
-
-# COCO ---------------------------------------------------------------------------------------------
 
 
 def parse_coco(source: Source) -> list[Landmarks]:
@@ -57,18 +55,12 @@ def parse_coco(source: Source) -> list[Landmarks]:
     outline = cache(lambda key, n: _outline(source, categories.get(key, {}), n))
 
     def make(annotation: Any) -> Found:
-        number, key, values = (
-            str(annotation.get("image_id")),
-            str(annotation.get("category_id")),
-            annotation["keypoints"],
-        )
+        key, number = str(annotation.get("category_id")), str(annotation.get("image_id"))
         if number not in images:
             raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
-        name, category = str(images[number]["file_name"]), categories.get(key, {})
+        name, category, values = str(images[number]["file_name"]), categories.get(key, {}), annotation["keypoints"]
         if len(values) % 3:
-            raise LandmarkError(
-                f"image '{name}' has {len(values)} keypoint values, not x, y, v per keypoint: correct it."
-            )
+            raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v of each: correct it.")
         seen = (parse_number(value, f"a keypoint of '{name}'") for value in values[2::3])
         marks = zip(map(str, count(1)), values[::3], values[1::3], seen, strict=False)
         own = object_of(marks, name, size_of_file(images[number].get("width"), images[number].get("height")))
@@ -105,9 +97,6 @@ def _outline(source: Source, category: Any, n: int) -> tuple[tuple[str, ...], tu
     return names, chain_edges(edges)
 
 
-# LabelMe ------------------------------------------------------------------------------------------
-
-
 def parse_labelme(source: Source) -> list[Landmarks]:
     """Parse the shapes of an image.
 
@@ -141,9 +130,6 @@ def parse_labelme(source: Source) -> list[Landmarks]:
             which = f"group '{own.label}' of {source.path.name}"
             source.notes.leave_out(which, f"{len(own)} points where others have {usual}")
     return [own for own in made if len(own) == usual]
-
-
-# Label Studio -------------------------------------------------------------------------------------
 
 
 def parse_label_studio(source: Source) -> list[Landmarks]:
@@ -224,9 +210,8 @@ def _group(content: Any, wanted: str | None) -> Any:
     if version == 1:
         return _joined(groups)
     if (len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups):
-        raise LandmarkError(
-            f"it holds {len(groups)} groups of landmarks ({', '.join(groups)}): choose one of them with --category."
-        )
+        several = f"{len(groups)} groups of landmarks ({', '.join(groups)})"
+        raise LandmarkError(f"it holds {several}: choose one of them with --category.")
     return groups[wanted or next(iter(groups), "")]
 
 
@@ -256,9 +241,6 @@ def _names_of_masks(masks: list[_Mask], n_points: int) -> tuple[str, ...]:
     by_index = {mask[0]: label for label, mask in masks if len(mask) == 1}
     whole = len(masks) == n_points and by_index.keys() == set(range(n_points))
     return tuple(by_index[index] for index in range(n_points)) if whole else ()
-
-
-# CVAT ---------------------------------------------------------------------------------------------
 
 
 def parse_cvat(source: Source) -> list[Landmarks]:
@@ -315,10 +297,8 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     found = numbered_alike(found)
     names = sorted({name for own in found for name in own.names}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
-        raise LandmarkError(
-            f"its {len(found)} boxes share hardly any of the {len(names)} part names: give a part the same name in all "
-            "images."
-        )
+        few = f"its {len(found)} boxes share hardly any of the {len(names)} part names"
+        raise LandmarkError(f"{few}: give a part the same name in all images.")
     return [with_names(own, names) for own in found]
 
 

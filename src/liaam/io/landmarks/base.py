@@ -51,7 +51,7 @@ class Landmarks:
     label : str
         What the file calls this object, such as the ID of a specimen, or empty.
     placing : Placing
-        What the positions count from, until :func:`liaam.io.landmarks.in_pixels` has converted them.
+        What the positions count from, until they are converted to pixels of the image.
     format : str
         Name of the file's format, or empty.
 
@@ -167,9 +167,8 @@ def _checked_points(points: Any) -> np.ndarray:
         raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
     half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
     if len(half):
-        raise LandmarkError(
-            f"landmark {half[0] + 1} (counting from 1) has only one of x and y: give both, or leave out both."
-        )
+        which = f"landmark {half[0] + 1} (counting from 1)"
+        raise LandmarkError(f"{which} has only one of x and y: give both, or leave out both.")
     if np.isinf(points).any():
         raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
     points.setflags(write=False)

@@ -2,9 +2,9 @@
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import count, groupby
+from itertools import accumulate, chain, count, groupby
 
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
@@ -55,13 +55,9 @@ def plain(cell: str) -> str:
     return re.sub(r"[\s_.-]+", "_", without.strip().casefold()).strip("_")
 
 
-def filled(values: Sequence[str]) -> list[str]:
+def filled(values: Iterable[str]) -> list[str]:
     """Fill empty cells with those above them, as merged cells are exported."""
-    last, made = "", []
-    for value in values:
-        last = value or last
-        made.append(last)
-    return made
+    return list(accumulate(values, lambda last, value: value or last))
 
 
 def has_points(header: Sequence[str]) -> bool:
@@ -88,9 +84,10 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         image, specimen = specimen, None
     unclear = [i for name in UNCLEAR for i in texts if header[i] == name and i not in (image, specimen, landmark)]
     for i in unclear:
+        present = [value for value in values[i] if value]
         if image is None and header[i] != "name" and _in_blocks(values[i]):
             image = i
-        elif landmark is None and (header[i] in ("name", "label") or _repeats(values[i])):
+        elif landmark is None and (header[i] in ("name", "label") or len({*present}) < len(present)):
             if image is not None and len({*zip(values[image], values[i], strict=True)}) == len({*values[image]}):
                 continue  # one value an image
             landmark = i
@@ -118,15 +115,13 @@ def _name_rows(title: str, values: Sequence[str]) -> bool:
 
 def _holds(size: Sequence[int], axes: dict[str, int], values: list[list[str]]) -> bool:
     """Return whether a width and a height may be those of images, and not of boxes: no point lies beyond."""
-    pairs = [
-        pair for i, axis in zip(size, "xy", strict=True) for pair in zip(values[axes[axis]], values[i], strict=True)
-    ]
+    pairs = chain(*(zip(values[axes[axis]], values[i], strict=True) for i, axis in zip(size, "xy", strict=True)))
     return all(float(at) <= float(side) for at, side in pairs if is_number(at) and is_number(side))
 
 
 def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
     """Return whether a column holds each of the same few values once in each image, as names of landmarks do."""
-    groups: dict[tuple[str, str], list[str]] = defaultdict(list)
+    groups = defaultdict[tuple[str, str], list[str]](list)
     for key, value in zip(keys, values, strict=True):
         groups[key].append(value)
     most = max(groups.values(), key=len, default=[])
@@ -142,12 +137,10 @@ def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
     columns = list(_columns_of_axes(header))
     kinds = {(key, axis.isupper()) for _, key, axis in columns}
     in_space = {(key, axis.isupper()) for _, key, axis in columns if axis in "zZ" and (key, axis.islower()) in kinds}
-    found: dict[str, dict[str, int]] = {}
+    found = defaultdict[str, dict[str, int]](dict)
+    columns = [(i, key, axis.lower()) for i, key, axis in columns if (key, axis.isupper()) not in in_space]
     for i, key, axis in columns:
-        if (key, axis.isupper()) in in_space:
-            continue
-        axis = axis.lower()
-        at = found.setdefault(key, {}).setdefault(axis, i)
+        at = found[key].setdefault(axis, i)
         if at != i:
             both = f"'{header[at]}' and '{header[i]}' both may be {axis} of '{key}'"
             raise LandmarkError(f"the columns {both}: remove one of them.")
@@ -178,9 +171,7 @@ def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]
         found = [i for i in others if header[i] in known and all(row[i].strip() for row in rows)]
         pixels = [header[i] for i in found if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for row in rows)]
         if pixels:
-            raise LandmarkError(
-                f"the column '{pixels[0]}' holds the images' pixels: put the images' names in its place."
-            )
+            raise LandmarkError(f"the column '{pixels[0]}' holds the images' pixels: put their names in its place.")
         if found:
             return found[0]
     texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for row in rows)]
@@ -217,11 +208,6 @@ def _ambiguous(header: list[str], why: str, column: int) -> LandmarkError:
 
 def _are_files(values: Sequence[str]) -> bool:
     return any(values) and all(names_picture(without_title(value)) for value in {*values} - {""})
-
-
-def _repeats(values: Sequence[str]) -> bool:
-    present = [value for value in values if value]
-    return len(set(present)) < len(present)
 
 
 def _in_blocks(values: Sequence[str]) -> bool:

@@ -4,6 +4,7 @@ Where a file states the size of its image, positions are scaled or turned along 
 orientation, and refused if the size fits neither.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,8 +17,7 @@ from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.formats import Format, format_of, formats_of
 from liaam.io.landmarks.matching import ImageNames
-from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, in_objects
-from liaam.io.landmarks.text import read_text
+from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, read_text
 
 Size = tuple[float, float]
 
@@ -26,9 +26,9 @@ _SMALL = 16  # width and height in pixels up to which all landmarks may lie with
 SCALED = "positions are for another size of the image, and are scaled along"
 TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
 UNDECIDED = (
-    "photos have an EXIF orientation, and nothing says whether positions are for the photos before they are turned; "
-    "they are taken for the turned ones (--stored-orientation if not)"
+    "photos have an EXIF orientation, and nothing says whether positions are for the photos before they are turned"
 )
+UNDECIDED += "; they are taken for the turned ones (--stored-orientation if not)"
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,10 @@ class LandmarkFile(Source):
 
     @cached_property
     def entries(self) -> dict[str, Landmarks]:
-        """Its landmarks by the name of their image, or "" if the only one has none; positions are as in the file."""
+        """Its landmarks by the name of their image, or "" if the only one has none; positions are as in the file.
+
+        Further objects of an image are its others, unless they have no point.
+        """
         try:
             found = self.form.parse(self)
         except LandmarkError as fault:
@@ -63,7 +66,13 @@ class LandmarkFile(Source):
         if not found:
             remedy = "place those of at least one image, or export it again."
             raise LandmarkError(f"{self.path}: no landmarks in it ({self.form.title}): {remedy}")
-        return in_objects(replace(own, format=self.form.title) for own in found)
+        objects = defaultdict[str, list[Landmarks]](list)
+        for own in found:
+            objects[own.image_name or ""].append(replace(own, format=self.form.title))
+        return {
+            image: replace(first, others=(*first.others, *(own for own in others if not own.missing.all())))
+            for image, (first, *others) in objects.items()
+        }
 
     @property
     def is_single(self) -> bool:
@@ -101,10 +110,11 @@ class LandmarkFile(Source):
         declared = placing.size
         fits, fits_stored = (declared is not None and _fit(declared, each) for each in (size, stored))
         if declared is not None and not fits and not fits_stored:
-            raise LandmarkError(
-                f"the file is for an image of {declared[0]:g} x {declared[1]:g} pixels, but the image has {size[0]:g} "
-                f"x {size[1]:g}, which is no scaled copy: give the image that was annotated, or annotate this one."
+            sizes = (f"{width:g} x {height:g}" for width, height in (declared, size))
+            differ = "the file is for an image of {} pixels, but the image has {}, which is no scaled copy".format(
+                *sizes
             )
+            raise LandmarkError(f"{differ}: give the image that was annotated, or annotate this one.")
         turned = reading.stored if fits == fits_stored else fits_stored
         if orientation != 1 and not reading.stored and fits == fits_stored:
             self.notes.say(UNDECIDED, name)
@@ -148,10 +158,8 @@ class ImagesBeside:
             fault = f" ({error})"
         if declared is not None:
             return declared, 1
-        raise LandmarkError(
-            f"the size of its image is needed{fault}: put the image beside the file, or pass image_size=(width, "
-            "height) in pixels."
-        )
+        remedy = "put the image beside the file, or pass image_size=(width, height) in pixels"
+        raise LandmarkError(f"the size of its image is needed{fault}: {remedy}.")
 
 
 def _check_pixels(known: np.ndarray, size: Size) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks import annotations as an, morphometrics as morph, plain, tables, writers as out
+from liaam.io.landmarks import annotations as an, plain, tables, writers as out
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.columns import has_points, pairs_of
 from liaam.io.landmarks.reading import Source, UnrecognisedError
@@ -47,8 +47,8 @@ FORMATS: tuple[Format, ...] = (
     Format("dlib imglab", (".xml",), _CENTRES, _IMAGES, False, _NAMES, an.parse_dlib),
     Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio),
     Format("COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, None, out.coco_of_many),
-    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, out.tps_text, out.tps_of_many),
-    Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, morph.parse_nts),
+    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, plain.parse_tps, out.tps_text, out.tps_of_many),
+    Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, plain.parse_nts),
     Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes),
     Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
     Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
@@ -105,9 +105,8 @@ def format_of(source: Source) -> Format:
     suffix = source.path.suffix.lower()
     if suffix == ".json":
         raise UnrecognisedError(f"this is none of {titles_of(suffix)}: export it as one of these.")
-    raise UnrecognisedError(
-        "there are no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
-    )
+    remedy = "name the columns in the first line, as x,y"
+    raise UnrecognisedError(f"there are no columns x and y, or rows of x and y: {remedy}.")
 
 
 def may_hold_many(path: Path) -> bool:

@@ -18,8 +18,7 @@ from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.columns import LANDMARKS, UNCLEAR, Columns, columns_of, filled, name_column, pairs_of
 from liaam.io.landmarks.matching import without_title
-from liaam.io.landmarks.reading import Source, named_points, size_of_file
-from liaam.io.landmarks.text import Row, decimal, parse_point
+from liaam.io.landmarks.reading import Row, Source, decimal, named_points, parse_point, size_of_file
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
 _WFLW = 5  # pairs of numbers of a box and of attributes
@@ -36,9 +35,6 @@ def _check_width(header: Sequence[str], row: Row) -> Row:
 def _whole(source: Source, header: Sequence[str], rows: Sequence[Row]) -> list[Row]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
-
-
-# One row a landmark -------------------------------------------------------------------------------
 
 
 def parse_long(source: Source) -> list[Landmarks]:
@@ -108,8 +104,6 @@ def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]
     return (math.nan, math.nan) if point == (0.0, 0.0) and seen in ("0", "false") else point
 
 
-# One row an image ---------------------------------------------------------------------------------
-
 _Pairs = dict[str, dict[str, int]]  # indices of columns by landmark and axis
 
 
@@ -176,9 +170,6 @@ def _of_rows(
         return Landmarks(points, names=tuple(pairs) if named else (), image_name=image_of(row), label=label)
 
     return list(source.each(((f"line {row[0]}", (row, label)) for row in rows for label in objects), make))
-
-
-# Lists -------------------------------------------------------------------------------------------
 
 
 def is_list(source: Source) -> bool:
