@@ -23,7 +23,7 @@ from liaam.io import (
     write_landmarks,
 )
 from liaam.io.landmarks import Notes, Reading, parse_landmark_data
-from liaam.io.landmarks.contours import chain_edges, contour_of, edges_of
+from liaam.io.landmarks.base import chain_edges, contour_of, edges_of
 
 SOME = settings(
     max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]

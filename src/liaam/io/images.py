@@ -234,7 +234,8 @@ def _open(file: Any, name: object, kind: str) -> _Opened:
     orientation = 1
     with suppress(Exception):  # of damaged EXIF data, which programs that show the image ignore
         orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
-    return _Opened(file, name, kind, image, *image.size, deep, orientation, fault)
+    width, height = image.size
+    return _Opened(file, name, kind, image, width, height, deep, orientation, fault)
 
 
 def _png_exif(file: Any) -> bytes | None:

@@ -14,25 +14,12 @@ from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
-from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.contours import Contour, chain_edges, edges_from
+from liaam.io.landmarks import reading as rd
+from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, edges_from
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.reading import (
-    HIDDEN,
-    MISSING,
-    SEEN,
-    Found,
-    Mark,
-    Source,
-    area_of,
-    named_points,
-    numbered_alike,
-    object_of,
-    of_category,
-    parse_number,
-    size_of_file,
-    with_names,
-)
+from liaam.io.landmarks.reading import HIDDEN, MISSING, SEEN, Mark, Source
+
+_Mask = tuple[str, list[int]]  # a label, and its landmarks
 
 _MOST_MISSING = 20  # maximum ratio of missing to present parts; above it the part names must be wrong
 
@@ -54,21 +41,21 @@ def parse_coco(source: Source) -> list[Landmarks]:
     labelled.sort(key=lambda each: (order.get(str(each.get("image_id")), -1), -_area(each)))
     outline = cache(lambda key, n: _outline(source, categories.get(key, {}), n))
 
-    def make(annotation: Any) -> Found:
+    def make(annotation: Any) -> tuple[str, Landmarks]:
         key, number = str(annotation.get("category_id")), str(annotation.get("image_id"))
         if number not in images:
             raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
-        name, category, values = str(images[number]["file_name"]), categories.get(key, {}), annotation["keypoints"]
+        name, values = str(images[number]["file_name"]), annotation["keypoints"]
         if len(values) % 3:
             raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v of each: correct it.")
-        seen = (parse_number(value, f"a keypoint of '{name}'") for value in values[2::3])
+        seen = (rd.parse_number(value, f"a keypoint of '{name}'") for value in values[2::3])
         marks = zip(map(str, count(1)), values[::3], values[1::3], seen, strict=False)
-        own = object_of(marks, name, size_of_file(images[number].get("width"), images[number].get("height")))
+        own = rd.object_of(marks, name, rd.size_of(images[number]))
         names, contours = outline(key, len(own))
-        kind = tuple(sorted(map(str, category.get("keypoints") or ()))) or len(own)
-        return Found(replace(own, names=names, contours=contours), key, str(category.get("name", key)), kind)
+        return key, replace(own, names=names, contours=contours)
 
-    return of_category(source, source.each(((f"annotation {each.get('id')}", each) for each in labelled), make))
+    found = source.each(((f"annotation {each.get('id')}", each) for each in labelled), make)
+    return rd.of_category(source, found, {key: str(each.get("name", key)) for key, each in categories.items()})
 
 
 def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
@@ -80,7 +67,7 @@ def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
 
 def _area(annotation: Any) -> float:
     box = annotation.get("bbox")
-    return area_of(annotation.get("area")) or area_of(*(box[2:4] if isinstance(box, list) else ()))
+    return rd.area_of(annotation.get("area")) or rd.area_of(*(box[2:4] if isinstance(box, list) else ()))
 
 
 def _outline(source: Source, category: Any, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
@@ -122,8 +109,8 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     if not groups:
         raise LandmarkError("it has no points: place the landmarks as points.")
     image = PureWindowsPath(str(source.json.get("imagePath") or "")).name or None
-    size = size_of_file(source.json.get("imageWidth"), source.json.get("imageHeight"))
-    made = [object_of(own, image, size, group) for group, own in groups.items()]
+    size = rd.size_of(source.json, "imageWidth", "imageHeight")
+    made = [rd.object_of(own, image, size, group) for group, own in groups.items()]
     usual = Counter(map(len, made)).most_common(1)[0][0]
     for own in made:
         if len(own) != usual:
@@ -141,7 +128,7 @@ def parse_label_studio(source: Source) -> list[Landmarks]:
     tasks = source.json if isinstance(source.json, list) else [source.json]
     records = ((f"task {i}", task) for i, task in enumerate(tasks, 1))
     found = source.each(records, partial(_objects_of_task, source))
-    return named_points(source, list(chain.from_iterable(found)))
+    return rd.named_points(source, list(chain.from_iterable(found)))
 
 
 def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
@@ -163,19 +150,14 @@ def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
 
 
 def _marked(image: str, marks: list[Any]) -> Landmarks:
-    sizes = {size_of_file(mark["original_width"], mark["original_height"]) for mark in marks}
+    sizes = {rd.size_of(mark, "original_width", "original_height") for mark in marks}
     if len(sizes) != 1 or None in sizes:
         raise LandmarkError(f"'{image}' has keypoints for several sizes, or none: label it again.")
     if any(mark.get("image_rotation") for mark in marks):
         raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
     labels = [str((mark.get("keypointlabels") or mark["labels"])[0]) for mark in marks]
-    own = object_of([(label, mark["x"], mark["y"], SEEN) for label, mark in zip(labels, marks, strict=True)], image)
+    own = rd.object_of([(label, mark["x"], mark["y"], SEEN) for label, mark in zip(labels, marks, strict=True)], image)
     return replace(own, points=own.points / 100, placing=Placing(sizes.pop(), fractions=True))
-
-
-# menpo --------------------------------------------------------------------------------------------
-
-_Mask = tuple[str, list[int]]
 
 
 def parse_ljson(source: Source) -> list[Landmarks]:
@@ -192,9 +174,9 @@ def parse_ljson(source: Source) -> list[Landmarks]:
     pairs = [(x, y) for y, x in group["landmarks"]["points"]]
     if not all(type(index) is int for index in chain(*edges, *(mask for _, mask in masks))):
         raise TypeError("an index is no whole number")
-    points: Any = [tuple(parse_number(value, f"point {i}") for value in pair) for i, pair in enumerate(pairs, 1)]
+    points: Any = [tuple(rd.parse_number(value, f"point {i}") for value in pair) for i, pair in enumerate(pairs, 1)]
     masks, invisible = _without_invisible(masks, len(points))
-    scale = None if group.get("scale") is None else parse_number(group["scale"], "the scale")
+    scale = None if group.get("scale") is None else rd.parse_number(group["scale"], "the scale")
     names = _names_of_masks(masks, len(points))
     return [Landmarks(points, chain_edges(edges), names, None, tuple(invisible), scale)]
 
@@ -253,23 +235,22 @@ def parse_cvat(source: Source) -> list[Landmarks]:
         raise LandmarkError("this is CVAT's for a video: export it as 'CVAT for images'.")
     images = source.xml.iter("image")
     records = ((image.get("name", ""), (image, *part)) for image in images for part in _parts_of_image(image))
-    return named_points(source, of_category(source, source.each(records, _skeleton)))
+    return rd.named_points(source, rd.of_category(source, source.each(records, _skeleton), alike=False))
 
 
-def _parts_of_image(image: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the label and the elements of points of each object."""
-    skeletons, points = image.findall("skeleton"), image.findall("points")
-    several = [each for each in points if ";" in each.get("points", "")]
-    yield from ((each.get("label", ""), each.findall("points")) for each in skeletons)
-    if not skeletons:
-        yield from ((each.get("label", ""), [each]) for each in several)
-    groups: dict[str, list[Any]] = defaultdict(list)
-    for point in points if not skeletons and not several else ():
+def _parts_of_image(image: Any) -> list[tuple[str, list[Any]]]:
+    """Return the label and the elements of points of each object."""
+    skeletons, points, groups = image.findall("skeleton"), image.findall("points"), defaultdict[str, list[Any]](list)
+    if skeletons:
+        return [(each.get("label", ""), each.findall("points")) for each in skeletons]
+    if any(";" in each.get("points", "") for each in points):
+        return [(each.get("label", ""), [each]) for each in points if ";" in each.get("points", "")]
+    for point in points:
         groups[point.get("group_id", "")].append(point)
-    yield from (("", group) for group in groups.values())
+    return [("", group) for group in groups.values()]
 
 
-def _skeleton(part: tuple[Any, str, list[Any]]) -> Found:
+def _skeleton(part: tuple[Any, str, list[Any]]) -> tuple[str, Landmarks]:
     image, label, elements = part
     marks: list[Mark] = []
     for element in elements:
@@ -278,11 +259,7 @@ def _skeleton(part: tuple[Any, str, list[Any]]) -> Found:
     attributes = [element.findtext("attribute", "").strip() for element in elements]
     if len({name for name, *_ in marks}) == 1 < len({*attributes}) == len(marks):  # they number the points
         marks = [(name, *at) for name, (_, *at) in zip(attributes, marks, strict=True)]
-    size = size_of_file(image.get("width"), image.get("height"))
-    return Found(object_of(marks, image.get("name", ""), size), label, kind=label)
-
-
-# dlib ---------------------------------------------------------------------------------------------
+    return label, rd.object_of(marks, image.get("name", ""), rd.size_of(image))
 
 
 def parse_dlib(source: Source) -> list[Landmarks]:
@@ -293,29 +270,27 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     """
     images = source.xml.iter("image")
     boxes = ((f"box {n} of {image.get('file', '')}", (image, box)) for image in images for n, box in _boxes(image))
-    found = of_category(source, filter(None, source.each(boxes, _box)))
-    found = numbered_alike(found)
+    found = rd.numbered_alike(rd.of_category(source, filter(None, source.each(boxes, _box))))
     names = sorted({name for own in found for name in own.names}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
         few = f"its {len(found)} boxes share hardly any of the {len(names)} part names"
         raise LandmarkError(f"{few}: give a part the same name in all images.")
-    return [with_names(own, names) for own in found]
+    return [rd.with_names(own, names) for own in found]
 
 
 def _boxes(image: Any) -> Iterator[tuple[int, Any]]:
     """Yield the boxes of an image that are not marked to be ignored, the largest first."""
     boxes = list(enumerate(image.iterfind("box"), 1))  # direct children, so that nested ones are not repeated
-    for number, box in sorted(boxes, key=lambda each: -area_of(each[1].get("width"), each[1].get("height"))):
+    for number, box in sorted(boxes, key=lambda each: -rd.area_of(each[1].get("width"), each[1].get("height"))):
         if box.get("ignore", "0").lower() in ("0", "false", "no", ""):
             yield number, box
 
 
-def _box(pair: tuple[Any, Any]) -> Found | None:
+def _box(pair: tuple[Any, Any]) -> tuple[str, Landmarks] | None:
     image, box = pair
     marks = [(part.get("name", ""), part.get("x", ""), part.get("y", ""), SEEN) for part in box.iterfind("part")]
     twice = [name for name, n in Counter(name for name, *_ in marks).items() if n > 1]
     if twice:
         raise LandmarkError(f"part '{twice[0]}' of image '{image.get('file', '')}' occurs twice: remove one of them.")
-    size = size_of_file(image.get("width"), image.get("height"))
     label = (box.findtext("label") or "").strip()
-    return Found(object_of(marks, image.get("file", ""), size), label) if marks else None
+    return (label, rd.object_of(marks, image.get("file", ""), rd.size_of(image))) if marks else None

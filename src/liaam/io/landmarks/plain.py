@@ -1,4 +1,4 @@
-"""Files of points as text: 300-W, ``.tem``, ``.asf``, StereoMorph, lines of x and y, and morphometrics (``.tps``, ``.nts``).
+"""Text files of points: 300-W, ``.tem``, ``.asf``, StereoMorph, lines of x and y, and ``.tps`` and ``.nts``.
 
 A missing landmark is written ``nan nan``, or by another of the usual words. In ``.tps`` and ``.nts`` y counts
 **upwards from the bottom** row.
@@ -16,21 +16,10 @@ import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number
-from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.contours import Contour, chain_edges, contour_of
+from liaam.io.landmarks import reading as rd
+from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, contour_of
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.reading import (
-    Source,
-    check_count,
-    decimal,
-    named_points,
-    names_of,
-    parse_count,
-    parse_number,
-    parse_pair,
-    parse_point,
-    short,
-)
+from liaam.io.landmarks.reading import Source
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
 _COMMENT = re.compile(r"(#|//|%).*")
@@ -61,10 +50,10 @@ def parse_pts(source: Source) -> list[Landmarks]:
     lines = [line for line in body.splitlines() if line.strip()]
     count = _COUNT.search(header)
     if count is not None:
-        check_count("header", parse_count(count[1], "points"), lines)
+        rd.check_count("header", rd.parse_count(count[1], "points"), lines)
     if not brace:
         raise LandmarkError("there is no '}' after its points; it may be cut short: export it again.")
-    pairs = [parse_pair(line, f"point {number}") for number, line in enumerate(lines, 1)]
+    pairs = [rd.parse_pair(line, f"point {number}") for number, line in enumerate(lines, 1)]
     points: Any = [(x - 1, y - 1) for x, y in pairs]
     return [Landmarks(points)]
 
@@ -78,16 +67,16 @@ def parse_asf(source: Source) -> list[Landmarks]:
     lines = [line for line in source.lines if not line.startswith("#")]
     if not lines:
         raise LandmarkError("it holds comments only; it may be cut short: export it again.")
-    count = parse_count(lines[0], "points")
+    count = rd.parse_count(lines[0], "points")
     columns = [line.split() for line in lines[1:]]
     rows = [row for row in columns if len(row) >= _ASF_COLUMNS]
-    check_count("header", count, rows)
+    rd.check_count("header", count, rows)
     points, edges = {}, []
     for row in rows:
-        index, _, target = (parse_count(token, "a point") for token in row[4:7])
+        index, _, target = (rd.parse_count(token, "a point") for token in row[4:7])
         if max(index, target) >= count:
             raise LandmarkError(f"it names point {max(index, target)}, but has points 0 to {count - 1}: correct it.")
-        points[index] = [parse_number(cell, f"point {index}") for cell in row[2:4]]
+        points[index] = [rd.parse_number(cell, f"point {index}") for cell in row[2:4]]
         edges.append((index, target))
     if len(points) < count:
         lacking = min({*range(count)} - points.keys())
@@ -104,16 +93,16 @@ def parse_tem(source: Source) -> list[Landmarks]:
     or the corner of the first pixel, and landmarks are placed by hand to about a pixel. The lines become contours: a
     count, then for each 0 (open) or 1 (closed), the number of points and their indices from 0.
     """
-    count = parse_count(source.lines[0], "points")
+    count = rd.parse_count(source.lines[0], "points")
     pairs = source.lines[1 : count + 1]
-    check_count("first line", count, pairs)
-    points: Any = [parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
+    rd.check_count("first line", count, pairs)
+    points: Any = [rd.parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
     contours = _template_lines(" ".join(source.lines[count + 1 :]).split())
     return [Landmarks(points, tuple(contour for contour in contours if contour is not None))]
 
 
 def _template_lines(tokens: list[str]) -> list[Contour | None]:
-    numbers, contours = (parse_count(token, "a line template") for token in tokens), []
+    numbers, contours = (rd.parse_count(token, "a line template") for token in tokens), []
     try:
         for _ in range(next(numbers) if tokens else 0):
             closed = next(numbers) == 1
@@ -132,7 +121,7 @@ def parse_shapes(source: Source) -> list[Landmarks]:
     lines = [line.strip() for line in matrix.splitlines() if line.strip()]
     rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line) for line in lines]
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
-    points: Any = [parse_point(row[-2:], f"'{row[0]}'") for row in rows]
+    points: Any = [rd.parse_point(row[-2:], f"'{row[0]}'") for row in rows]
     names = tuple(row[0] for row in rows if len(row) == 3)
     return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)]
 
@@ -148,9 +137,9 @@ def parse_lines(source: Source) -> list[Landmarks]:
     HELEN's begin with the image's name. A first line with the number of points is skipped.
     """
     matches, first = _matches(source), _first(source)
-    points: Any = [parse_point(match.group("x", "y"), match[0]) for match in matches]
-    names = names_of([match["name"] for match in matches if match["name"]])
-    return named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
+    points: Any = [rd.parse_point(match.group("x", "y"), match[0]) for match in matches]
+    names = rd.names_of([match["name"] for match in matches if match["name"]])
+    return rd.named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
 
 
 def _matches(source: Source) -> list[re.Match[str]]:
@@ -178,7 +167,7 @@ def _are_names(words: Sequence[str]) -> bool:
 def _with_points(line: str) -> str:
     """Replace decimal commas, if x and y both have one."""
     cells = re.split(r"([\t;]|\s+)", line)
-    made = [decimal(cell) for cell in cells]
+    made = [rd.decimal(cell) for cell in cells]
     return "".join(made if sum(map(operator.ne, made, cells)) == 2 else cells)
 
 
@@ -213,7 +202,9 @@ def parse_tps(source: Source) -> list[Landmarks]:
             raise LandmarkError(f"{block.where} comes before any LM=: export the file again.")
         records[-1].append(block)
     if not records:
-        raise LandmarkError(f"'{short(source.lines[0])}' is not expected here, before any LM=: export the file again.")
+        raise LandmarkError(
+            f"'{rd.short(source.lines[0])}' is not expected here, before any LM=: export the file again."
+        )
     named = ((_facts(record).get("IMAGE") or _facts(record).get("ID") or record[0].where, record) for record in records)
     return [own for own in source.each(named, lambda record: _specimen(source, record, len(records) == 1)) if own]
 
@@ -223,7 +214,7 @@ def _blocks(source: Source) -> list[_Block]:
     for number, line in enumerate(map(str.strip, source.text.splitlines()), 1):
         match = _KEY.fullmatch(line)
         if match is not None:
-            blocks.append(_Block(f"line {number} ('{short(line)}')", match[1].upper(), match[2]))
+            blocks.append(_Block(f"line {number} ('{rd.short(line)}')", match[1].upper(), match[2]))
         elif line and blocks:
             blocks[-1].body.append((number, line))
     return blocks
@@ -248,7 +239,7 @@ def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | N
     name = facts.get("IMAGE") or facts.get("ID")
     if name is None and not only:
         raise LandmarkError(f"the record of {record[0].where} names no image: add a line IMAGE=, or ID=.")
-    written = decimal(facts.get("SCALE", ""))
+    written = rd.decimal(facts.get("SCALE", ""))
     scale = float(written) if is_number(written) else 0.0
     if scale <= 0 and "SCALE" in facts:
         source.notes.repair("there is no scale, because SCALE= is not a positive number", name or source.path.name)
@@ -265,11 +256,11 @@ def _points(block: _Block) -> list[tuple[float, float]]:
     count, n = float(block.value), len(block.body)  # int has a limit of digits
     if n > count:
         number, line = block.body[int(count)]
-        where = f"line {number} ('{short(line)}')"
+        where = f"line {number} ('{rd.short(line)}')"
         raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
-    points = [parse_pair(line, f"line {number}") for number, line in block.body]
+    points = [rd.parse_pair(line, f"line {number}") for number, line in block.body]
     if n < count:
-        promised = f"{short(block.value)} points but {n} follow; the file may be cut short"
+        promised = f"{rd.short(block.value)} points but {n} follow; the file may be cut short"
         raise LandmarkError(f"{block.where} promises {promised}: correct the number, or export the file again.")
     return points
 
@@ -291,7 +282,7 @@ def parse_nts(source: Source) -> list[Landmarks]:
     names, values = _labels_and_values(header, words, n, width) if n <= len(words) else ([], words)
     if len(values) != n * width or not values:
         raise LandmarkError(f"{n} x {width} numbers are promised but {len(values)} are there: export it again.")
-    numbers = np.array([parse_number(value, "a row") for value in values])
+    numbers = np.array([rd.parse_number(value, "a row") for value in values])
     if header["missing"] == "1" and header["value"]:
         numbers[numbers == float(header["value"])] = math.nan
     if width == 2:

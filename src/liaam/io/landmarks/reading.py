@@ -6,9 +6,10 @@ import json
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 from xml.etree import ElementTree
@@ -172,8 +173,9 @@ class Source:
             raise first
 
 
-def size_of_file(width: Any, height: Any) -> tuple[float, float] | None:
-    """Return the size of an image that a file states as numbers or text, if it does."""
+def size_of(record: Any, *keys: str) -> tuple[float, float] | None:
+    """Return the width and height, which may have other keys, of an image that a record states, if it does."""
+    width, height = map(record.get, keys or ("width", "height"))
     return (float(width), float(height)) if area_of(width, height) > 0 and float(width) > 0 else None
 
 
@@ -253,45 +255,40 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
 
 
-@dataclass(frozen=True)
-class Found:
-    """An object of an image, before it is decided which category is read."""
+def of_category(
+    source: Source, found: Iterable[tuple[str, Landmarks]], titles: Mapping[str, str] = {}, alike: bool = True
+) -> list[Landmarks]:
+    """Return the landmarks of the category that is asked for, or else that has more of them, then more images.
 
-    landmarks: Landmarks
-    category: str  # number or name
-    title: str = ""  # name, if it is another
-    kind: object = None  # categories of one kind are one; by default those whose landmarks have the same names
-
-
-def of_category(source: Source, objects: Iterable[Found]) -> list[Landmarks]:
-    """Return the landmarks of the category that is asked for, or else that has more of them, then more images."""
-    found, groups = list(objects), defaultdict[str, list[Found]](list)
-    for each in found:
-        groups[each.category].append(each)
-    kinds = {key: own[0].kind or {name for each in own for name in each.landmarks.names} for key, own in groups.items()}
-    titles = {key: own[0].title or key for key, own in groups.items()}
+    A category has a key and may have a title. Those of the same names are one, if they may be alike.
+    """
+    found, groups = list(found), defaultdict[str, list[Landmarks]](list)
+    for key, own in found:
+        groups[key].append(own)
+    named = {key: titles.get(key, key) for key in groups}
     wanted = source.reading.category
     if wanted is not None:
-        kept = {key for key in groups if wanted.casefold() in (key.casefold(), titles[key].casefold())}
+        kept = {key for key in groups if wanted.casefold() in (key.casefold(), named[key].casefold())}
         if not kept:
-            has = some_names(list(dict.fromkeys(titles.values())))
+            has = some_names(list(dict.fromkeys(named.values())))
             raise LandmarkError(f"no landmarks of the category '{wanted}': it has {has}.")
-        return [each.landmarks for each in found if each.category in kept]
+        return [own for key, own in found if key in kept]
 
     def rank(key: str) -> tuple[int, int]:
-        usual = Counter(len(each.landmarks) for each in groups[key]).most_common(1)[0][0]
-        return usual, len({each.landmarks.image_name for each in groups[key]})
+        usual = Counter(map(len, groups[key])).most_common(1)[0][0]
+        return usual, len({own.image_name for own in groups[key]})
 
+    kinds = {key: {*chain(*(own.names for own in groups[key]))} or rank(key)[0] if alike else key for key in groups}
     first, *others = sorted(groups, key=rank, reverse=True) if groups else [""]
     others = [key for key in others if kinds[key] != kinds[first]]
     if others and rank(others[0]) == rank(first):
-        both = f"'{titles[first]}' and '{titles[others[0]]}'"
+        both = f"'{named[first]}' and '{named[others[0]]}'"
         raise LandmarkError(f"the categories {both} have as many landmarks and images: choose one with --category.")
     for key in others:
-        what = f"left out the category '{titles[key]}', because '{titles[first]}' has more (--category chooses)"
-        for each in groups[key]:
-            source.notes.say(what, each.landmarks.image_name or "")
-    return [each.landmarks for each in found if each.category not in others]
+        what = f"left out the category '{named[key]}', because '{named[first]}' has more (--category chooses)"
+        for own in groups[key]:
+            source.notes.say(what, own.image_name or "")
+    return [own for key, own in found if key not in others]
 
 
 def read_text(path: Path, data: bytes | None = None) -> str:

@@ -18,7 +18,7 @@ from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.columns import LANDMARKS, UNCLEAR, Columns, columns_of, filled, name_column, pairs_of
 from liaam.io.landmarks.matching import without_title
-from liaam.io.landmarks.reading import Row, Source, decimal, named_points, parse_point, size_of_file
+from liaam.io.landmarks.reading import Row, Source, decimal, named_points, parse_point, size_of
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
 _WFLW = 5  # pairs of numbers of a box and of attributes
@@ -56,8 +56,8 @@ def parse_long(source: Source) -> list[Landmarks]:
         (image, specimen), own = group
         points = np.array([_point(number, row, columns) for number, row in own]) - (0.5 if is_imagej else 0.0)
         names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in own)
-        placing = Placing(size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else None)
-        return Landmarks(points, (), names if any(names) else (), image or None, label=specimen, placing=placing)
+        size = size_of(dict(zip(("width", "height"), (own[0][1][i] for i in columns.size), strict=False)))
+        return Landmarks(points, (), names if any(names) else (), image or None, label=specimen, placing=Placing(size))
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
     made = list(source.each(groups, make))

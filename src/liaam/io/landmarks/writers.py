@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.contours import edges_of
+from liaam.io.landmarks.base import Landmarks, edges_of
 
 Sizes = Mapping[str, tuple[float, float]]  # width and height of images by file name
 
