@@ -101,9 +101,8 @@ class VideoReader:
         self.name = f"camera {source}" if self.live else str(source)
         self.fault = ""
         self._start, self._stop, self._skipping = start, stop, skipping
-        self._source: _Camera | _Folder | _File
         if isinstance(source, int):
-            self._source = _Camera(source)
+            self._source: _Camera | _Folder | _File = _Camera(source)
         else:
             self._source = _Folder(Path(source)) if Path(source).is_dir() else _File(source)
         self.rate, known = self._source.rate, self._source.n_frames
@@ -145,13 +144,12 @@ class VideoReader:
         finally:
             self._closed = True
             ahead.close()
-        seen, start = self._source.n_seen, self._start
+        name, seen, first = self.name, self._source.n_seen, self._start
         if not n_given and seen > self._source.n_damaged:
-            few = f"has only {seen} frames, so none from frame {start} on"
-            raise VideoError(f"{self.name} {few}; choose an earlier start")
+            raise VideoError(f"{name} has only {seen} frames, so none from frame {first} on; choose an earlier start")
         if not n_given:
             why = f"it is damaged or cut short, or its frames have more than {MAX_PIXELS:,} pixels"
-            raise VideoError(f"{self.name} has no frame that can be decoded: {why}; export it again")
+            raise VideoError(f"{name} has no frame that can be decoded: {why}; export it again")
         self.fault = self._source.fault or self._source.damage
 
     def _decoded(self) -> Generator[VideoFrame, None, None]:
@@ -253,8 +251,7 @@ class _File(_Source):
             why = f"({fault.strerror}): it has another format or is cut short before its index"
             raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it, such as .mp4") from fault
         try:
-            self._check_stream()
-            self.stream = stream = self.container.streams.video[0]
+            self.stream = stream = self._checked_stream()
             stream.thread_type, stream.codec_context.options = "AUTO", options
             self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
             self.n_frames, self.n_packets = self._announced(stream)
@@ -263,8 +260,8 @@ class _File(_Source):
             self.close()
             raise
 
-    def _check_stream(self) -> None:
-        """Refuse sound, images and unknown codecs."""
+    def _checked_stream(self) -> Any:
+        """Return the stream of frames. Raise if there is only sound or an image, or the codec is unknown."""
         streams, kind = self.container.streams.video, self.container.format.name
         if kind == "image2" or kind.endswith("_pipe") or (streams and streams[0].frames == 1 and image_kind(self.path)):
             raise VideoError(f"{self.path} is an image, not a video: use 'liaam fit', or give a folder of frames")
@@ -272,6 +269,7 @@ class _File(_Source):
             raise VideoError(f"{self.path} has no video stream: give a video file")
         if streams[0].codec_context is None:
             raise VideoError(f"{self.path} has a codec that FFmpeg does not know: export it as .mp4 with H.264")
+        return streams[0]
 
     def _check_size(self, what: Any, whose: str) -> None:
         """Refuse a stream or a frame of too many pixels."""
@@ -295,11 +293,10 @@ class _File(_Source):
                     self._check_size(frame, f"frame {self.n_seen} has")
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
                     first = stamp if first is None else first
-                    seconds = stamp - first
                     # Some files (.avi) have times in decoding order; keep times increasing.
-                    last = seconds = seconds if seconds > last else last + float(1 / self.rate)
+                    last = stamp - first if stamp - first > last else last + float(1 / self.rate)
                     self.n_seen += 1
-                    yield seconds, partial(self._picture, frame)
+                    yield last, partial(self._picture, frame)
             if not self.n_damaged and n_read < self.n_packets:
                 self.fault = f"{self.path} is cut short: it has {n_read} of its {self.n_packets} frames"
         except self.errors as fault:

@@ -275,7 +275,7 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
         few = f"its {len(found)} boxes share hardly any of the {len(names)} part names"
         raise LandmarkError(f"{few}: give a part the same name in all images.")
-    return [rd.with_names(own, names) for own in found]
+    return [own.with_names(names) for own in found]
 
 
 def _boxes(image: Any) -> Iterator[tuple[int, Any]]:

@@ -149,14 +149,18 @@ class Landmarks:
             wanted, own = list(names), list(self.names)
         if self.names == tuple(names) or not set(wanted) & set(own):
             return self
-        counts, place = Counter(own), {key: i for i, key in enumerate(own)}
+        counts = Counter(own)
         lacking = [name for name, key in zip(names, wanted, strict=True) if counts[key] != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
-        return self.in_order([place[key] for key in wanted], names)
+        called = dict(zip(wanted, names, strict=True))
+        renamed = (called.get(key, name) for key, name in zip(own, self.names, strict=True))
+        return replace(self, names=tuple(renamed)).with_names(names)
 
-    def in_order(self, order: Sequence[int], names: Sequence[str]) -> "Landmarks":
-        """Return the landmarks of these indices, -1 for one that is missing, with these names."""
+    def with_names(self, names: Sequence[str]) -> "Landmarks":
+        """Return the landmarks of these names, in this order; those that lack are missing."""
+        place = {name: i for i, name in enumerate(self.names)}
+        order = [place.get(name, -1) for name in names]
         at = {old: new for new, old in enumerate(order) if old >= 0}
         contours = (Contour(tuple(at.get(i, -1) for i in each.indices), each.closed) for each in self.contours)
         return replace(

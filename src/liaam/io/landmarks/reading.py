@@ -211,12 +211,6 @@ def names_of(labels: Sequence[str]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
-    """Return landmarks of these names, in this order; those that lack are missing."""
-    at = {name: i for i, name in enumerate(own.names)}
-    return own.in_order([at.get(name, -1) for name in names], names)
-
-
 def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
     """Return landmarks whose numbers have no decimals, and no zeros in front if others lack these: 1, 01 and 1.0."""
     names = {name for own in found for name in own.names}
@@ -250,7 +244,7 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
             raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
         if not own.names or (len(own) == len(usual) and not numbers):
             return own
-        return replace(with_names(own, usual), names=() if counted else tuple(usual))
+        return replace(own.with_names(usual), names=() if counted else tuple(usual))
 
     return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
 
