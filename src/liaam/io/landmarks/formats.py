@@ -7,7 +7,6 @@ from pathlib import Path
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import annotations as an, plain, tables, writers as out
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.columns import has_points, pairs_of
 from liaam.io.landmarks.reading import Source, UnrecognisedError
 
 
@@ -67,8 +66,8 @@ _TOLD: dict[str, Callable[[Source], bool]] = {
     "COCO keypoints": lambda file: bool({"images", "annotations"} & file.object.keys()),
     "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
     "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
-    "table of one row an image": lambda file: len(pairs_of(file.rows[0][1])) > 1,
-    "table": lambda file: has_points(file.header),
+    "table of one row an image": lambda file: len(tables.pairs_of(file.rows[0][1])) > 1,
+    "table": lambda file: tables.has_points(file.header),
     "list of lines with an image's name": tables.is_list,
     "lines of x and y, HELEN's": plain.is_lines,
 }

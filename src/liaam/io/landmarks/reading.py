@@ -17,12 +17,12 @@ from xml.etree import ElementTree
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key, read_bytes, some_names
 from liaam.io.landmarks.base import Landmarks, Placing, without_zeros
-from liaam.io.landmarks.columns import plain
 
 MAX_BYTES = 500_000_000  # of a landmark file
 
 Row = tuple[int, list[str]]  # a line number, and the cells of the line
 
+_UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\s*[)\]]", re.IGNORECASE)
 _SUMMARY = {"Mean", "SD", "Min", "Max"}  # labels of rows that ImageJ adds below its results
 _SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")  # x and y with a comma or semicolon between them
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")  # characters that binary files hold and text does not
@@ -350,6 +350,12 @@ def parse_count(token: str, what: str) -> int:
     if not (token.isascii() and token.isdigit() and len(token) <= 18):
         raise LandmarkError(f"'{short(token)}' is not a number of {what}: export the file again.")
     return int(token)
+
+
+def plain(cell: str) -> str:
+    """Return a column's name in lower case, without what is in brackets, unless it is a unit other than pixels."""
+    without = re.sub(r"[(\[].*[)\]]", "", _UNIT.sub(r" \1", cell))
+    return re.sub(r"[\s_.-]+", "_", without.strip().casefold()).strip("_")
 
 
 def check_count(where: str, count: int, rows: Sequence[object]) -> None:
