@@ -42,26 +42,8 @@ _FORMS = (
     r"(?-i:(?P<key>\w*[a-z])(?P<axis>[XYZ]))",
 )
 # Words beside x and y that name no landmark.
-_OTHERS = {
-    *[
-        "bbox",
-        "box",
-        "rect",
-        "min",
-        "max",
-        "centroid",
-        "center",
-        "image",
-        "size",
-        "px",
-        "pixel",
-        "pixels",
-        "mm",
-        "cm",
-        "um",
-        "inch",
-    ]
-}
+_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
 
 
 @dataclass(frozen=True)
