@@ -38,9 +38,7 @@ _TEMPORARY = re.compile(r"\.liaam-(?P<host>[0-9a-f]{8})-(?P<process>\d{1,9})-[0-
 _DAY = 86400.0
 _SEES_PROCESSES = os.name == "posix"  # elsewhere os.kill would end them
 _TAKEN = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
-
 _FAR = 1 << 30  # position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read
-
 _swept: set[Path] = set()  # folders that this process has swept
 
 

@@ -52,7 +52,7 @@ _NEEDS = {
     "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
     "HEIF": f"HEIC image, which needs the extra heic: {installing('heic')}",
 }
-_MAX_BYTES = 4_000_000_000
+_MAX_BYTES = 4_000_000_000  # of a file that OpenCV decodes
 _KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000"
 _EXIF_ORIENTATION = 0x0112
 # Tags of the TIFF 6.0 specification.
@@ -345,20 +345,17 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
     path : path-like
         Ends in one of `IMAGE_SUFFIXES`.
     array : np.ndarray
-        (height, width, 3) in RGB order, or (height, width) grey. uint8 for every format; uint16 for PNG,
-        TIFF, PPM and PGM; float32 for TIFF only. JPEG is written with quality 95 and full-resolution
-        chroma.
+        (height, width, 3) in RGB order, or (height, width) grey. uint8 for every format; uint16 for PNG, TIFF, PPM and
+        PGM; float32 for TIFF only. JPEG is written with quality 95 and full-resolution chroma.
 
     Raises
     ------
     ImageError
         If the suffix, the shape or the type cannot be written, or writing fails.
     """
-    path = Path(path)
-    array = np.asarray(array)
+    path, array = Path(path), np.asarray(array)
     suffix = _check_writable(path, array)
-    if suffix == ".ppm" and array.ndim == 2:
-        array = as_three_channels(array)
+    array = as_three_channels(array) if suffix == ".ppm" and array.ndim == 2 else array
     write_bytes_atomically(path, _encode(array, suffix), ImageError)
 
 
@@ -386,8 +383,7 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
 def _encode(array: np.ndarray, suffix: str) -> bytes:
     import cv2
 
-    if suffix == ".pnm":
-        suffix = ".pgm" if array.ndim == 2 else ".ppm"
+    suffix = {".pnm": ".pgm" if array.ndim == 2 else ".ppm"}.get(suffix, suffix)
     jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # the quality is 95 by default
     tiff = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none
     png = [cv2.IMWRITE_PNG_COMPRESSION, 3]  # half the time of 6, for files larger by a twelfth

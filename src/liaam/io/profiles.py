@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 ROWS_AT_ONCE = 256  # rows converted at a time, because Pillow's conversions take several times the image's memory
+# Modes of Pillow's images that the colour profiles of each colour space are for.
 _PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
-"""Modes of Pillow's images that the colour profiles of each colour space are for."""
-
 _SAME = 2  # largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding
 
 
@@ -47,15 +46,7 @@ def _to_srgb(image: Any) -> Callable[[Any], Any] | None:
         return None
     if mode == "L":  # as lcms gives channels that differ by rounding
         return lambda part: Image.merge("RGB", [transform.apply(part.convert("L")).getchannel("G")] * 3)
-    if mode == "RGB" and _is_srgb(transform):
-        return None
-    return lambda part: transform.apply(_to_rgb(part) if mode == "RGB" else part)
-
-
-def _is_srgb(transform: Any) -> bool:
-    """Return whether a transform to sRGB changes no colour by more than rounding does."""
-    from PIL import Image
-
     colours = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), axis=-1).reshape(-1, 18, 3)
-    changed = np.asarray(transform.apply(Image.fromarray(colours)), int)
-    return bool(np.abs(changed - colours).max() <= _SAME)
+    if mode == "RGB" and np.abs(np.asarray(transform.apply(Image.fromarray(colours)), int) - colours).max() <= _SAME:
+        return None  # it is sRGB but for rounding
+    return lambda part: transform.apply(_to_rgb(part) if mode == "RGB" else part)

@@ -111,15 +111,12 @@ class LandmarkFile(Source):
 
     def _placed(self, landmarks: Landmarks, size: Size, orientation: int, name: str) -> Landmarks:
         """Place landmarks and the others of their image."""
-        placing, reading = landmarks.placing, self.reading
+        placing, reading, declared = landmarks.placing, self.reading, landmarks.placing.size
         stored = (size[1], size[0]) if orientation >= 5 else size
-        declared = placing.size
         fits, fits_stored = (declared is not None and _fit(declared, each) for each in (size, stored))
         if declared is not None and not fits and not fits_stored:
-            sizes = (f"{width:g} x {height:g}" for width, height in (declared, size))
-            differ = "the file is for an image of {} pixels, but the image has {}, which is no scaled copy".format(
-                *sizes
-            )
+            theirs, ours = (f"{width:g} x {height:g}" for width, height in (declared, size))
+            differ = f"the file is for an image of {theirs} pixels, but the image has {ours}, which is no scaled copy"
             raise LandmarkError(f"{differ}: give the image that was annotated, or annotate this one.")
         turned = reading.stored if fits == fits_stored else fits_stored
         if orientation != 1 and not reading.stored and fits == fits_stored:
@@ -231,13 +228,13 @@ def read_landmarks(
 def _entry_of(file: LandmarkFile, image_name: str | None) -> str:
     """Return the only image of a file, or that with a name."""
     entries = list(file.entries)
-    if len(entries) == 1:
-        return entries[0]
-    if image_name is None:
+    if len(entries) > 1 and image_name is None:
         many = f"{len(entries)} images ({', '.join(entries[:3])} ...)"
         raise LandmarkError(f"{file.path} holds the landmarks of {many}: use read_collection, or load its folder.")
-    names = ImageNames([Path(image_name)])
+    if len(entries) == 1 or image_name is None:
+        return entries[0]
     same = [entry for entry in entries if PureWindowsPath(entry).name == image_name]
+    names = ImageNames([Path(image_name)])
     alike = same or [entry for entry in entries if names.find(entry)[0] is not None]
     if not alike:
         raise LandmarkError(f"{file.path} has no landmarks of {image_name}: add them, or name another file.")
@@ -353,9 +350,6 @@ def collection_text(
     assert text is not None
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    every = (own if isinstance(own, Landmarks) else Landmarks(own) for own in collection.values())
-    sizes, named = (
-        image_sizes or {},
-        [replace(own, image_name=name) for name, own in zip(collection, every, strict=True)],
-    )
-    return text(dict(zip(collection, _to_write(path, named, sizes), strict=True)), sizes)
+    every = {name: own if isinstance(own, Landmarks) else Landmarks(own) for name, own in collection.items()}
+    named = [replace(own, image_name=name) for name, own in every.items()]
+    return text(dict(zip(every, _to_write(path, named, image_sizes or {}), strict=True)), image_sizes or {})
