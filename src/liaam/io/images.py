@@ -10,7 +10,7 @@ import io
 import mimetypes
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,6 @@ import numpy as np
 from liaam.errors import ImageError, installing
 from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import as_three_channels, check_size, existing_file
-from liaam.io.profiles import rgb_of
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
@@ -58,6 +57,10 @@ _EXIF_ORIENTATION = 0x0112
 # Tags of the TIFF 6.0 specification.
 _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _PLANAR, _FORMAT = 256, 257, 258, 262, 277, 284, 339
 _EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
+ROWS_AT_ONCE = 256  # rows converted at a time, because Pillow's conversions take several times the image's memory
+# Modes of Pillow's images that the colour profiles of each colour space are for.
+_PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
+_SAME = 2  # largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding
 
 
 @dataclass(frozen=True)
@@ -301,6 +304,46 @@ def _tiff_fault(tags: Any, n_bytes: int) -> str:
     if n_samples > 1 and tags.get(_PLANAR, 1) != 1:
         return "stores its channels in separate planes: save it with interleaved channels."
     return ""
+
+
+def rgb_of(image: Any) -> np.ndarray:
+    """Decode a Pillow image to (h, w, 3) uint8, in sRGB."""
+    image.load()
+    width, height = image.size
+    array, convert = np.empty((height, width, 3), np.uint8), _to_srgb(image) or _to_rgb
+    for top in range(0, height, ROWS_AT_ONCE):
+        strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
+        array[top : top + strip.height] = convert(strip)
+    return array
+
+
+def _to_rgb(image: Any) -> Any:
+    # A palette with transparency cannot be converted to RGB directly.
+    return (image.convert("RGBA") if "transparency" in image.info else image).convert("RGB")
+
+
+def _to_srgb(image: Any) -> Callable[[Any], Any] | None:
+    """Return a function that converts parts of an image to sRGB; None if its values are to be taken as stored."""
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return None
+    from PIL import Image, ImageCms
+
+    try:
+        source: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        space = source.profile.xcolor_space.strip()
+        if image.mode not in _PROFILE_MODES.get(space, ()):
+            return None
+        mode = _PROFILE_MODES[space][0]
+        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, "RGB")
+    except (ImageCms.PyCMSError, OSError):
+        return None
+    if mode == "L":  # as lcms gives channels that differ by rounding
+        return lambda part: Image.merge("RGB", [transform.apply(part.convert("L")).getchannel("G")] * 3)
+    colours = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), axis=-1).reshape(-1, 18, 3)
+    if mode == "RGB" and np.abs(np.asarray(transform.apply(Image.fromarray(colours)), int) - colours).max() <= _SAME:
+        return None  # it is sRGB but for rounding
+    return lambda part: transform.apply(_to_rgb(part) if mode == "RGB" else part)
 
 
 def _decode_deep(opened: _Opened) -> np.ndarray:

@@ -103,8 +103,8 @@ class Landmarks:
         for what, indices in (("a contour names", in_contours), ("marked as invisible is", self.invisible)):
             wrong = [i for i in indices if not 0 <= i < len(points)]
             if wrong:
-                there = f"there are {len(points)} landmarks: correct the indices"
-                raise LandmarkError(f"{what} landmark {wrong[0]} (counting from 0), but {there}.")
+                which = f"{what} landmark {wrong[0]} (counting from 0)"
+                raise LandmarkError(f"{which}, but there are {len(points)} landmarks: correct the indices.")
         if self.scale is not None and not 0 < self.scale < math.inf:
             raise LandmarkError(f"the scale is {self.scale:g}: give the length of a pixel, a positive number.")
 
@@ -203,9 +203,7 @@ def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
     """Make a contour. A repeated first point closes it; a single point gives None."""
     if len(indices) > 2 and indices[0] == indices[-1]:
         indices, closed = indices[:-1], True
-    if len(set(indices)) < 2:
-        return None
-    return Contour(tuple(indices), closed)
+    return Contour(tuple(indices), closed) if len({*indices}) > 1 else None
 
 
 def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
