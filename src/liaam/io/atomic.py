@@ -26,14 +26,9 @@ except ImportError:  # Windows
     fcntl = None
 
 
-def _machine() -> str:
-    """Return a name for what numbers processes: this machine, or the container that liaam runs in."""
-    space = Path("/proc/self/ns/pid")
-    name = f"{socket.gethostname()} {space.readlink() if space.is_symlink() else ''}"
-    return hashlib.sha256(name.encode()).hexdigest()[:8]
-
-
-_HOST = _machine()
+_SPACE = Path("/proc/self/ns/pid")  # what numbers processes: this machine, or the container that liaam runs in
+_MACHINE = f"{socket.gethostname()} {_SPACE.readlink() if _SPACE.is_symlink() else ''}"
+_HOST = hashlib.sha256(_MACHINE.encode()).hexdigest()[:8]
 _TEMPORARY = re.compile(r"\.liaam-(?P<host>[0-9a-f]{8})-(?P<process>\d{1,9})-[0-9a-f]{16}(\..*)?", re.DOTALL)
 _DAY = 86400.0
 _SEES_PROCESSES = os.name == "posix"  # elsewhere os.kill would end them

@@ -398,8 +398,17 @@ def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
     """
     path, array = Path(path), np.asarray(array)
     suffix = _check_writable(path, array)
+    import cv2
+
+    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # the quality is 95 by default
+    tiff = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none
+    png = [cv2.IMWRITE_PNG_COMPRESSION, 3]  # half the time of 6, for files larger by a twelfth
+    options = {".png": png, ".jpg": jpeg, ".jpeg": jpeg, ".tif": tiff, ".tiff": tiff}.get(suffix, [])
     array = as_three_channels(array) if suffix == ".ppm" and array.ndim == 2 else array
-    write_bytes_atomically(path, _encode(array, suffix), ImageError)
+    suffix = {".pnm": ".pgm" if array.ndim == 2 else ".ppm"}.get(suffix, suffix)
+    bgr = array if array.ndim == 2 else array[:, :, ::-1]
+    _, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), options)
+    write_bytes_atomically(path, data.tobytes(), ImageError)
 
 
 def _check_writable(path: Path, array: np.ndarray) -> str:
@@ -421,16 +430,3 @@ def _check_writable(path: Path, array: np.ndarray) -> str:
     else:
         return suffix
     raise ImageError(f"{path} cannot be written: {fault}")
-
-
-def _encode(array: np.ndarray, suffix: str) -> bytes:
-    import cv2
-
-    suffix = {".pnm": ".pgm" if array.ndim == 2 else ".ppm"}.get(suffix, suffix)
-    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # the quality is 95 by default
-    tiff = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none
-    png = [cv2.IMWRITE_PNG_COMPRESSION, 3]  # half the time of 6, for files larger by a twelfth
-    options = {".png": png, ".jpg": jpeg, ".jpeg": jpeg, ".tif": tiff, ".tiff": tiff}.get(suffix, [])
-    bgr = array if array.ndim == 2 else array[:, :, ::-1]
-    _, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), options)
-    return data.tobytes()

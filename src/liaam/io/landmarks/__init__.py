@@ -123,9 +123,13 @@ class LandmarkFile(Source):
             self.notes.say(UNDECIDED, name)
         target = stored if turned else size
         frame = declared or target
-        points = landmarks.points * frame if placing.fractions else landmarks.points
-        if not placing.fractions:
-            _check_pixels(points[~landmarks.missing], frame)
+        points, known = landmarks.points, landmarks.points[~landmarks.missing]
+        if placing.fractions:
+            points = points * frame
+        elif len(known) > 2 and np.abs(known).max() <= _FRACTION and min(frame) > _SMALL:
+            low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
+            between = f"all positions lie between {low:.3g} and {high:.3g}"
+            raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
         if placing.upwards and not reading.y_down:
             points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)
         if frame != target:
@@ -163,14 +167,6 @@ class ImagesBeside:
             return declared, 1
         remedy = "put the image beside the file, or pass image_size=(width, height) in pixels"
         raise LandmarkError(f"the size of its image is needed{fault}: {remedy}.")
-
-
-def _check_pixels(known: np.ndarray, size: Size) -> None:
-    """Raise if positions in an image seem to be fractions of its size."""
-    if len(known) > 2 and np.abs(known).max() <= _FRACTION and min(size) > _SMALL:
-        low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
-        between = f"all positions lie between {low:.3g} and {high:.3g}"
-        raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
 
 
 def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
@@ -220,25 +216,18 @@ def read_landmarks(
         several images.
     """
     file = LandmarkFile.read(Path(path), reading)
-    placed = file.placed(_entry_of(file, image_name), image_size)
-    _warn(file)
-    return placed
-
-
-def _entry_of(file: LandmarkFile, image_name: str | None) -> str:
-    """Return the only image of a file, or that with a name."""
     entries = list(file.entries)
     if len(entries) > 1 and image_name is None:
         many = f"{len(entries)} images ({', '.join(entries[:3])} ...)"
-        raise LandmarkError(f"{file.path} holds the landmarks of {many}: use read_collection, or load its folder.")
-    if len(entries) == 1 or image_name is None:
-        return entries[0]
-    same = [entry for entry in entries if PureWindowsPath(entry).name == image_name]
-    names = ImageNames([Path(image_name)])
-    alike = same or [entry for entry in entries if names.find(entry)[0] is not None]
-    if not alike:
-        raise LandmarkError(f"{file.path} has no landmarks of {image_name}: add them, or name another file.")
-    return alike[0]
+        raise LandmarkError(f"{path} holds the landmarks of {many}: use read_collection, or load its folder.")
+    if len(entries) > 1 and image_name is not None:
+        names, same = ImageNames([Path(image_name)]), [e for e in entries if PureWindowsPath(e).name == image_name]
+        entries = same or [entry for entry in entries if names.find(entry)[0] is not None]
+        if not entries:
+            raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
+    placed = file.placed(entries[0], image_size)
+    _warn(file)
+    return placed
 
 
 def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> dict[str, Landmarks]:

@@ -94,7 +94,19 @@ class Landmarks:
     format: str = ""
 
     def __post_init__(self) -> None:
-        points = _checked_points(self.points)
+        try:
+            points = np.array(self.points, dtype=np.float64)
+        except (TypeError, ValueError) as fault:
+            raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
+            raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
+        half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
+        if len(half):
+            which = f"landmark {half[0] + 1} (counting from 1)"
+            raise LandmarkError(f"{which} has only one of x and y: give both, or leave out both.")
+        if np.isinf(points).any():
+            raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
+        points.setflags(write=False)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
         if self.names and len(self.names) != len(points):
@@ -179,24 +191,6 @@ def _keys(names: Sequence[str]) -> list[str]:
 def without_zeros(name: str) -> str:
     """Return a name that is a number without zeros in front."""
     return re.sub(r"\A0+(?=\d+\Z)", "", name)
-
-
-def _checked_points(points: Any) -> np.ndarray:
-    """Return the points as a read-only (n, 2) float64 copy."""
-    try:
-        points = np.array(points, dtype=np.float64)
-    except (TypeError, ValueError) as fault:
-        raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
-        raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
-    half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
-    if len(half):
-        which = f"landmark {half[0] + 1} (counting from 1)"
-        raise LandmarkError(f"{which} has only one of x and y: give both, or leave out both.")
-    if np.isinf(points).any():
-        raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
-    points.setflags(write=False)
-    return points
 
 
 def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:

@@ -59,17 +59,17 @@ FORMATS: tuple[Format, ...] = (
 
 A file of its own takes precedence over one for many images."""
 
-_TOLD: dict[str, Callable[[Source], bool]] = {
+_TOLD: dict[str, Callable[[Source], object]] = {
     "LabelMe": lambda file: isinstance(file.object.get("shapes"), list),
     "CVAT for images": lambda file: file.xml.tag == "annotations",
     "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
-    "COCO keypoints": lambda file: bool({"images", "annotations"} & file.object.keys()),
+    "COCO keypoints": lambda file: {"images", "annotations"} & file.object.keys(),
     "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
     "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
     "table of one row an image": lambda file: len(tables.pairs_of(file.rows[0][1])) > 1,
     "table": lambda file: tables.has_points(file.header),
     "list of lines with an image's name": tables.is_list,
-    "lines of x and y, HELEN's": plain.is_lines,
+    "lines of x and y, HELEN's": plain.lines_of,
 }
 """What tells a file of a format from others of its suffix that come later."""
 

@@ -48,17 +48,13 @@ class ImageNames:
         named = self._by_name.get(name_key(path.name), [])
         best = _best(named, path, folder)
         if named:
-            return best, "" if best is None or _same(best.name, path.name) else CASE
+            cases = best is not None and all(name_key(name) == name.casefold() for name in (best.name, path.name))
+            return best, CASE if best is not None and best.name != path.name and cases else ""
         other = path.suffix.lower() in _SUFFIXES
         stem = path.stem if other else path.name
         firsts = {image.parent: image for image in reversed(self._by_stem.get(name_key(stem), []))}
         best = _best(list(firsts.values()), path.parent / stem, folder)
         return best, EXTENSION if other else ""
-
-
-def _same(name: str, other: str) -> bool:
-    """Whether names differ in composed letters only."""
-    return name == other or name.casefold() != name_key(name) or name_key(other) != other.casefold()
 
 
 def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:

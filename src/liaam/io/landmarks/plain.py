@@ -97,19 +97,15 @@ def parse_tem(source: Source) -> list[Landmarks]:
     pairs = source.lines[1 : count + 1]
     rd.check_count("first line", count, pairs)
     points: Any = [rd.parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
-    contours = _template_lines(" ".join(source.lines[count + 1 :]).split())
-    return [Landmarks(points, tuple(contour for contour in contours if contour is not None))]
-
-
-def _template_lines(tokens: list[str]) -> list[Contour | None]:
-    numbers, contours = (rd.parse_count(token, "a line template") for token in tokens), []
+    tokens, contours = " ".join(source.lines[count + 1 :]).split(), []
+    numbers = (rd.parse_count(token, "a line template") for token in tokens)
     try:
         for _ in range(next(numbers) if tokens else 0):
             closed = next(numbers) == 1
             contours.append(contour_of([next(numbers) for _ in range(next(numbers))], closed))
     except StopIteration:
         raise LandmarkError("it ends within its line templates; it may be cut short: export it again.") from None
-    return contours
+    return [Landmarks(points, tuple(contour for contour in contours if contour is not None))]
 
 
 def parse_shapes(source: Source) -> list[Landmarks]:
@@ -126,23 +122,19 @@ def parse_shapes(source: Source) -> list[Landmarks]:
     return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)]
 
 
-def is_lines(source: Source) -> bool:
-    """Whether all lines, perhaps but the first, are ``x y`` or ``name x y``, and all or none have names."""
-    return bool(_matches(source))
-
-
 def parse_lines(source: Source) -> list[Landmarks]:
     """Parse lines of x and y as of patternize, or with names: centres counted from 0, y downwards.
 
     HELEN's begin with the image's name. A first line with the number of points is skipped.
     """
-    matches, first = _matches(source), _first(source)
+    matches, first = lines_of(source), _first(source)
     points: Any = [rd.parse_point(match.group("x", "y"), match[0]) for match in matches]
     names = rd.names_of([match["name"] for match in matches if match["name"]])
     return rd.named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
 
 
-def _matches(source: Source) -> list[re.Match[str]]:
+def lines_of(source: Source) -> list[re.Match[str]]:
+    """Match all lines, perhaps but the first, as ``x y`` or ``name x y``. Return none if some differ."""
     if len(max(source.lines, key=len)) > _LONGEST:
         return []
     lines = [_with_points(line) for line in (source.lines[1:] if _first(source) else source.lines)]

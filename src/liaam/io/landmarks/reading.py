@@ -142,8 +142,33 @@ class Source:
 
     @cached_property
     def rows(self) -> list[Row]:
-        """Its rows as a table."""
-        return rows_of(self.text)
+        """Its rows of cells, without blank ones. Decimal commas become points if commas do not separate."""
+        text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text), ""
+        declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
+        if declared is not None:  # as Excel writes it
+            separator, text = declared[1], text[declared.end() :]
+        first = text.splitlines()[0] if text else ""
+        most = max(";\t,|", key=first.count)
+        separator = separator or (most if most in first else " ")
+        if separator == " ":
+            text = "\n".join(" ".join(line.split()) for line in text.splitlines())
+        blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
+        try:
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
+            rows = [(reader.line_num, row) for row in reader]
+        except csv.Error as fault:
+            raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
+        rows = rows or [(1, [""])]
+        if "Label" in rows[0][1]:
+            rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
+        if separator != ",":
+            _check_marks(cell.strip() for _, row in rows for cell in row)
+            rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
+        if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
+            rows = rows[1:]
+        if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
+            rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
+        return rows
 
     @cached_property
     def header(self) -> list[str]:
@@ -303,36 +328,6 @@ def read_text(path: Path, data: bytes | None = None) -> str:
     if not text.strip():
         raise LandmarkError(f"{path} is empty (only blank lines): copy or export it again.")
     return text
-
-
-def rows_of(text: str) -> list[Row]:
-    """Split a table into rows of cells, without blank rows. Decimal commas become points if commas do not separate."""
-    text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", text), ""
-    declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
-    if declared is not None:  # as Excel writes it
-        separator, text = declared[1], text[declared.end() :]
-    first = text.splitlines()[0] if text else ""
-    most = max(";\t,|", key=first.count)
-    separator = separator or (most if most in first else " ")
-    if separator == " ":
-        text = "\n".join(" ".join(line.split()) for line in text.splitlines())
-    blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
-    try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
-        rows = [(reader.line_num, row) for row in reader]
-    except csv.Error as fault:
-        raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
-    rows = rows or [(1, [""])]
-    if "Label" in rows[0][1]:
-        rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
-    if separator != ",":
-        _check_marks(cell.strip() for _, row in rows for cell in row)
-        rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
-    if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
-        rows = rows[1:]
-    if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
-        rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
-    return rows
 
 
 def _check_marks(cells: Iterable[str]) -> None:

@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate, chain, count, groupby
+from itertools import accumulate, count, groupby
 from typing import Any
 
 import numpy as np
@@ -316,7 +316,11 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
         landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
     sizes = [tuple(i for name in names for i in texts if header[i] == name) for names in SIZES]
-    sizes = [own for own in sizes if len(own) == 2 and (header[own[0]] != "width" or _holds(own, axes, values))]
+    for i, axis in zip(sizes[-1] if len(sizes[-1]) == 2 else (), "xy", strict=False):
+        pairs = zip(values[axes[axis]], values[i], strict=True)
+        if any(float(at) > float(side) for at, side in pairs if is_number(at) and is_number(side)):
+            sizes[-1] = ()  # width and height are those of boxes, as points lie beyond
+    sizes = [own for own in sizes if len(own) == 2]
     visible = next((i for i in texts if header[i] in VISIBLE), None)
     return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, *sizes[:1])
 
@@ -328,12 +332,6 @@ def _name_rows(title: str, values: Sequence[str]) -> bool:
     numbers = sorted(values, key=natural_key)
     counted = numbers in ([str(i + first) for i in range(len(values))] for first in (0, 1))
     return not any(map(is_number, values)) or (title in UNCLEAR and counted and numbers != [*values])
-
-
-def _holds(size: Sequence[int], axes: dict[str, int], values: list[list[str]]) -> bool:
-    """Return whether a width and a height may be those of images, and not of boxes: no point lies beyond."""
-    pairs = chain(*(zip(values[axes[axis]], values[i], strict=True) for i, axis in zip(size, "xy", strict=True)))
-    return all(float(at) <= float(side) for at, side in pairs if is_number(at) and is_number(side))
 
 
 def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
@@ -365,20 +363,15 @@ def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
 
 
 def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
-    """Yield the index, the landmark and the axis of the columns of landmarks."""
-    for i, cell in enumerate(_numbered([cell.strip() for cell in header])):
-        match = next(filter(None, (re.fullmatch(form, cell, re.IGNORECASE) for form in _FORMS)), None)
+    """Yield the index, the landmark and the axis of the columns of landmarks; x, y, x, y or x, x.1, x.2 are numbered."""
+    cells, numbers = [cell.strip() for cell in header], defaultdict[str, Iterator[int]](count)
+    axes = [cell for cell in cells if cell in ("x", "y", "X", "Y")]
+    numbered = len(axes) > len({*axes}) or any(re.fullmatch(r"[xyXY]\.1", cell) for cell in cells)
+    for i, cell in enumerate(cells):
+        title = f"{cell}.{next(numbers[cell])}" if numbered and cell in ("x", "y", "X", "Y") else cell
+        match = next(filter(None, (re.fullmatch(form, title, re.IGNORECASE) for form in _FORMS)), None)
         if match is not None and plain(match["key"]) not in _OTHERS:
             yield i, match["key"], match["axis"]
-
-
-def _numbered(header: list[str]) -> list[str]:
-    """Return a header with numbers for columns x and y that are repeated, as they are or as x, x.1, x.2."""
-    plain = [cell for cell in header if cell in ("x", "y", "X", "Y")]
-    if len(plain) == len({*plain}) and not any(re.fullmatch(r"[xyXY]\.1", cell) for cell in header):
-        return header
-    numbers = defaultdict(count)
-    return [f"{cell}.{next(numbers[cell])}" if cell in ("x", "y", "X", "Y") else cell for cell in header]
 
 
 def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]) -> int | None:
