@@ -71,7 +71,12 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     try:  # before the file exists, or Ctrl-C might leave it
         os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temp
-        _publish(temp, target)
+        if target.exists():
+            shutil.copymode(target, temp)
+        _sync(temp, os.O_RDWR)
+        temp.replace(target)
+        with contextlib.suppress(OSError):  # Windows opens no folders
+            _sync(target.parent, os.O_RDONLY)
     except OSError as fault:
         reason = fault.strerror or fault
         raise error(f"{path} cannot be written ({reason}): check the permissions and the free space.") from fault
@@ -140,16 +145,6 @@ def lock(descriptor: int) -> bool:
             raise BlockingIOError(fault.errno, os.strerror(fault.errno)) from fault
         return False
     return True
-
-
-def _publish(temp: Path, target: Path) -> None:
-    """Flush `temp` to disk, rename it over `target`, and flush the rename."""
-    if target.exists():
-        shutil.copymode(target, temp)
-    _sync(temp, os.O_RDWR)
-    temp.replace(target)
-    with contextlib.suppress(OSError):  # Windows opens no folders
-        _sync(target.parent, os.O_RDONLY)
 
 
 def _sync(path: Path, mode: int) -> None:

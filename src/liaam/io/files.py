@@ -73,8 +73,13 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
             fault = "" if path.stat().st_size else "is empty (0 bytes): copy or export it again."
     except OSError as error_of_disk:  # it exists, in a folder that may not be read
         fault = f"cannot be read ({error_of_disk.strerror or error_of_disk}): check the name and permissions."
+    if not there and not path.parent.is_dir():
+        raise missing(error)(f"{path} does not exist. The folder {path.parent} does not exist either: check the path.")
     if not there:
-        raise missing(error)(f"{path} does not exist. {_closest(path)}")
+        names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
+        close = " or ".join(difflib.get_close_matches(path.name, names, n=3, cutoff=0.6))
+        hint = f"Did you mean {close}?" if close else f"Nothing in {path.parent} has a similar name: check the path."
+        raise missing(error)(f"{path} does not exist. {hint}")
     if fault:
         raise error(f"{path} {fault}")
     return path
@@ -98,17 +103,6 @@ def json_object(text: str | bytes) -> dict[str, Any] | None:
     except (ValueError, TypeError, RecursionError):
         return None
     return parsed if isinstance(parsed, dict) else None
-
-
-def _closest(path: Path) -> str:
-    """Suggest files in the same folder with a similar name."""
-    if not path.parent.is_dir():
-        return f"The folder {path.parent} does not exist either: check the path."
-    names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
-    close = difflib.get_close_matches(path.name, names, n=3, cutoff=0.6)
-    if not close:
-        return f"Nothing in {path.parent} has a similar name: check the path."
-    return f"Did you mean {' or '.join(close)}?"
 
 
 def make_folder(folder: Path) -> None:

@@ -251,7 +251,15 @@ class _File(_Source):
             why = f"({fault.strerror}): it has another format or is cut short before its index"
             raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it, such as .mp4") from fault
         try:
-            self.stream = stream = self._checked_stream()
+            streams, kind = self.container.streams.video, self.container.format.name
+            is_image = kind == "image2" or kind.endswith("_pipe")
+            if is_image or (streams and streams[0].frames == 1 and image_kind(self.path)):
+                raise VideoError(f"{path} is an image, not a video: use 'liaam fit', or give a folder of frames")
+            if not streams or kind == "tty":  # FFmpeg takes text for a terminal
+                raise VideoError(f"{path} has no video stream: give a video file")
+            if streams[0].codec_context is None:
+                raise VideoError(f"{path} has a codec that FFmpeg does not know: export it as .mp4 with H.264")
+            self.stream = stream = streams[0]
             stream.thread_type, stream.codec_context.options = "AUTO", options
             self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
             self.n_frames, self.n_packets = self._announced(stream)
@@ -259,17 +267,6 @@ class _File(_Source):
         except VideoError:
             self.close()
             raise
-
-    def _checked_stream(self) -> Any:
-        """Return the stream of frames. Raise if there is only sound or an image, or the codec is unknown."""
-        streams, kind = self.container.streams.video, self.container.format.name
-        if kind == "image2" or kind.endswith("_pipe") or (streams and streams[0].frames == 1 and image_kind(self.path)):
-            raise VideoError(f"{self.path} is an image, not a video: use 'liaam fit', or give a folder of frames")
-        if not streams or kind == "tty":  # FFmpeg takes text for a terminal
-            raise VideoError(f"{self.path} has no video stream: give a video file")
-        if streams[0].codec_context is None:
-            raise VideoError(f"{self.path} has a codec that FFmpeg does not know: export it as .mp4 with H.264")
-        return streams[0]
 
     def _check_size(self, what: Any, whose: str) -> None:
         """Refuse a stream or a frame of too many pixels."""

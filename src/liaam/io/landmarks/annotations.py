@@ -38,8 +38,12 @@ def parse_coco(source: Source) -> list[Landmarks]:
     # Keypoints that are all of visibility 0 belong to an object that was not labelled.
     labelled = [each for each in annotations if any(each["keypoints"][2::3]) or len(each["keypoints"]) % 3]
     order = {key: number for number, key in enumerate(images)}
-    labelled.sort(key=lambda each: (order.get(str(each.get("image_id")), -1), -_area(each)))
     outline = cache(lambda key, n: _outline(source, categories.get(key, {}), n))
+
+    def rank(annotation: Any) -> tuple[int, float]:
+        area, box = rd.area_of(annotation.get("area")), annotation.get("bbox")
+        area = area or rd.area_of(*(box[2:4] if isinstance(box, list) else ()))
+        return order.get(str(annotation.get("image_id")), -1), -area
 
     def make(annotation: Any) -> tuple[str, Landmarks]:
         key, number = str(annotation.get("category_id")), str(annotation.get("image_id"))
@@ -54,6 +58,7 @@ def parse_coco(source: Source) -> list[Landmarks]:
         names, contours = outline(key, len(own))
         return key, replace(own, names=names, contours=contours)
 
+    labelled.sort(key=rank)
     found = source.each(((f"annotation {each.get('id')}", each) for each in labelled), make)
     return rd.of_category(source, found, {key: str(each.get("name", key)) for key, each in categories.items()})
 
@@ -63,11 +68,6 @@ def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
     found: dict[str, Any] = {}
     several = [key for each in records if found.setdefault(key := str(each["id"]), each).get(what) != each.get(what)]
     return {key: record for key, record in found.items() if key not in several}, several
-
-
-def _area(annotation: Any) -> float:
-    box = annotation.get("bbox")
-    return rd.area_of(annotation.get("area")) or rd.area_of(*(box[2:4] if isinstance(box, list) else ()))
 
 
 def _outline(source: Source, category: Any, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
@@ -182,24 +182,18 @@ def parse_ljson(source: Source) -> list[Landmarks]:
 
 
 def _group(content: Any, wanted: str | None) -> Any:
-    """Find the group of landmarks in the content of any version."""
+    """Find the group of landmarks in the content of any version. Join the labelled parts of one shape of version 1."""
     version = content.get("version") if isinstance(content, dict) else None
     if version == 2:
         return content
     if version not in (1, 3):
         raise LandmarkError(f"this is not .ljson version 1, 2 or 3 (it says {version}): export it again with menpo.")
-    groups = content["groups"]
-    if version == 1:
-        return _joined(groups)
-    if (len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups):
+    groups, points, edges, labels = content["groups"], [], [], []
+    if version == 3 and ((len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups)):
         several = f"{len(groups)} groups of landmarks ({', '.join(groups)})"
         raise LandmarkError(f"it holds {several}: choose one of them with --category.")
-    return groups[wanted or next(iter(groups), "")]
-
-
-def _joined(groups: Any) -> Any:
-    """Join the groups of version 1, which are labelled parts of one shape, as version 2 has them."""
-    points, edges, labels = [], [], []
+    if version == 3:
+        return groups[wanted or next(iter(groups), "")]
     for group in groups:
         first, own = len(points), [mark["point"] for mark in group["landmarks"]]
         points += own

@@ -156,7 +156,7 @@ class Landmarks:
         LandmarkError
             If some of the names are missing, or name several landmarks.
         """
-        wanted, own = _keys(names), _keys(self.names)
+        wanted, own = ([without_zeros(name_key(name.strip())) for name in each] for each in (names, self.names))
         if min(len(set(wanted)) - len(names), len(set(own)) - len(self.names)) < 0:
             wanted, own = list(names), list(self.names)
         if self.names == tuple(names) or not set(wanted) & set(own):
@@ -182,10 +182,6 @@ class Landmarks:
             contours=tuple(contour for contour in contours if -1 not in contour.indices),
             invisible=tuple(at[i] for i in self.invisible if i in at),
         )
-
-
-def _keys(names: Sequence[str]) -> list[str]:
-    return [without_zeros(name_key(name.strip())) for name in names]
 
 
 def without_zeros(name: str) -> str:

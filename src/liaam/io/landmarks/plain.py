@@ -137,7 +137,11 @@ def lines_of(source: Source) -> list[re.Match[str]]:
     """Match all lines, perhaps but the first, as ``x y`` or ``name x y``. Return none if some differ."""
     if len(max(source.lines, key=len)) > _LONGEST:
         return []
-    lines = [_with_points(line) for line in (source.lines[1:] if _first(source) else source.lines)]
+    lines = source.lines[1 if _first(source) else 0 :]
+    for number, line in enumerate(lines):  # replace decimal commas, if x and y both have one
+        cells = re.split(r"([\t;]|\s+)", line)
+        made = list(map(rd.decimal, cells))
+        lines[number] = "".join(made) if sum(map(operator.ne, made, cells)) == 2 else line
     found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
     alike = len({match["name"] is None for match in found}) == 1
     whole = alike and len(found) == len(lines) >= _FEWEST
@@ -154,13 +158,6 @@ def _are_names(words: Sequence[str]) -> bool:
         return False
     # Numbered landmarks may lack, but not most of them.
     return numbers != parts or max(map(float, words), default=0.0) <= 2 * len(words)
-
-
-def _with_points(line: str) -> str:
-    """Replace decimal commas, if x and y both have one."""
-    cells = re.split(r"([\t;]|\s+)", line)
-    made = [rd.decimal(cell) for cell in cells]
-    return "".join(made if sum(map(operator.ne, made, cells)) == 2 else cells)
 
 
 def _first(source: Source) -> str:

@@ -10,7 +10,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate, count, groupby
+from itertools import accumulate, chain, count, groupby
 from typing import Any
 
 import numpy as np
@@ -248,7 +248,8 @@ def parse_list(source: Source) -> list[Landmarks]:
 
     rows = list(source.each(((f"line {i}", words) for i, words in enumerate(lines, 1)), make))
     whole = len(rows) == len(lines)
-    last = _WFLW if whole and all(_has_attributes(pairs) for _, pairs in rows) else 0
+    wflw = whole and all(len(own) > _WFLW + 1 and {*own[-3:].flat} <= {0.0, 1.0} for _, own in rows)
+    last = _WFLW if wflw and all((own[-_WFLW] < own[1 - _WFLW]).all() for _, own in rows) else 0
     first = 0
     if whole and not last and len(rows) >= _FEW:
         first = 2 if all(_has_box(pairs) for _, pairs in rows) else 0
@@ -256,11 +257,6 @@ def parse_list(source: Source) -> list[Landmarks]:
     for where in ["before"] * (first > 0) + ["behind"] * (last == 2):
         source.notes.say(f"four numbers {where} the points are taken for a box around them", source.path.name)
     return [Landmarks(pairs[first : len(pairs) - last], image_name=name) for name, pairs in rows]
-
-
-def _has_attributes(pairs: np.ndarray) -> bool:
-    flags, box = {*pairs[-3:].flat}, pairs[-_WFLW:]
-    return len(pairs) > _WFLW + 1 and flags <= {0.0, 1.0} and bool((box[0] < box[1]).all())
 
 
 def _has_box(pairs: np.ndarray) -> bool:
@@ -316,13 +312,12 @@ def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
         keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
         landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
     sizes = [tuple(i for name in names for i in texts if header[i] == name) for names in SIZES]
-    for i, axis in zip(sizes[-1] if len(sizes[-1]) == 2 else (), "xy", strict=False):
-        pairs = zip(values[axes[axis]], values[i], strict=True)
-        if any(float(at) > float(side) for at, side in pairs if is_number(at) and is_number(side)):
-            sizes[-1] = ()  # width and height are those of boxes, as points lie beyond
-    sizes = [own for own in sizes if len(own) == 2]
+    pairs = chain(*(zip(values[axes[axis]], values[i], strict=True) for i, axis in zip(sizes[-1], "xy", strict=False)))
+    if any(is_number(at) and is_number(side) and float(at) > float(side) for at, side in pairs):
+        sizes.pop()  # width and height are those of boxes, since points lie beyond
+    size = next((own for own in sizes if len(own) == 2), ())
     visible = next((i for i in texts if header[i] in VISIBLE), None)
-    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, *sizes[:1])
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size)
 
 
 def _name_rows(title: str, values: Sequence[str]) -> bool:
@@ -363,7 +358,7 @@ def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
 
 
 def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
-    """Yield the index, the landmark and the axis of the columns of landmarks; x, y, x, y or x, x.1, x.2 are numbered."""
+    """Yield the index, the landmark and the axis of the columns of landmarks. Repeated x, y are numbered."""
     cells, numbers = [cell.strip() for cell in header], defaultdict[str, Iterator[int]](count)
     axes = [cell for cell in cells if cell in ("x", "y", "X", "Y")]
     numbered = len(axes) > len({*axes}) or any(re.fullmatch(r"[xyXY]\.1", cell) for cell in cells)
