@@ -88,8 +88,7 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
     """Read a file of at most `limit` bytes. Raise `error` if that fails."""
     try:
-        size = path.stat().st_size
-        if size > limit:
+        if (size := path.stat().st_size) > limit:
             raise error(f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files.")
         return path.read_bytes()
     except OSError as fault:

@@ -90,12 +90,10 @@ def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
 
 
 def _upright_size(raw: Any) -> tuple[int, int]:
-    """Return (width, height) of the decoded image. LibRaw gives the sensor's size and its rotation.
-
-    If the sensor's pixels are not square, LibRaw stretches the image along its shorter side.
-    """
+    """Return (width, height) of the decoded image. LibRaw gives those of the sensor, and its rotation."""
     sizes = raw.sizes
     width, height, aspect = sizes.iwidth, sizes.iheight, sizes.pixel_aspect
+    # LibRaw stretches pixels that are not square along the image's shorter side.
     height = int(height / aspect + 0.5) if aspect < 1 else height
     width = int(width * aspect + 0.5) if aspect > 1 else width
     return (height, width) if sizes.flip in (5, 6) else (width, height)

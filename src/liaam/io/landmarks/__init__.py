@@ -19,12 +19,10 @@ from liaam.io.atomic import write_text_atomically
 from liaam.io.files import existing_file
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import formats, writers
-from liaam.io.landmarks.base import Contour as Contour, Landmarks, Placing
+from liaam.io.landmarks.base import Contour as Contour, Landmarks, Placing, Size
 from liaam.io.landmarks.formats import FORMATS as FORMATS, LANDMARK_SUFFIXES as LANDMARK_SUFFIXES
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, read_text
-
-Size = tuple[float, float]
 
 _FRACTION = 1.5  # largest fraction of an image's size of a point beyond its border, or of half its size
 _SMALL = 16  # width and height in pixels up to which all landmarks may lie within one pixel
@@ -113,7 +111,10 @@ class LandmarkFile(Source):
         """Place landmarks and the others of their image."""
         placing, reading, declared = landmarks.placing, self.reading, landmarks.placing.size
         stored = (size[1], size[0]) if orientation >= 5 else size
-        fits, fits_stored = (declared is not None and _fit(declared, each) for each in (size, stored))
+        fits, fits_stored = (  # whether sizes have one ratio, but for rounding to whole pixels
+            declared is not None and abs(declared[0] * each[1] - declared[1] * each[0]) <= max(*declared, *each)
+            for each in (size, stored)
+        )
         if declared is not None and not fits and not fits_stored:
             theirs, ours = (f"{width:g} x {height:g}" for width, height in (declared, size))
             differ = f"the file is for an image of {theirs} pixels, but the image has {ours}, which is no scaled copy"
@@ -175,11 +176,6 @@ def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
     y = size[1] - 1 - y if orientation in (3, 4, 7, 8) else y
     x = size[0] - 1 - x if orientation in (2, 3, 6, 7) else x
     return np.stack([x, y], axis=1)
-
-
-def _fit(declared: Size, size: Size) -> bool:
-    """Return whether sizes have one ratio, but for rounding to whole pixels."""
-    return abs(declared[0] * size[1] - declared[1] * size[0]) <= max(*declared, *size)
 
 
 def read_landmarks(
@@ -291,8 +287,7 @@ def write_landmarks(
         If the format cannot be written, the points are invalid, or writing fails.
     """
     path = Path(path)
-    text = formats.writer_of(path).text
-    assert text is not None
+    text = formats.writer_of(path)
     own = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
     [own] = _to_write(path, [own], {} if image_size is None else {own.image_name or "": image_size})
     write_text_atomically(path, text(own), LandmarkError)
@@ -335,8 +330,7 @@ def collection_text(
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
     path = Path(path)
-    text = formats.writer_of(path, many=True).text_of_many
-    assert text is not None
+    text = formats.writer_of(path, many=True)
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
     every = {name: own if isinstance(own, Landmarks) else Landmarks(own) for name, own in collection.items()}

@@ -262,9 +262,7 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     Parts are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is
     missing. Boxes that are marked ``ignore`` are left out.
     """
-    images = source.xml.iter("image")
-    boxes = ((f"box {n} of {image.get('file', '')}", (image, box)) for image in images for n, box in _boxes(image))
-    found = rd.numbered_alike(rd.of_category(source, filter(None, source.each(boxes, _box))))
+    found = rd.numbered_alike(rd.of_category(source, filter(None, source.each(_boxes(source), _box))))
     names = sorted({name for own in found for name in own.names}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
         few = f"its {len(found)} boxes share hardly any of the {len(names)} part names"
@@ -272,12 +270,13 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     return [own.with_names(names) for own in found]
 
 
-def _boxes(image: Any) -> Iterator[tuple[int, Any]]:
-    """Yield the boxes of an image that are not marked to be ignored, the largest first."""
-    boxes = list(enumerate(image.iterfind("box"), 1))  # direct children, so that nested ones are not repeated
-    for number, box in sorted(boxes, key=lambda each: -rd.area_of(each[1].get("width"), each[1].get("height"))):
-        if box.get("ignore", "0").lower() in ("0", "false", "no", ""):
-            yield number, box
+def _boxes(source: Source) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Yield each image with each of its boxes that are not marked to be ignored, the largest first."""
+    for image in source.xml.iter("image"):
+        boxes = list(enumerate(image.iterfind("box"), 1))  # direct children, so that nested ones are not repeated
+        for number, box in sorted(boxes, key=lambda each: -rd.area_of(each[1].get("width"), each[1].get("height"))):
+            if box.get("ignore", "0").lower() in ("0", "false", "no", ""):
+                yield f"box {number} of {image.get('file', '')}", (image, box)
 
 
 def _box(pair: tuple[Any, Any]) -> tuple[str, Landmarks] | None:

@@ -17,6 +17,8 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.files import count_of, name_key, some_names
 
+Size = tuple[float, float]  # width and height
+
 
 @dataclass(frozen=True)
 class Contour:
@@ -43,7 +45,7 @@ class Contour:
 class Placing:
     """What the positions in a file count from."""
 
-    size: tuple[float, float] | None = None  # width and height of the image, if the file states them
+    size: Size | None = None  # that of the image, if the file states it
     upwards: bool = False  # whether y counts upwards from the bottom row
     fractions: bool = False  # whether x and y are fractions of the width and height
 

@@ -113,14 +113,14 @@ def may_hold_many(path: Path) -> bool:
     return path.suffix.lower() == ".asf" or any(form.many for form in formats_of(path))
 
 
-def writer_of(path: Path, many: bool = False) -> Format:
-    """Return the format that is written for a suffix. Raise if there is none."""
+def writer_of(path: Path, many: bool = False) -> Callable[..., str]:
+    """Return the function that formats the landmarks of one image, or of many, for a suffix. Raise if there is none."""
     known = formats_of(path)
-    writable = [form for form in FORMATS if (form.text_of_many if many else form.text) is not None]
-    for form in writable:
-        if form in known:
-            return form
-    use = ", ".join(form.suffixes[0] for form in writable)
+    writers = {form: form.text_of_many if many else form.text for form in FORMATS}
+    for form in known:
+        if (text := writers[form]) is not None:
+            return text
+    use = ", ".join(form.suffixes[0] for form, text in writers.items() if text is not None)
     if many:
         raise LandmarkError(f"{path} cannot be written: only {use} hold many images. Use such an extension.")
     holds_many = any(form.text_of_many is not None for form in known)

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key, read_bytes, some_names
-from liaam.io.landmarks.base import Landmarks, Placing, without_zeros
+from liaam.io.landmarks.base import Landmarks, Placing, Size, without_zeros
 
 MAX_BYTES = 500_000_000  # of a landmark file
 
@@ -38,6 +38,7 @@ R = TypeVar("R")
 # Errors of a reader where parts of a file are absent, or are of another type.
 LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
 
+NOWHERE = (math.nan, math.nan)
 MISSING, HIDDEN, SEEN = range(3)  # how a landmark is marked
 Mark = tuple[Any, ...]  # the name of a landmark, x and y as numbers or text, and how it is marked
 
@@ -198,7 +199,7 @@ class Source:
             raise first
 
 
-def size_of(record: Any, *keys: str) -> tuple[float, float] | None:
+def size_of(record: Any, *keys: str) -> Size | None:
     """Return the width and height, which may have other keys, of an image that a record states, if it does."""
     width, height = map(record.get, keys or ("width", "height"))
     return (float(width), float(height)) if area_of(width, height) > 0 and float(width) > 0 else None
@@ -213,13 +214,10 @@ def area_of(*sides: Any) -> float:
     return area if sides and math.isfinite(area) else 0.0
 
 
-def object_of(
-    marks: Iterable[Mark], image: str | None, size: tuple[float, float] | None = None, label: str = ""
-) -> Landmarks:
+def object_of(marks: Iterable[Mark], image: str | None, size: Size | None = None, label: str = "") -> Landmarks:
     """Make the landmarks of an object as an annotation tool has them."""
     marks, of = list(marks), f" of '{image}'" if image else ""
-    nowhere = (math.nan, math.nan)
-    points: Any = [parse_point(at, f"point '{name}'{of}") if how else nowhere for name, *at, how in marks]
+    points: Any = [parse_point(at, f"point '{name}'{of}") if how else NOWHERE for name, *at, how in marks]
     hidden = tuple(i for i, mark in enumerate(marks) if mark[-1] == HIDDEN)
     names = names_of([mark[0] for mark in marks])
     return Landmarks(points, (), names, image, hidden, label=label, placing=Placing(size))
@@ -380,7 +378,7 @@ def parse_point(tokens: Sequence[str], where: str) -> tuple[float, float]:
     x, y = (parse_number(token, where) for token in tokens)
     if math.isnan(x) != math.isnan(y):
         raise LandmarkError(f"{where} has only one of x and y: give both, or neither if the landmark is missing.")
-    return (math.nan, math.nan) if x == y and x in _ABSENT else (x, y)
+    return NOWHERE if x == y and x in _ABSENT else (x, y)
 
 
 def parse_pair(line: str, where: str) -> tuple[float, float]:

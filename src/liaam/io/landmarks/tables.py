@@ -4,7 +4,6 @@ Positions are centres counted from 0, x to the right and y downwards, but for Im
 comma, a semicolon, a tab or blanks. Columns have a meaning by their names, and else by their values.
 """
 
-import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,7 +18,7 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.matching import names_picture, without_title
-from liaam.io.landmarks.reading import Row, Source, decimal, named_points, parse_point, plain, size_of
+from liaam.io.landmarks.reading import NOWHERE, Row, Source, decimal, named_points, parse_point, plain, size_of
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
 _WFLW = 5  # pairs of numbers of a box and of attributes
@@ -83,14 +82,19 @@ def parse_long(source: Source) -> list[Landmarks]:
         source.notes.say("landmarks are named by the values of a column", header[columns.landmark])
     # ImageJ's first column has a blank as its name, or one of two is "Label".
     raw = source.rows[0][1]
-    is_imagej = {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2])
+    shift = 0.5 if {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2]) else 0.0
 
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
-        points = np.array([_point(number, row, columns) for number, row in own]) - (0.5 if is_imagej else 0.0)
-        names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in own)
+        points = []
+        for number, row in own:
+            point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
+            seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
+            points.append(NOWHERE if point == (0.0, 0.0) and seen in ("0", "false") else point)
+        names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
         size = size_of(dict(zip(("width", "height"), (own[0][1][i] for i in columns.size), strict=False)))
-        return Landmarks(points, (), names if any(names) else (), image or None, label=specimen, placing=Placing(size))
+        own_names = tuple(names) if any(names) else ()
+        return Landmarks(np.array(points) - shift, (), own_names, image or None, label=specimen, placing=Placing(size))
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
     made = list(source.each(groups, make))
@@ -128,13 +132,6 @@ def _grouped(source: Source, rows: list[Row], columns: Columns) -> Iterator[tupl
             parts = {1: own}
         for i, part in parts.items():
             yield (image, specimen if i == 1 else f"{specimen}{i}"), part
-
-
-def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]:
-    """Return the point of a row; missing if it is marked invisible and has no position."""
-    point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
-    seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
-    return (math.nan, math.nan) if point == (0.0, 0.0) and seen in ("0", "false") else point
 
 
 _Pairs = dict[str, dict[str, int]]  # indices of columns by landmark and axis

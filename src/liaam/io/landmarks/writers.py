@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from liaam.io.landmarks.base import Landmarks, edges_of
+from liaam.io.landmarks.base import Landmarks, Size, edges_of
 
-Sizes = Mapping[str, tuple[float, float]]  # width and height of images by file name
+Sizes = Mapping[str, Size]  # width and height of images by file name
 
 
 def pts_text(landmarks: Landmarks) -> str:
@@ -53,7 +53,7 @@ def csv_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:
     return buffer.getvalue()
 
 
-def upwards(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
+def upwards(landmarks: Landmarks, image_size: Size) -> Landmarks:
     """Count y from the other side of an image of (width, height)."""
     x, y = landmarks.points.T
     return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
