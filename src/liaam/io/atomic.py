@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from liaam.errors import LiaamError
-from liaam.io.files import may_write_in, real_path
+from liaam.io.files import AnyPath, may_write_in, real_path
 
 try:
     import fcntl
@@ -37,7 +37,7 @@ _FAR = 1 << 30  # position of the locked byte on Windows, beyond the contents, s
 _swept: set[Path] = set()  # folders that this process has swept
 
 
-def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Path:
+def check_output(path: AnyPath, error: type[LiaamError] = LiaamError) -> Path:
     """Return the real path of a file to write. Raise if it cannot be written, so that no work is done in vain."""
     target = _target(path, error)
     if not may_write_in(target.parent):
@@ -46,7 +46,7 @@ def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamEr
     return target
 
 
-def _target(path: str | os.PathLike[str], error: type[LiaamError]) -> Path:
+def _target(path: AnyPath, error: type[LiaamError]) -> Path:
     """Return the real path of a file to write. Raise if it is a folder, or if its folder does not exist."""
     target = real_path(path)
     if target.is_dir():
@@ -57,7 +57,7 @@ def _target(path: str | os.PathLike[str], error: type[LiaamError]) -> Path:
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Iterator[Path]:
+def atomic_path(path: AnyPath, error: type[LiaamError] = LiaamError) -> Iterator[Path]:
     """Yield an empty file to write to, which takes the place of `path` if the block ends without an error.
 
     It is in the target's folder, because a rename is atomic only within one file system, and keeps the suffix, because
@@ -85,13 +85,13 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
             temp.unlink()
 
 
-def write_bytes_atomically(path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError) -> None:
+def write_bytes_atomically(path: AnyPath, data: bytes, error: type[LiaamError] = LiaamError) -> None:
     """Write `data` to `path` atomically (see :func:`atomic_path`)."""
     with atomic_path(path, error) as temp:
         temp.write_bytes(data)
 
 
-def write_text_atomically(path: str | os.PathLike[str], text: str, error: type[LiaamError] = LiaamError) -> None:
+def write_text_atomically(path: AnyPath, text: str, error: type[LiaamError] = LiaamError) -> None:
     """Write `text` to `path` atomically as UTF-8, with its line ends unchanged (see :func:`atomic_path`)."""
     try:
         data = text.encode("utf-8")

@@ -15,6 +15,7 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError, missing
 
+AnyPath = str | os.PathLike[str]
 MAX_PIXELS = 200_000_000  # default limit on width x height. Larger images are rejected before decoding
 MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"  # environment variable of another limit
 
@@ -54,12 +55,12 @@ def writable(text: str) -> str:
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
-def real_path(path: str | os.PathLike[str]) -> Path:
+def real_path(path: AnyPath) -> Path:
     """Resolve links, as far as they lead anywhere; unlike :meth:`Path.resolve`, takes links that lead in a circle."""
     return Path(os.path.realpath(path))
 
 
-def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
+def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
     """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
     path, there = Path(path), True
     try:

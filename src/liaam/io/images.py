@@ -20,7 +20,7 @@ import numpy as np
 
 from liaam.errors import ImageError, installing
 from liaam.io.atomic import write_bytes_atomically
-from liaam.io.files import as_three_channels, check_size, existing_file
+from liaam.io.files import AnyPath, as_three_channels, check_size, existing_file
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
@@ -83,7 +83,7 @@ class _Opened:
         return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
 
 
-def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.ndarray:
+def read_image(path: AnyPath, max_pixels: int | None = None) -> np.ndarray:
     """Read a colour image with its stored values, or those that its colour profile gives in sRGB.
 
     Parameters
@@ -114,7 +114,7 @@ def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> n
 
 
 def read_preview(
-    path: str | os.PathLike[str] | bytes, size: int | None, max_pixels: int | None = None, name: str = "image"
+    path: AnyPath | bytes, size: int | None, max_pixels: int | None = None, name: str = "image"
 ) -> np.ndarray:
     """Read an image for display, with sides of at least `size` pixels; see :func:`read_image`.
 
@@ -139,7 +139,7 @@ def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None
     return read_preview(data, None, max_pixels, name)
 
 
-def image_size(path: str | os.PathLike[str] | bytes, name: str = "image") -> tuple[int, int]:
+def image_size(path: AnyPath | bytes, name: str = "image") -> tuple[int, int]:
     """Return (width, height) of an image in pixels, after its EXIF orientation, from the header only.
 
     Bytes are those of an image file, except RAW files; errors call it `name`.
@@ -152,7 +152,7 @@ def image_size(path: str | os.PathLike[str] | bytes, name: str = "image") -> tup
     return size_and_orientation(path, name)[0]
 
 
-def size_and_orientation(path: str | os.PathLike[str] | bytes, name: str = "image") -> tuple[tuple[int, int], int]:
+def size_and_orientation(path: AnyPath | bytes, name: str = "image") -> tuple[tuple[int, int], int]:
     """Return (width, height) of an image as :func:`image_size` does, and its EXIF orientation, 1 to 8."""
     if not isinstance(path, bytes) and is_raw(path):
         return raw_size(path), 1
@@ -169,7 +169,7 @@ def image_kind(file: Path | bytes) -> str | None:
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str] | bytes, name: object = "") -> Iterator[_Opened]:
+def _opened(path: AnyPath | bytes, name: object = "") -> Iterator[_Opened]:
     """Yield the header of a file. Raise what Pillow and OpenCV raise in the block as ImageError."""
     name = name if isinstance(path, bytes) else path
     path = path if isinstance(path, bytes) else existing_file(path, ImageError, "image")
@@ -380,7 +380,7 @@ def _upright(array: np.ndarray, opened: _Opened) -> np.ndarray:
     return np.ascontiguousarray(array[:, ::-1] if opened.orientation in (2, 3, 6, 7) else array)
 
 
-def write_image(path: str | os.PathLike[str], array: np.ndarray) -> None:
+def write_image(path: AnyPath, array: np.ndarray) -> None:
     """Write an image atomically, in the format of the suffix.
 
     Parameters

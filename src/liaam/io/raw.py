@@ -4,7 +4,6 @@ The optional package rawpy (LibRaw) decodes them. All processing that depends on
 """
 
 import importlib
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.files import as_three_channels, check_size, existing_file
+from liaam.io.files import AnyPath, as_three_channels, check_size, existing_file
 
 # RAW files are recognised by name, because many are TIFF files whose first page is a thumbnail.
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
 
 
-def is_raw(path: str | os.PathLike[str]) -> bool:
+def is_raw(path: AnyPath) -> bool:
     """Return whether a file is a RAW file, with linear values, by its suffix.
 
     Examples
@@ -30,7 +29,7 @@ def is_raw(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in RAW_SUFFIXES
 
 
-def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.ndarray:
+def read_raw(path: AnyPath, max_pixels: int | None = None) -> np.ndarray:
     """Read a RAW file as (h, w, 3) uint16 of linear light, upright.
 
     The channels are the sensor's own. No colour matrix mixes them, because that would break the light invariance.
@@ -61,14 +60,14 @@ def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.
     return image
 
 
-def raw_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+def raw_size(path: AnyPath) -> tuple[int, int]:
     """Return (width, height) of a RAW file in pixels, upright, from the header only."""
     with _opened(path) as (_, raw):
         return _upright_size(raw)
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
+def _opened(path: AnyPath) -> Iterator[tuple[Any, Any]]:
     """Yield rawpy and an opened RAW file. Raise its errors as ImageError."""
     path = existing_file(path, ImageError, "RAW file")
     try:

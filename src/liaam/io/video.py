@@ -5,7 +5,6 @@ Frames are 8-bit RGB, upright.
 """
 
 import importlib
-import os
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ import numpy as np
 
 from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
-from liaam.io.files import as_8_bits, existing_file, natural_key
+from liaam.io.files import AnyPath, as_8_bits, existing_file, natural_key
 from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
 from liaam.progress import Progress
 from liaam.workers import in_order
@@ -89,11 +88,7 @@ class VideoReader:
     """
 
     def __init__(
-        self,
-        source: str | os.PathLike[str] | int,
-        start: int = 0,
-        stop: int | None = None,
-        skipping: Progress = lambda *_: None,
+        self, source: AnyPath | int, start: int = 0, stop: int | None = None, skipping: Progress = lambda *_: None
     ):
         if start < 0 or (stop is not None and stop <= start):
             raise VideoError(f"frames {start} to {stop}: give a first frame of at least 0 and a later end")
@@ -239,7 +234,7 @@ class _Camera(_Source):
 class _File(_Source):
     """A video file through PyAV."""
 
-    def __init__(self, path: str | os.PathLike[str]):
+    def __init__(self, path: AnyPath):
         self.path = existing_file(path, VideoError, "video")
         av = pyav(f"{path} is a video")
         self.errors, self.reformatter = av.error.FFmpegError, av.video.reformatter.VideoReformatter()

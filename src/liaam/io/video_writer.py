@@ -1,6 +1,5 @@
 """Write videos: H.264, or VP9 for ``.webm``. Files are written atomically."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -11,6 +10,7 @@ import numpy as np
 
 from liaam.errors import VideoError
 from liaam.io.atomic import atomic_path
+from liaam.io.files import AnyPath
 from liaam.io.images import VIDEO_SUFFIXES
 from liaam.io.video import DEFAULT_RATE, pyav
 
@@ -103,7 +103,7 @@ class VideoWriter:
 
 
 @contextmanager
-def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_RATE) -> Iterator[VideoWriter]:
+def video_writer(path: AnyPath, rate: Fraction | float = DEFAULT_RATE) -> Iterator[VideoWriter]:
     """Write a video. The file is created when the block ends without an error.
 
     Parameters

@@ -4,7 +4,6 @@ Every format is converted to liaam's convention, pixel centres counted from 0. T
 describes the conversion.
 """
 
-import os
 import warnings
 from collections import defaultdict
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ import numpy as np
 
 from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
-from liaam.io.files import existing_file
+from liaam.io.files import AnyPath, existing_file
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import formats, writers
 from liaam.io.landmarks.base import Contour as Contour, Landmarks, Placing, Size
@@ -28,7 +27,8 @@ _FRACTION = 1.5  # largest fraction of an image's size of a point beyond its bor
 _SMALL = 16  # width and height in pixels up to which all landmarks may lie within one pixel
 SCALED = "positions are for another size of the image, and are scaled along"
 TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
-UNDECIDED = "nothing says whether positions are for photos as EXIF turns them: taken so (--stored-orientation if not)"
+UNDECIDED = "photos have an EXIF orientation, and nothing says whether positions are for the photos before they are"
+UNDECIDED += " turned; they are taken for the turned ones (--stored-orientation if not)"
 
 
 @dataclass(frozen=True)
@@ -179,10 +179,7 @@ def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
 
 
 def read_landmarks(
-    path: str | os.PathLike[str],
-    image_size: Size | None = None,
-    image_name: str | None = None,
-    reading: Reading = USUAL,
+    path: AnyPath, image_size: Size | None = None, image_name: str | None = None, reading: Reading = USUAL
 ) -> Landmarks:
     """Read the landmarks of one image.
 
@@ -226,7 +223,7 @@ def read_landmarks(
     return placed
 
 
-def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> dict[str, Landmarks]:
+def read_collection(path: AnyPath, reading: Reading = USUAL) -> dict[str, Landmarks]:
     """Read a file with the landmarks of many images, such as a table, COCO, ``.tps``, or dlib's ``.xml``.
 
     The images of ``.tps`` and ``.nts`` must lie beside the file. Records with faults are left out, with a warning.
@@ -263,9 +260,7 @@ def parse_landmark_data(
     return next(iter(placed.values())) if file.is_single else placed
 
 
-def write_landmarks(
-    path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray, image_size: Size | None = None
-) -> None:
+def write_landmarks(path: AnyPath, landmarks: Landmarks | np.ndarray, image_size: Size | None = None) -> None:
     """Write the landmarks of one image atomically as ``.pts``, ``.csv``, ``.ljson`` or ``.tps``.
 
     Only ``.ljson`` stores contours and invisible landmarks; ``.ljson`` and ``.csv`` store names; ``.tps`` and
@@ -306,9 +301,7 @@ def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> 
 
 
 def write_collection(
-    path: str | os.PathLike[str],
-    collection: Mapping[str, Landmarks | np.ndarray],
-    image_sizes: Mapping[str, Size] | None = None,
+    path: AnyPath, collection: Mapping[str, Landmarks | np.ndarray], image_sizes: Mapping[str, Size] | None = None
 ) -> None:
     """Write the landmarks of many images, by file name, atomically as one ``.csv``, ``.tps`` or COCO ``.json``.
 
@@ -324,9 +317,7 @@ def write_collection(
 
 
 def collection_text(
-    path: str | os.PathLike[str],
-    collection: Mapping[str, Landmarks | np.ndarray],
-    image_sizes: Mapping[str, Size] | None = None,
+    path: AnyPath, collection: Mapping[str, Landmarks | np.ndarray], image_sizes: Mapping[str, Size] | None = None
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
     path = Path(path)

@@ -91,10 +91,10 @@ def parse_long(source: Source) -> list[Landmarks]:
             point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
             seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
             points.append(NOWHERE if point == (0.0, 0.0) and seen in ("0", "false") else point)
-        names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
+        names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in own)
+        names = names if any(names) else ()
         size = size_of(dict(zip(("width", "height"), (own[0][1][i] for i in columns.size), strict=False)))
-        own_names = tuple(names) if any(names) else ()
-        return Landmarks(np.array(points) - shift, (), own_names, image or None, label=specimen, placing=Placing(size))
+        return Landmarks(np.array(points) - shift, (), names, image or None, label=specimen, placing=Placing(size))
 
     groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
     made = list(source.each(groups, make))
