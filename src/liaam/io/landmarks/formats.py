@@ -1,4 +1,8 @@
-"""The table of landmark formats. Documentation, help, messages, the studio and tests are made from it."""
+"""The table of landmark formats. Documentation, help, messages, the studio and tests are made from it.
+
+A new format is a function that makes landmarks of a `Source`, as those of :mod:`~liaam.io.landmarks.plain` do, a row in
+`FORMATS`, and, if others have its suffix, what tells it from those that come later, in `_TOLD`.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
