@@ -75,6 +75,8 @@ READ = [
     ("a.tps", "LM=3\n10 139\n30 119\n-999 -999\nIMAGE=a.png\n", HOLE),
     ("a.pts", "n_points: 3\n{\n11;21\n31 ; 41\n51;61\n}\n", POINTS),
     ("a.xml", BOXES, POINTS),
+    ("a.xml", BOXES.replace("x='50' y='60'", "x='-1' y='-1'"), HOLE),
+    ("a.json", labelme([None] * 3, ["r", "p", "q"]).replace("[50, 60]", "[-999, -999]"), HOLE),
     ("a.json", label_studio({"note": "see p. 3", "image": "/data/upload/1/0a1b2c3d-a.png"}), POINTS),
     ("a.json", label_studio({"image": "a.png"}).replace("keypointlabels", "labels"), POINTS),
     ("a.json", label_studio({"image": "a.png"}).replace("annotations", "completions"), POINTS),
