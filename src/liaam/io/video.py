@@ -244,7 +244,7 @@ class _File(_Source):
             self.container = av.open(str(path), metadata_errors="replace", options=options)
         except self.errors as fault:
             why = f"({fault.strerror}): it has another format or is cut short before its index"
-            raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it, such as .mp4") from fault
+            raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it as .mp4") from fault
         try:
             streams, kind = self.container.streams.video, self.container.format.name
             is_image = kind == "image2" or kind.endswith("_pipe")

@@ -8,7 +8,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
@@ -345,6 +345,7 @@ def parse_count(token: str, what: str) -> int:
     return int(token)
 
 
+@lru_cache(1000)
 def plain(cell: str) -> str:
     """Return a column's name in lower case, without what is in brackets, unless it is a unit other than pixels."""
     without = re.sub(r"[(\[].*[)\]]", "", _UNIT.sub(r" \1", cell))
@@ -360,12 +361,12 @@ def check_count(where: str, count: int, rows: Sequence[object]) -> None:
 
 def parse_number(value: Any, where: str) -> float:
     """Parse one coordinate as text or of JSON; NaN for null and the usual words for a missing value."""
+    if is_number(value) and not isinstance(value, bool) and not (isinstance(value, str) and "_" in value):
+        return float(value)
     if value is None or str(value).strip().lower() in _MISSING_WORDS:
         return math.nan
-    if isinstance(value, bool) or not is_number(value) or "_" in str(value):
-        what = short(str(value))
-        raise LandmarkError(f"'{what}' in {where} is not a number: correct it (decimal points, as in 12.5).")
-    return float(value)
+    what = f"'{short(str(value))}' in {where}"
+    raise LandmarkError(f"{what} is not a number: correct it (decimal points, as in 12.5).")
 
 
 def decimal(cell: str) -> str:
