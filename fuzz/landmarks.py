@@ -196,8 +196,7 @@ def check(suffix: str, data: bytes) -> None:
         assert not np.isinf(landmarks.points).any()
     if suffix not in (".pts", ".ljson", ".tps", ".csv"):
         return
-    text_of = writer_of(path).text
-    assert text_of is not None
+    text_of = writer_of(path)
     for landmarks in every[:20]:
         if len(landmarks) < 1000 and len(set(landmarks.names)) in (0, len(landmarks)):
             placed = upwards(landmarks, size) if suffix == ".tps" else landmarks

@@ -75,6 +75,8 @@ READ = [
     ("a.tps", "LM=3\n10 139\n30 119\n-999 -999\nIMAGE=a.png\n", HOLE),
     ("a.pts", "n_points: 3\n{\n11;21\n31 ; 41\n51;61\n}\n", POINTS),
     ("a.xml", BOXES, POINTS),
+    ("a.xml", BOXES.replace("x='50' y='60'", "x='-1' y='-1'"), HOLE),
+    ("a.json", labelme([None] * 3, ["r", "p", "q"]).replace("[50, 60]", "[-999, -999]"), HOLE),
     ("a.json", label_studio({"note": "see p. 3", "image": "/data/upload/1/0a1b2c3d-a.png"}), POINTS),
     ("a.json", label_studio({"image": "a.png"}).replace("keypointlabels", "labels"), POINTS),
     ("a.json", label_studio({"image": "a.png"}).replace("annotations", "completions"), POINTS),
@@ -134,6 +136,7 @@ READ = [
     ("a.json", labelme([3, 1, 2], ["lm"] * 3), POINTS),
     ("a.json", labelme([5, 6, 7], ["r", "p", "q"]), POINTS),
     ("a.json", coco(width=0, height=0), POINTS),
+    ("a.json", coco().replace("10, 20,", '"10", "20",'), POINTS),  # numbers as text
     ("a.json", coco(width=400, height=320, factor=2), POINTS),
 ]
 
@@ -169,7 +172,7 @@ REFUSED = [
     ("a.nts", "1 9 0 0 DIM=2\n", "9 x 0 numbers are promised but 0 are there"),
     ("a.txt", "<landmarks.pixel>" * 20_000, "it is cut short within its landmarks"),
     ("a.nts", "1 999999999 2 0 DIM=2\n1 2\n", "999999999 x 2 numbers are promised but 2 are there"),
-    ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "task 1 lacks parts or has others"),
+    ("a.json", label_studio({"image": "a.png"}, original_width=10**400), "has keypoints for several sizes, or none"),
     ("a.xml", BOXES, "no landmarks of the category 'leg': it has scale, wing"),
     ("a.nts", f"1 9{' ' * 40_000}9{' ' * 40_000}1 1 dim\n1 2\n", "there is no header of a matrix"),
     ("a.nts", f"1 2L 4 1 -{'9' * 200_000}x\n1 2\n", "there is no header of a matrix"),

@@ -10,7 +10,7 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import json_object
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
-from liaam.io.landmarks.text import read_text
+from liaam.io.landmarks.reading import read_text
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
 """Suffixes of the files of a fit."""

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from liaam.errors import LiaamError
-from liaam.io.files import may_write_in, real_path
+from liaam.io.files import AnyPath, may_write_in, real_path
 
 try:
     import fcntl
@@ -26,39 +26,27 @@ except ImportError:  # Windows
     fcntl = None
 
 
-def _machine() -> str:
-    """Return a name for what numbers processes: this machine, or the container that liaam runs in."""
-    space = Path("/proc/self/ns/pid")
-    name = f"{socket.gethostname()} {space.readlink() if space.is_symlink() else ''}"
-    return hashlib.sha256(name.encode()).hexdigest()[:8]
-
-
-_HOST = _machine()
+_SPACE = Path("/proc/self/ns/pid")  # what numbers processes: this machine, or the container that liaam runs in
+_MACHINE = f"{socket.gethostname()} {_SPACE.readlink() if _SPACE.is_symlink() else ''}"
+_HOST = hashlib.sha256(_MACHINE.encode()).hexdigest()[:8]
 _TEMPORARY = re.compile(r"\.liaam-(?P<host>[0-9a-f]{8})-(?P<process>\d{1,9})-[0-9a-f]{16}(\..*)?", re.DOTALL)
 _DAY = 86400.0
 _SEES_PROCESSES = os.name == "posix"  # elsewhere os.kill would end them
-
 _TAKEN = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
-
-_FAR = 1 << 30
-"""Position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read."""
-
-_swept: set[Path] = set()
-"""Folders that this process has swept."""
+_FAR = 1 << 30  # position of the locked byte on Windows, beyond the contents, since locked bytes cannot be read
+_swept: set[Path] = set()  # folders that this process has swept
 
 
-def check_output(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Path:
+def check_output(path: AnyPath, error: type[LiaamError] = LiaamError) -> Path:
     """Return the real path of a file to write. Raise if it cannot be written, so that no work is done in vain."""
     target = _target(path, error)
     if not may_write_in(target.parent):
-        raise error(
-            f"{path} cannot be written: the folder {target.parent} is read-only. Change its permissions, or name "
-            "another folder."
-        )
+        remedy = "Change its permissions, or name another folder."
+        raise error(f"{path} cannot be written: the folder {target.parent} is read-only. {remedy}")
     return target
 
 
-def _target(path: str | os.PathLike[str], error: type[LiaamError]) -> Path:
+def _target(path: AnyPath, error: type[LiaamError]) -> Path:
     """Return the real path of a file to write. Raise if it is a folder, or if its folder does not exist."""
     target = real_path(path)
     if target.is_dir():
@@ -69,7 +57,7 @@ def _target(path: str | os.PathLike[str], error: type[LiaamError]) -> Path:
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamError) -> Iterator[Path]:
+def atomic_path(path: AnyPath, error: type[LiaamError] = LiaamError) -> Iterator[Path]:
     """Yield an empty file to write to, which takes the place of `path` if the block ends without an error.
 
     It is in the target's folder, because a rename is atomic only within one file system, and keeps the suffix, because
@@ -79,22 +67,31 @@ def atomic_path(path: str | os.PathLike[str], error: type[LiaamError] = LiaamErr
     if target.parent not in _swept:
         _swept.add(target.parent)
         sweep(target.parent)
-    try:
-        with _temporary_file(target) as temp:
-            yield temp
-            _publish(temp, target)
+    temp = target.parent / f".liaam-{_HOST}-{os.getpid()}-{secrets.token_hex(8)}{target.suffix}"
+    try:  # before the file exists, or Ctrl-C might leave it
+        os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield temp
+        if target.exists():
+            shutil.copymode(target, temp)
+        _sync(temp, os.O_RDWR)
+        temp.replace(target)
+        with contextlib.suppress(OSError):  # Windows opens no folders
+            _sync(target.parent, os.O_RDONLY)
     except OSError as fault:
         reason = fault.strerror or fault
         raise error(f"{path} cannot be written ({reason}): check the permissions and the free space.") from fault
+    finally:
+        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
+            temp.unlink()
 
 
-def write_bytes_atomically(path: str | os.PathLike[str], data: bytes, error: type[LiaamError] = LiaamError) -> None:
+def write_bytes_atomically(path: AnyPath, data: bytes, error: type[LiaamError] = LiaamError) -> None:
     """Write `data` to `path` atomically (see :func:`atomic_path`)."""
     with atomic_path(path, error) as temp:
         temp.write_bytes(data)
 
 
-def write_text_atomically(path: str | os.PathLike[str], text: str, error: type[LiaamError] = LiaamError) -> None:
+def write_text_atomically(path: AnyPath, text: str, error: type[LiaamError] = LiaamError) -> None:
     """Write `text` to `path` atomically as UTF-8, with its line ends unchanged (see :func:`atomic_path`)."""
     try:
         data = text.encode("utf-8")
@@ -148,28 +145,6 @@ def lock(descriptor: int) -> bool:
             raise BlockingIOError(fault.errno, os.strerror(fault.errno)) from fault
         return False
     return True
-
-
-@contextmanager
-def _temporary_file(target: Path) -> Iterator[Path]:
-    """Make an empty file beside another, and remove it at the end if it still exists."""
-    temp = target.parent / f".liaam-{_HOST}-{os.getpid()}-{secrets.token_hex(8)}{target.suffix}"
-    try:  # before the file exists, or Ctrl-C might leave it
-        os.close(os.open(temp, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        yield temp
-    finally:
-        with contextlib.suppress(OSError):  # after a success there is nothing left to remove
-            temp.unlink()
-
-
-def _publish(temp: Path, target: Path) -> None:
-    """Flush `temp` to disk, rename it over `target`, and flush the rename."""
-    if target.exists():
-        shutil.copymode(target, temp)
-    _sync(temp, os.O_RDWR)
-    temp.replace(target)
-    with contextlib.suppress(OSError):  # Windows opens no folders
-        _sync(target.parent, os.O_RDONLY)
 
 
 def _sync(path: Path, mode: int) -> None:

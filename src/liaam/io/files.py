@@ -15,11 +15,9 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError, missing
 
-MAX_PIXELS = 200_000_000
-"""Default limit on width x height. Larger images are rejected before decoding."""
-
-MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"
-"""Environment variable of another limit."""
+AnyPath = str | os.PathLike[str]
+MAX_PIXELS = 200_000_000  # default limit on width x height. Larger images are rejected before decoding
+MAX_PIXELS_VARIABLE = "LIAAM_MAX_PIXELS"  # environment variable of another limit
 
 
 def natural_key(text: str) -> list[Any]:
@@ -44,11 +42,11 @@ def count_of(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def is_number(text: str) -> bool:
-    """Return whether a table cell holds a finite number."""
+def is_number(cell: Any) -> bool:
+    """Return whether a table cell, or a value of JSON, holds a finite number."""
     try:
-        return math.isfinite(float(text))
-    except ValueError:
+        return math.isfinite(float(cell))
+    except (TypeError, ValueError, OverflowError):
         return False
 
 
@@ -57,12 +55,12 @@ def writable(text: str) -> str:
     return text.encode("utf-8", "replace").decode("utf-8")
 
 
-def real_path(path: str | os.PathLike[str]) -> Path:
+def real_path(path: AnyPath) -> Path:
     """Resolve links, as far as they lead anywhere; unlike :meth:`Path.resolve`, takes links that lead in a circle."""
     return Path(os.path.realpath(path))
 
 
-def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: str) -> Path:
+def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
     """Return the path of a file of a kind, such as "image". Raise if it is missing, a folder, empty or not readable."""
     path, there = Path(path), True
     try:
@@ -76,8 +74,13 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
             fault = "" if path.stat().st_size else "is empty (0 bytes): copy or export it again."
     except OSError as error_of_disk:  # it exists, in a folder that may not be read
         fault = f"cannot be read ({error_of_disk.strerror or error_of_disk}): check the name and permissions."
+    if not there and not path.parent.is_dir():
+        raise missing(error)(f"{path} does not exist. The folder {path.parent} does not exist either: check the path.")
     if not there:
-        raise missing(error)(f"{path} does not exist. {_closest(path)}")
+        names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
+        close = " or ".join(difflib.get_close_matches(path.name, names, n=3, cutoff=0.6))
+        hint = f"Did you mean {close}?" if close else f"Nothing in {path.parent} has a similar name: check the path."
+        raise missing(error)(f"{path} does not exist. {hint}")
     if fault:
         raise error(f"{path} {fault}")
     return path
@@ -86,8 +89,7 @@ def existing_file(path: str | os.PathLike[str], error: type[LiaamError], kind: s
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
     """Read a file of at most `limit` bytes. Raise `error` if that fails."""
     try:
-        size = path.stat().st_size
-        if size > limit:
+        if (size := path.stat().st_size) > limit:
             raise error(f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files.")
         return path.read_bytes()
     except OSError as fault:
@@ -103,17 +105,6 @@ def json_object(text: str | bytes) -> dict[str, Any] | None:
     return parsed if isinstance(parsed, dict) else None
 
 
-def _closest(path: Path) -> str:
-    """Suggest files in the same folder with a similar name."""
-    if not path.parent.is_dir():
-        return f"The folder {path.parent} does not exist either: check the path."
-    names = [entry.name for entry in path.parent.iterdir() if entry.name != path.name]
-    close = difflib.get_close_matches(path.name, names, n=3, cutoff=0.6)
-    if not close:
-        return f"Nothing in {path.parent} has a similar name: check the path."
-    return f"Did you mean {' or '.join(close)}?"
-
-
 def make_folder(folder: Path) -> None:
     """Create a folder for results and its parents, if missing."""
     if folder.is_file():
@@ -121,9 +112,8 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise LiaamError(
-            f"{folder}: the folder cannot be created ({error.strerror or error}); give another folder with -o"
-        ) from error
+        why = f"cannot be created ({error.strerror or error})"
+        raise LiaamError(f"{folder}: the folder {why}; give another folder with -o") from error
     if not may_write_in(folder):
         raise LiaamError(f"{folder}: the folder is read-only; change its permissions, or give another folder with -o")
 
@@ -137,15 +127,12 @@ def check_size(name: object, width: int, height: int, max_pixels: int | None = N
     """Raise if an image has too many pixels: by default more than the environment variable LIAAM_MAX_PIXELS allows."""
     given = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
     if max_pixels is None and not given.isdecimal():
-        raise ImageError(
-            f"{MAX_PIXELS_VARIABLE}={given} is not a number of pixels: set it to one such as {MAX_PIXELS}."
-        )
+        raise ImageError(f"{MAX_PIXELS_VARIABLE}={given} is not a number of pixels: set it, such as to {MAX_PIXELS}.")
     limit = int(given) if max_pixels is None else max_pixels
     if width * height > limit:
-        raise ImageError(
-            f"{name} has {width} x {height} pixels, more than the {limit:,} allowed: make the image smaller, or raise "
-            f"max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})."
-        )
+        remedy = f"raise max_pixels (for commands, set {MAX_PIXELS_VARIABLE} to {width * height})"
+        size = f"{width} x {height} pixels, more than the {limit:,} allowed"
+        raise ImageError(f"{name} has {size}: make the image smaller, or {remedy}.")
 
 
 def as_three_channels(grey: np.ndarray) -> np.ndarray:

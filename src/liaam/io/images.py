@@ -1,8 +1,8 @@
-"""Read still images as RGB arrays with their stored values.
+"""Read still images as RGB arrays with their stored values, and write them.
 
 Pillow opens and decodes files, converts colour profiles to sRGB and detects truncated files. OpenCV decodes the 16-bit
-and float files that Pillow would reduce to 8 bits. The size in the header is checked before decoding. The format is
-recognised by content, not by suffix, except for RAW files (:mod:`liaam.io.raw`).
+and float files that Pillow would reduce to 8 bits, and writes. The size in the header is checked before decoding. The
+format is recognised by content, not by suffix, except for RAW files (:mod:`liaam.io.raw`).
 """
 
 import importlib
@@ -10,7 +10,7 @@ import io
 import mimetypes
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,26 +19,22 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.files import as_three_channels, check_size, existing_file
-from liaam.io.profiles import rgb_of
+from liaam.io.atomic import write_bytes_atomically
+from liaam.io.files import AnyPath, as_three_channels, check_size, existing_file
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
 """Suffixes (lower case) of the image files that can be read and written, lossless ones first."""
 
+# Suffixes of the images that can be read, without RAW files, and with them, in order of preference where a camera wrote
+# both RAW and JPEG; of images that are not supported, to name them in messages; and of videos that can be written.
 STILL_SUFFIXES = (*IMAGE_SUFFIXES, ".jfif", ".jpe", ".webp", ".avif", ".heic", ".heif", ".gif", ".jp2")
-"""Suffixes of the image files that can be read, without RAW files."""
-
 PICTURE_SUFFIXES = (*STILL_SUFFIXES, *RAW_SUFFIXES)
-"""Suffixes of image files in order of preference, for images that a camera wrote as both RAW and JPEG."""
-
 UNREAD_SUFFIXES = (".jxl", ".svg", ".psd", ".exr")
-"""Suffixes of images that are not supported, to name them in messages."""
-
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")
-"""Suffixes of the video files that can be written, in lower case."""
 
-_SIGNATURES = {
+_DEEP_SUFFIXES, _FLOAT_SUFFIXES = (".png", ".tif", ".tiff", ".ppm", ".pgm", ".pnm"), (".tif", ".tiff")  # to write
+_SIGNATURES = {  # first bytes of the formats, by Pillow's name
     "PNG": rb"\x89PNG\r\n\x1a\n",
     "JPEG": rb"\xff\xd8\xff",
     "TIFF": rb"II[*+]\0|MM\0\*",  # + is BigTIFF; Pillow cannot read that of the other byte order
@@ -50,21 +46,21 @@ _SIGNATURES = {
     "AVIF": rb".{4}ftypavi[fs]",
     "HEIF": rb".{4}ftyp(?:hei[cxm]|hevc|mif1)",
 }
-"""First bytes of the formats, by Pillow's name."""
-
-_PLUGINS = {"WEBP": "WebP", "JPEG2000": "Jpeg2K"}
-"""Modules of Pillow that are not called as their format: PIL.WebPImagePlugin and so on."""
-
+_PLUGINS = {"WEBP": "WebP", "JPEG2000": "Jpeg2K"}  # modules of Pillow that are not called as their format
 _NEEDS = {
     "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
     "HEIF": f"HEIC image, which needs the extra heic: {installing('heic')}",
 }
-_MAX_BYTES = 4_000_000_000
+_MAX_BYTES = 4_000_000_000  # of a file that OpenCV decodes
 _KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000"
 _EXIF_ORIENTATION = 0x0112
 # Tags of the TIFF 6.0 specification.
 _WIDTH, _HEIGHT, _BITS, _PHOTOMETRIC, _SAMPLES, _PLANAR, _FORMAT = 256, 257, 258, 262, 277, 284, 339
 _EXTENTS = ((273, 279), (324, 325))  # offsets and byte counts, of strips or of tiles
+ROWS_AT_ONCE = 256  # rows converted at a time, because Pillow's conversions take several times the image's memory
+# Modes of Pillow's images that the colour profiles of each colour space are for.
+_PROFILE_MODES = {"RGB": ("RGB", "RGBA", "P"), "GRAY": ("L", "LA"), "CMYK": ("CMYK",)}
+_SAME = 2  # largest difference of 8-bit values between sRGB and a profile that is taken for sRGB, of rounding
 
 
 @dataclass(frozen=True)
@@ -74,18 +70,12 @@ class _Opened:
     file: Any
     name: object
     kind: str
-    image: Any
-    """Pillow's image; None for a TIFF of more than 8 bits per channel."""
-    width: int
-    """As stored, before the orientation is applied."""
+    image: Any  # Pillow's image; None for a TIFF of more than 8 bits per channel
+    width: int  # as stored, before the orientation is applied
     height: int
-    deep: bool = False
-    """Whether channels have more than 8 bits."""
+    deep: bool = False  # whether channels have more than 8 bits
     orientation: int = 1
-    fault: str = ""
-    """Why the pixels cannot be decoded, or empty."""
-    white: int = 65535
-    """Largest value of integers, which some PPM files state."""
+    fault: str = ""  # why the pixels cannot be decoded, or empty
 
     @property
     def size(self) -> tuple[int, int]:
@@ -93,7 +83,7 @@ class _Opened:
         return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
 
 
-def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.ndarray:
+def read_image(path: AnyPath, max_pixels: int | None = None) -> np.ndarray:
     """Read a colour image with its stored values, or those that its colour profile gives in sRGB.
 
     Parameters
@@ -124,7 +114,7 @@ def read_image(path: str | os.PathLike[str], max_pixels: int | None = None) -> n
 
 
 def read_preview(
-    path: str | os.PathLike[str] | bytes, size: int | None, max_pixels: int | None = None, name: str = "image"
+    path: AnyPath | bytes, size: int | None, max_pixels: int | None = None, name: str = "image"
 ) -> np.ndarray:
     """Read an image for display, with sides of at least `size` pixels; see :func:`read_image`.
 
@@ -149,7 +139,7 @@ def decode_image(data: bytes, name: str = "image", max_pixels: int | None = None
     return read_preview(data, None, max_pixels, name)
 
 
-def image_size(path: str | os.PathLike[str] | bytes, name: str = "image") -> tuple[int, int]:
+def image_size(path: AnyPath | bytes, name: str = "image") -> tuple[int, int]:
     """Return (width, height) of an image in pixels, after its EXIF orientation, from the header only.
 
     Bytes are those of an image file, except RAW files; errors call it `name`.
@@ -162,7 +152,7 @@ def image_size(path: str | os.PathLike[str] | bytes, name: str = "image") -> tup
     return size_and_orientation(path, name)[0]
 
 
-def size_and_orientation(path: str | os.PathLike[str] | bytes, name: str = "image") -> tuple[tuple[int, int], int]:
+def size_and_orientation(path: AnyPath | bytes, name: str = "image") -> tuple[tuple[int, int], int]:
     """Return (width, height) of an image as :func:`image_size` does, and its EXIF orientation, 1 to 8."""
     if not isinstance(path, bytes) and is_raw(path):
         return raw_size(path), 1
@@ -178,11 +168,8 @@ def image_kind(file: Path | bytes) -> str | None:
     return next((kind for kind, form in _SIGNATURES.items() if re.match(form, file, re.DOTALL)), None)
 
 
-# Headers ------------------------------------------------------------------------------------------
-
-
 @contextmanager
-def _opened(path: str | os.PathLike[str] | bytes, name: object = "") -> Iterator[_Opened]:
+def _opened(path: AnyPath | bytes, name: object = "") -> Iterator[_Opened]:
     """Yield the header of a file. Raise what Pillow and OpenCV raise in the block as ImageError."""
     name = name if isinstance(path, bytes) else path
     path = path if isinstance(path, bytes) else existing_file(path, ImageError, "image")
@@ -235,15 +222,13 @@ def _open(file: Any, name: object, kind: str) -> _Opened:
     from PIL import Image
 
     image: Any = _pillow(file, kind)
-    width, height = image.size
-    fault, deep, white = "", image.mode.startswith("I"), 65535
+    fault, deep = "", image.mode.startswith("I")
     if kind == "PNG":
         deep, exif = "16" in image.tile[0][3], _png_exif(file)
         fault = "is cut short (it ends within a chunk): copy it again." if exif is None else ""
         image.info |= {"exif": exif} if exif else {}
     elif kind == "PPM":
-        white = _white_of(image)
-        deep = white > 255
+        deep = _white_of(image) > 255
         if deep and image.tile[0][0] == "ppm_plain":
             fault = "holds more than 8 bits per channel as plain text: save it as binary PPM or as PNG."
     frames = 1 if kind == "JPEG" else getattr(image, "n_frames", 1)  # a JPEG may hold previews of it
@@ -252,7 +237,8 @@ def _open(file: Any, name: object, kind: str) -> _Opened:
     orientation = 1
     with suppress(Exception):  # of damaged EXIF data, which programs that show the image ignore
         orientation = _orientation(Image.Image.getexif(image))  # as a PNG's own would decode the pixels
-    return _Opened(file, name, kind, image, width, height, deep, orientation, fault, white)
+    width, height = image.size
+    return _Opened(file, name, kind, image, width, height, deep, orientation, fault)
 
 
 def _png_exif(file: Any) -> bytes | None:
@@ -275,9 +261,7 @@ def _png_exif(file: Any) -> bytes | None:
 def _white_of(image: Any) -> int:
     """Return the value of white of Pillow's PPM image."""
     arguments = image.tile[0][3]
-    if isinstance(arguments, tuple):
-        return arguments[1]
-    return 65535 if arguments == "I;16B" else 255
+    return arguments[1] if isinstance(arguments, tuple) else 65535 if arguments == "I;16B" else 255
 
 
 def _open_tiff(file: Any, name: object) -> _Opened:
@@ -322,14 +306,51 @@ def _tiff_fault(tags: Any, n_bytes: int) -> str:
     return ""
 
 
-# Decoding -----------------------------------------------------------------------------------------
+def rgb_of(image: Any) -> np.ndarray:
+    """Decode a Pillow image to (h, w, 3) uint8, in sRGB."""
+    image.load()
+    width, height = image.size
+    array, convert = np.empty((height, width, 3), np.uint8), _to_srgb(image) or _to_rgb
+    for top in range(0, height, ROWS_AT_ONCE):
+        strip = image.crop((0, top, width, min(top + ROWS_AT_ONCE, height)))
+        array[top : top + strip.height] = convert(strip)
+    return array
+
+
+def _to_rgb(image: Any) -> Any:
+    # A palette with transparency cannot be converted to RGB directly.
+    return (image.convert("RGBA") if "transparency" in image.info else image).convert("RGB")
+
+
+def _to_srgb(image: Any) -> Callable[[Any], Any] | None:
+    """Return a function that converts parts of an image to sRGB; None if its values are to be taken as stored."""
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return None
+    from PIL import Image, ImageCms
+
+    try:
+        source: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        space = source.profile.xcolor_space.strip()
+        if image.mode not in _PROFILE_MODES.get(space, ()):
+            return None
+        mode = _PROFILE_MODES[space][0]
+        transform = ImageCms.buildTransform(source, ImageCms.createProfile("sRGB"), mode, "RGB")
+    except (ImageCms.PyCMSError, OSError):
+        return None
+    if mode == "L":  # as lcms gives channels that differ by rounding
+        return lambda part: Image.merge("RGB", [transform.apply(part.convert("L")).getchannel("G")] * 3)
+    colours = np.stack(np.meshgrid(*[np.arange(0, 256, 15, dtype=np.uint8)] * 3), axis=-1).reshape(-1, 18, 3)
+    if mode == "RGB" and np.abs(np.asarray(transform.apply(Image.fromarray(colours)), int) - colours).max() <= _SAME:
+        return None  # it is sRGB but for rounding
+    return lambda part: transform.apply(_to_rgb(part) if mode == "RGB" else part)
 
 
 def _decode_deep(opened: _Opened) -> np.ndarray:
     """Decode images of more than 8 bits per channel."""
     import cv2
 
-    file = opened.file
+    file, white = opened.file, _white_of(opened.image) if opened.kind == "PPM" else 65535
     if opened.image is not None:  # Pillow detects truncation, where OpenCV may fill missing pixels with zeros
         opened.image.load()
     if file.seek(0, os.SEEK_END) > _MAX_BYTES:
@@ -338,8 +359,8 @@ def _decode_deep(opened: _Opened) -> np.ndarray:
     array = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
     if array is None:
         raise ValueError("its pixels cannot be decoded")
-    if opened.white != 65535:  # of a PPM, which OpenCV does not scale
-        array = np.rint(np.minimum(array, opened.white) * (65535 / opened.white)).astype(np.uint16)
+    if white != 65535:  # of a PPM, which OpenCV does not scale
+        array = np.rint(np.minimum(array, white) * (65535 / white)).astype(np.uint16)
     if array.dtype == np.float64:
         with np.errstate(over="ignore"):
             array = array.astype(np.float32)
@@ -354,10 +375,58 @@ def _upright(array: np.ndarray, opened: _Opened) -> np.ndarray:
     """Apply the EXIF orientation, except to TIFF, where both decoders already did."""
     if opened.kind == "TIFF" or opened.orientation == 1:
         return array
-    if opened.orientation >= 5:
-        array = array.transpose(1, 0, 2)
-    if opened.orientation in (3, 4, 7, 8):
-        array = array[::-1]
-    if opened.orientation in (2, 3, 6, 7):
-        array = array[:, ::-1]
-    return np.ascontiguousarray(array)
+    array = array.swapaxes(0, 1) if opened.orientation >= 5 else array
+    array = array[::-1] if opened.orientation in (3, 4, 7, 8) else array
+    return np.ascontiguousarray(array[:, ::-1] if opened.orientation in (2, 3, 6, 7) else array)
+
+
+def write_image(path: AnyPath, array: np.ndarray) -> None:
+    """Write an image atomically, in the format of the suffix.
+
+    Parameters
+    ----------
+    path : path-like
+        Ends in one of `IMAGE_SUFFIXES`.
+    array : np.ndarray
+        (height, width, 3) in RGB order, or (height, width) grey. uint8 for every format; uint16 for PNG, TIFF, PPM and
+        PGM; float32 for TIFF only. JPEG is written with quality 95 and full-resolution chroma.
+
+    Raises
+    ------
+    ImageError
+        If the suffix, the shape or the type cannot be written, or writing fails.
+    """
+    path, array = Path(path), np.asarray(array)
+    suffix = _check_writable(path, array)
+    import cv2
+
+    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # the quality is 95 by default
+    tiff = [cv2.IMWRITE_TIFF_COMPRESSION, 1]  # none
+    png = [cv2.IMWRITE_PNG_COMPRESSION, 3]  # half the time of 6, for files larger by a twelfth
+    options = {".png": png, ".jpg": jpeg, ".jpeg": jpeg, ".tif": tiff, ".tiff": tiff}.get(suffix, [])
+    array = as_three_channels(array) if suffix == ".ppm" and array.ndim == 2 else array
+    suffix = {".pnm": ".pgm" if array.ndim == 2 else ".ppm"}.get(suffix, suffix)
+    bgr = array if array.ndim == 2 else array[:, :, ::-1]
+    _, data = cv2.imencode(suffix, np.ascontiguousarray(bgr), options)
+    write_bytes_atomically(path, data.tobytes(), ImageError)
+
+
+def _check_writable(path: Path, array: np.ndarray) -> str:
+    """Return the suffix in lower case after checking that it can hold this array."""
+    suffix = path.suffix.lower()
+    if suffix not in IMAGE_SUFFIXES:
+        fault = f"'{path.suffix}' is not a known extension. Use {', '.join(IMAGE_SUFFIXES)}."
+    elif array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or array.size == 0:
+        remedy = "Give (height, width, 3) for colour or (height, width) for grey."
+        fault = f"the array has shape {array.shape}. {remedy}"
+    elif array.dtype not in (np.uint8, np.uint16, np.float32):
+        fault = f"the values are {array.dtype}. Convert them to uint8, uint16 or float32."
+    elif array.dtype == np.float32 and suffix not in _FLOAT_SUFFIXES:
+        fault = f"{suffix} cannot hold float32. Use .tiff, or convert the array to uint8."
+    elif array.dtype == np.uint16 and suffix not in _DEEP_SUFFIXES:
+        fault = f"{suffix} cannot hold 16 bits. Use .png, or convert the array to uint8."
+    elif suffix == ".pgm" and array.ndim == 3:
+        fault = ".pgm is for grey images. Use .ppm or .png for colour."
+    else:
+        return suffix
+    raise ImageError(f"{path} cannot be written: {fault}")

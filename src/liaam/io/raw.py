@@ -4,7 +4,6 @@ The optional package rawpy (LibRaw) decodes them. All processing that depends on
 """
 
 import importlib
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,14 +12,13 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.files import as_three_channels, check_size, existing_file
+from liaam.io.files import AnyPath, as_three_channels, check_size, existing_file
 
+# RAW files are recognised by name, because many are TIFF files whose first page is a thumbnail.
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
-"""Suffixes (lower case) of RAW files. They are recognised by name, because many are TIFF files whose first page is a
-thumbnail."""
 
 
-def is_raw(path: str | os.PathLike[str]) -> bool:
+def is_raw(path: AnyPath) -> bool:
     """Return whether a file is a RAW file, with linear values, by its suffix.
 
     Examples
@@ -31,7 +29,7 @@ def is_raw(path: str | os.PathLike[str]) -> bool:
     return Path(path).suffix.lower() in RAW_SUFFIXES
 
 
-def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.ndarray:
+def read_raw(path: AnyPath, max_pixels: int | None = None) -> np.ndarray:
     """Read a RAW file as (h, w, 3) uint16 of linear light, upright.
 
     The channels are the sensor's own. No colour matrix mixes them, because that would break the light invariance.
@@ -54,56 +52,47 @@ def read_raw(path: str | os.PathLike[str], max_pixels: int | None = None) -> np.
             output_bps=16,
             highlight_mode=rawpy.HighlightMode.Clip,
         )
-    image = image.reshape(*image.shape[:2], -1)
-    if image.shape[2] == 1:
-        return as_three_channels(image[:, :, 0])
-    if image.shape[2] != 3:
-        raise ImageError(
-            f"{path} is from a sensor with {image.shape[2]} colours, not three: convert it to a 16-bit TIFF."
-        )
+    colours = 1 if image.ndim == 2 else image.shape[2]
+    if colours == 1:
+        return as_three_channels(image.reshape(image.shape[:2]))
+    if colours != 3:
+        raise ImageError(f"{path} is from a sensor with {colours} colours, not three: convert it to a 16-bit TIFF.")
     return image
 
 
-def raw_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+def raw_size(path: AnyPath) -> tuple[int, int]:
     """Return (width, height) of a RAW file in pixels, upright, from the header only."""
     with _opened(path) as (_, raw):
         return _upright_size(raw)
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Any]]:
+def _opened(path: AnyPath) -> Iterator[tuple[Any, Any]]:
     """Yield rawpy and an opened RAW file. Raise its errors as ImageError."""
     path = existing_file(path, ImageError, "RAW file")
     try:
         rawpy = importlib.import_module("rawpy")  # optional
     except ImportError as fault:
-        raise ImageError(
-            f"{path} is a RAW file, and rawpy, which reads them, is not installed: {installing('raw')}."
-        ) from fault
+        need = "rawpy, which reads them, is not installed"
+        raise ImageError(f"{path} is a RAW file, and {need}: {installing('raw')}.") from fault
     try:
         with rawpy.imread(str(path)) as raw:
             yield rawpy, raw
     except (ImageError, MemoryError):
         raise
     except rawpy.LibRawFileUnsupportedError as fault:
-        raise ImageError(
-            f"{path} is not a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read: convert it to "
-            "DNG, or install a newer rawpy."
-        ) from fault
+        what = f"a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read"
+        raise ImageError(f"{path} is not {what}: convert it to DNG, or install a newer rawpy.") from fault
     except Exception as fault:  # LibRaw raises many classes on bad bytes
         reason = fault.args[0].decode() if fault.args and isinstance(fault.args[0], bytes) else fault
         raise ImageError(f"{path} is damaged or cut short ({reason}): copy it again from the camera.") from fault
 
 
 def _upright_size(raw: Any) -> tuple[int, int]:
-    """Return (width, height) of the decoded image. LibRaw gives the sensor's size and its rotation.
-
-    If the sensor's pixels are not square, LibRaw stretches the image along its shorter side.
-    """
+    """Return (width, height) of the decoded image. LibRaw gives those of the sensor, and its rotation."""
     sizes = raw.sizes
     width, height, aspect = sizes.iwidth, sizes.iheight, sizes.pixel_aspect
-    if aspect < 1:
-        height = int(height / aspect + 0.5)
-    elif aspect > 1:
-        width = int(width * aspect + 0.5)
+    # LibRaw stretches pixels that are not square along the image's shorter side.
+    height = int(height / aspect + 0.5) if aspect < 1 else height
+    width = int(width * aspect + 0.5) if aspect > 1 else width
     return (height, width) if sizes.flip in (5, 6) else (width, height)

@@ -3,15 +3,15 @@
 import csv
 import io
 import math
-import os
 from pathlib import Path
 
 from liaam.errors import LiaamError
 from liaam.io.atomic import write_text_atomically
+from liaam.io.files import AnyPath
 from liaam.tables import Columns
 
 
-def write_columns(path: str | os.PathLike[str], columns: Columns) -> None:
+def write_columns(path: AnyPath, columns: Columns) -> None:
     """Write columns atomically as ``.csv``; NaN becomes an empty cell.
 
     Raises

@@ -5,7 +5,6 @@ Frames are 8-bit RGB, upright.
 """
 
 import importlib
-import os
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -20,16 +19,13 @@ import numpy as np
 
 from liaam.errors import ImageError, VideoError, installing
 from liaam.evaluation import short_repr
-from liaam.io.files import as_8_bits, existing_file, natural_key
+from liaam.io.files import AnyPath, as_8_bits, existing_file, natural_key
 from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
 from liaam.progress import Progress
 from liaam.workers import in_order
 
-MAX_PIXELS = 50_000_000
-"""Largest width times height of a frame, checked before it is decoded; 8K has 33 million."""
-
-DEFAULT_RATE = Fraction(25)
-"""Frames per second of files that do not specify a rate, and of folders of frames."""
+MAX_PIXELS = 50_000_000  # largest width times height of a frame, checked before it is decoded; 8K has 33 million
+DEFAULT_RATE = Fraction(25)  # frames per second of files that do not specify a rate, and of folders of frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +88,7 @@ class VideoReader:
     """
 
     def __init__(
-        self,
-        source: str | os.PathLike[str] | int,
-        start: int = 0,
-        stop: int | None = None,
-        skipping: Progress = lambda *_: None,
+        self, source: AnyPath | int, start: int = 0, stop: int | None = None, skipping: Progress = lambda *_: None
     ):
         if start < 0 or (stop is not None and stop <= start):
             raise VideoError(f"frames {start} to {stop}: give a first frame of at least 0 and a later end")
@@ -105,11 +97,10 @@ class VideoReader:
         self.fault = ""
         self._start, self._stop, self._skipping = start, stop, skipping
         if isinstance(source, int):
-            self._source = _Camera(source)
+            self._source: _Camera | _Folder | _File = _Camera(source)
         else:
             self._source = _Folder(Path(source)) if Path(source).is_dir() else _File(source)
-        self.rate = self._source.rate
-        known = self._source.n_frames
+        self.rate, known = self._source.rate, self._source.n_frames
         last = stop if not known else min(known, stop or known)
         self.n_frames = None if last is None else max(0, last - start)
         self._frames: Generator[VideoFrame, None, None] | None = None
@@ -125,18 +116,15 @@ class VideoReader:
         self._frames = None
         self._source.close()
 
-    def __iter__(self) -> Iterator[VideoFrame]:
+    def __iter__(self) -> "VideoReader":
         """Iterate over the frames once. A second loop continues where the first one stopped."""
-        while True:
-            if self._frames is None:
-                raise VideoError(
-                    f"{self.name}: frames can be read only inside a with block; write 'with VideoReader(...) as "
-                    "video:' around the loop"
-                )
-            frame = next(self._frames, None)
-            if frame is None:
-                return
-            yield frame
+        return self
+
+    def __next__(self) -> VideoFrame:
+        if self._frames is None:
+            where = "inside a with block; write 'with VideoReader(...) as video:' around the loop"
+            raise VideoError(f"{self.name}: frames can be read only {where}")
+        return next(self._frames)
 
     def _given(self) -> Generator[VideoFrame, None, None]:
         """Yield the frames, which a thread decodes ahead; not those of a camera, which should be new."""
@@ -151,8 +139,12 @@ class VideoReader:
         finally:
             self._closed = True
             ahead.close()
+        name, seen, first = self.name, self._source.n_seen, self._start
+        if not n_given and seen > self._source.n_damaged:
+            raise VideoError(f"{name} has only {seen} frames, so none from frame {first} on; choose an earlier start")
         if not n_given:
-            raise VideoError(self._why_nothing())
+            why = f"it is damaged or cut short, or its frames have more than {MAX_PIXELS:,} pixels"
+            raise VideoError(f"{name} has no frame that can be decoded: {why}; export it again")
         self.fault = self._source.fault or self._source.damage
 
     def _decoded(self) -> Generator[VideoFrame, None, None]:
@@ -165,30 +157,15 @@ class VideoReader:
             elif (image := picture()) is not None:
                 yield VideoFrame(index, time, image)
 
-    def _why_nothing(self) -> str:
-        seen = self._source.n_seen
-        if seen > self._source.n_damaged:
-            return f"{self.name} has only {seen} frames, so none from frame {self._start} on; choose an earlier start"
-        return (
-            f"{self.name} has no frame that can be decoded: it is damaged or cut short, or its frames have more than "
-            f"{MAX_PIXELS:,} pixels; export it again"
-        )
-
 
 class _Source:
     """Where frames come from. Iterates over (seconds, function that returns the image, or None if damaged)."""
 
     rate = DEFAULT_RATE
-    n_frames: int | None = None
-    """Number of frames, if it is known."""
-    n_seen = 0
-    """Number of frames so far, with those before the start and damaged ones."""
+    n_frames: int | None = None  # number of frames, if it is known
+    n_seen = 0  # number of frames so far, with those before the start and damaged ones
     n_damaged = 0
-    fault = damage = ""
-    """Why there are no further frames; what damaged frames are missing."""
-
-    def __iter__(self) -> Iterator[tuple[float, Any]]:
-        raise NotImplementedError
+    fault = damage = ""  # why there are no further frames; what damaged frames are missing
 
     def close(self) -> None:
         """Release the file or the camera."""
@@ -237,10 +214,8 @@ class _Camera(_Source):
         self.close()
         there = sorted(path.name.removeprefix("video") for path in Path("/dev").glob("video[0-9]*"))
         others = f"available: {', '.join(there)}" if there else "no camera found"
-        raise VideoError(
-            f"camera {number} cannot be opened ({others}): connect it, close other programs that use it, and check its "
-            "permissions; or give a video file"
-        )
+        remedy = "connect it, close other programs that use it, and check its permissions; or give a video file"
+        raise VideoError(f"camera {number} cannot be opened ({others}): {remedy}")
 
     def __iter__(self) -> Iterator[tuple[float, Any]]:
         begun = monotonic()
@@ -259,7 +234,7 @@ class _Camera(_Source):
 class _File(_Source):
     """A video file through PyAV."""
 
-    def __init__(self, path: str | os.PathLike[str]):
+    def __init__(self, path: AnyPath):
         self.path = existing_file(path, VideoError, "video")
         av = pyav(f"{path} is a video")
         self.errors, self.reformatter = av.error.FFmpegError, av.video.reformatter.VideoReformatter()
@@ -268,13 +243,18 @@ class _File(_Source):
         try:
             self.container = av.open(str(path), metadata_errors="replace", options=options)
         except self.errors as fault:
-            raise VideoError(
-                f"{path} is not a video that FFmpeg can open ({fault.strerror}): it has another format or is cut short "
-                "before its index; export it again, for example as .mp4"
-            ) from fault
+            why = f"({fault.strerror}): it has another format or is cut short before its index"
+            raise VideoError(f"{path} is not a video that FFmpeg can open {why}; export it as .mp4") from fault
         try:
-            self._check_stream()
-            self.stream = stream = self.container.streams.video[0]
+            streams, kind = self.container.streams.video, self.container.format.name
+            is_image = kind == "image2" or kind.endswith("_pipe")
+            if is_image or (streams and streams[0].frames == 1 and image_kind(self.path)):
+                raise VideoError(f"{path} is an image, not a video: use 'liaam fit', or give a folder of frames")
+            if not streams or kind == "tty":  # FFmpeg takes text for a terminal
+                raise VideoError(f"{path} has no video stream: give a video file")
+            if streams[0].codec_context is None:
+                raise VideoError(f"{path} has a codec that FFmpeg does not know: export it as .mp4 with H.264")
+            self.stream = stream = streams[0]
             stream.thread_type, stream.codec_context.options = "AUTO", options
             self.rate = Fraction(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
             self.n_frames, self.n_packets = self._announced(stream)
@@ -283,25 +263,11 @@ class _File(_Source):
             self.close()
             raise
 
-    def _check_stream(self) -> None:
-        """Refuse sound, images and unknown codecs."""
-        streams, kind = self.container.streams.video, self.container.format.name
-        if kind == "image2" or kind.endswith("_pipe") or (streams and streams[0].frames == 1 and image_kind(self.path)):
-            raise VideoError(f"{self.path} is an image, not a video: use 'liaam fit', or give a folder of frames")
-        if not streams or kind == "tty":  # FFmpeg takes text for a terminal
-            raise VideoError(f"{self.path} has no video stream: give a video file")
-        if streams[0].codec_context is None:
-            raise VideoError(
-                f"{self.path} has a codec that FFmpeg does not know: export it again, for example as .mp4 with H.264"
-            )
-
     def _check_size(self, what: Any, whose: str) -> None:
         """Refuse a stream or a frame of too many pixels."""
         if what.width * what.height > MAX_PIXELS:
-            raise VideoError(
-                f"{self.path}: {whose} {what.width} x {what.height} pixels, more than the {MAX_PIXELS:,} allowed: "
-                "make the video smaller"
-            )
+            size = f"{what.width} x {what.height} pixels, more than the {MAX_PIXELS:,} allowed"
+            raise VideoError(f"{self.path}: {whose} {size}: make the video smaller")
 
     def _announced(self, stream: Any) -> tuple[int | None, int]:
         """Return the number of frames and of packets that the file announces. A trimmed .mp4 hides some frames."""
@@ -319,11 +285,10 @@ class _File(_Source):
                     self._check_size(frame, f"frame {self.n_seen} has")
                     stamp = float(self.n_seen / self.rate) if frame.time is None else float(frame.time)
                     first = stamp if first is None else first
-                    seconds = stamp - first
                     # Some files (.avi) have times in decoding order; keep times increasing.
-                    last = seconds = seconds if seconds > last else last + float(1 / self.rate)
+                    last = stamp - first if stamp - first > last else last + float(1 / self.rate)
                     self.n_seen += 1
-                    yield seconds, partial(self._picture, frame)
+                    yield last, partial(self._picture, frame)
             if not self.n_damaged and n_read < self.n_packets:
                 self.fault = f"{self.path} is cut short: it has {n_read} of its {self.n_packets} frames"
         except self.errors as fault:
@@ -361,6 +326,5 @@ def pyav(what: str) -> Any:
     try:
         return importlib.import_module("av")  # optional
     except ImportError as error:
-        raise VideoError(
-            f"{what}, but PyAV, which reads and writes videos, is not installed: {installing('video')}"
-        ) from error
+        need = "PyAV, which reads and writes videos, is not installed"
+        raise VideoError(f"{what}, but {need}: {installing('video')}") from error

@@ -1,6 +1,5 @@
 """Write videos: H.264, or VP9 for ``.webm``. Files are written atomically."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -11,6 +10,7 @@ import numpy as np
 
 from liaam.errors import VideoError
 from liaam.io.atomic import atomic_path
+from liaam.io.files import AnyPath
 from liaam.io.images import VIDEO_SUFFIXES
 from liaam.io.video import DEFAULT_RATE, pyav
 
@@ -48,7 +48,7 @@ class VideoWriter:
         import av
 
         if not self.n_frames:
-            self._begin(image.shape[:2])
+            self._begin(*image.shape[:2])
         frame = av.VideoFrame.from_ndarray(self._fitted(image), format="rgb24")
         frame.pts, frame.time_base = self._stamp(time), self._base
         self._container.mux(self._stream.encode(frame))
@@ -67,9 +67,18 @@ class VideoWriter:
         stamp = round((time - self._begun) * _TICKS)
         return stamp if not self.n_frames else max(stamp, self._last + min(step, _LEAST_STEP))
 
-    def _begin(self, size: tuple[int, int]) -> None:
-        name, options = _encoder(self._path)
-        self._size = (size[0] + size[0] % 2, size[1] + size[1] % 2)  # colour is stored for blocks of 2 × 2
+    def _begin(self, height: int, width: int) -> None:
+        import av
+
+        suffix = self._path.suffix.lower()
+        choice = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
+        name, options = next((each for each in choice if each[0] in av.codecs_available), ("", {}))
+        if not name:
+            lack = f"this PyAV lacks the encoder {choice[0][0]}"
+            raise VideoError(f"{self._path}: {lack}; install PyAV from PyPI, or try .mp4")
+        # An .avi cannot store B-frames, which are shown in another order than decoded.
+        options = {**options, "bf": "0"} if suffix == ".avi" else options
+        self._size = (height + height % 2, width + width % 2)  # colour is stored for blocks of 2 × 2
         self._stream = self._container.add_stream(name, rate=self._rate, options=options)
         self._stream.height, self._stream.width = self._size
         self._stream.pix_fmt = "yuv420p"
@@ -94,7 +103,7 @@ class VideoWriter:
 
 
 @contextmanager
-def video_writer(path: str | os.PathLike[str], rate: Fraction | float = DEFAULT_RATE) -> Iterator[VideoWriter]:
+def video_writer(path: AnyPath, rate: Fraction | float = DEFAULT_RATE) -> Iterator[VideoWriter]:
     """Write a video. The file is created when the block ends without an error.
 
     Parameters
@@ -129,15 +138,3 @@ def check_video_name(path: Path) -> None:
     """Raise if the suffix is not that of a video that can be written."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         raise VideoError(f"{path}: a video's name ends in {', '.join(VIDEO_SUFFIXES)}, such as {path.stem}.mp4")
-
-
-def _encoder(path: Path) -> tuple[str, dict[str, str]]:
-    import av
-
-    suffix = path.suffix.lower()
-    choice = _WEB_ENCODERS if suffix == ".webm" else _ENCODERS
-    for name, options in choice:
-        if name in av.codecs_available:
-            # An .avi cannot store B-frames, which are shown in another order than decoded.
-            return name, {**options, "bf": "0"} if suffix == ".avi" else options
-    raise VideoError(f"{path}: this PyAV lacks the encoder {choice[0][0]}; install PyAV from PyPI, or try .mp4")

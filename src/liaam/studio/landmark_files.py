@@ -283,6 +283,4 @@ class LandmarkFiles:
 
 def text_of(landmarks: Landmarks, suffix: str) -> str:
     """Return the text of a landmark file in a format that can be written."""
-    text = writer_of(Path(f"x{suffix}")).text
-    assert text is not None
-    return text(landmarks)
+    return writer_of(Path(f"x{suffix}"))(landmarks)

@@ -4,48 +4,182 @@ Every format is converted to liaam's convention, pixel centres counted from 0. T
 describes the conversion.
 """
 
-import os
 import warnings
+from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
-from liaam.errors import LandmarkError
+from liaam.errors import ImageError, LandmarkError
 from liaam.io.atomic import write_text_atomically
-from liaam.io.landmarks import writers
-from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.contours import Contour
-from liaam.io.landmarks.file import ImagesBeside, LandmarkFile, Size
-from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES, writer_of
+from liaam.io.files import AnyPath, existing_file
+from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
+from liaam.io.landmarks import formats, writers
+from liaam.io.landmarks.base import Contour as Contour, Landmarks, Placing, Size
+from liaam.io.landmarks.formats import FORMATS as FORMATS, LANDMARK_SUFFIXES as LANDMARK_SUFFIXES
 from liaam.io.landmarks.matching import ImageNames
-from liaam.io.landmarks.reading import USUAL, Notes, Reading
+from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, read_text
 
-__all__ = [
-    "FORMATS",
-    "LANDMARK_SUFFIXES",
-    "USUAL",
-    "Contour",
-    "ImageNames",
-    "LandmarkFile",
-    "Landmarks",
-    "Notes",
-    "Reading",
-    "collection_text",
-    "parse_landmark_data",
-    "read_collection",
-    "read_landmarks",
-    "write_collection",
-    "write_landmarks",
-]
+_FRACTION = 1.5  # largest fraction of an image's size of a point beyond its border, or of half its size
+_SMALL = 16  # width and height in pixels up to which all landmarks may lie within one pixel
+SCALED = "positions are for another size of the image, and are scaled along"
+TURNED = "positions are for the photo before its EXIF orientation turns it, and are turned along"
+UNDECIDED = "photos have an EXIF orientation, and nothing says whether positions are for the photos before they are"
+UNDECIDED += " turned; they are taken for the turned ones (--stored-orientation if not)"
+
+
+@dataclass(frozen=True)
+class LandmarkFile(Source):
+    """A landmark file. Its errors name it.
+
+    Where it states the size of its image, positions are scaled or turned along if the image has another size or an EXIF
+    orientation, and refused if the size fits neither.
+    """
+
+    @classmethod
+    def read(
+        cls, path: Path, reading: Reading = USUAL, data: bytes | None = None, notes: Notes | None = None
+    ) -> "LandmarkFile":
+        """Read a file, or take its content from memory."""
+        formats.formats_of(path)
+        path = existing_file(path, LandmarkError, "landmark file") if data is None else path
+        return cls(path, read_text(path, data), reading, notes or Notes(reading.strict))
+
+    @cached_property
+    def form(self) -> formats.Format:
+        """Its format."""
+        return formats.format_of(self)
+
+    @cached_property
+    def entries(self) -> dict[str, Landmarks]:
+        """Its landmarks by the name of their image, or "" if the only one has none; positions are as in the file.
+
+        Further objects of an image are its others, unless they have no point.
+        """
+        try:
+            found = self.form.parse(self)
+        except LandmarkError as fault:
+            raise type(fault)(f"{self.path}: {fault}") from fault
+        except LACKING as fault:
+            if "json" not in self.path.suffix.lower():
+                raise
+            raise LandmarkError(f"{self.path} lacks the parts of a {self.form.title} file: export it again.") from fault
+        if not found:
+            remedy = "place those of at least one image, or export it again."
+            raise LandmarkError(f"{self.path}: no landmarks in it ({self.form.title}): {remedy}")
+        objects = defaultdict[str, list[Landmarks]](list)
+        for own in found:
+            objects[own.image_name or ""].append(replace(own, format=self.form.title))
+        return {
+            image: replace(first, others=(*first.others, *(own for own in others if not own.missing.all())))
+            for image, (first, *others) in objects.items()
+        }
+
+    @property
+    def is_single(self) -> bool:
+        """Whether it is a file of one image."""
+        first = next(iter(self.entries.values()))
+        return first.image_name is None or not self.form.many
+
+    @cached_property
+    def _beside(self) -> "ImagesBeside":
+        return ImagesBeside(self.path.parent)
+
+    def all_placed(self, size: Size | None = None) -> dict[str, Landmarks]:
+        """Return all landmarks in pixels of their images, which have one size if it is given."""
+        return {entry: self.placed(entry, size) for entry in self.entries}
+
+    def placed(self, entry: str, size: Size | None = None, orientation: int = 1, name: str = "") -> Landmarks:
+        """Return the landmarks of an entry in pixels of its image, which notes call by its name.
+
+        If the (width, height) of the upright image is needed but not given, the image that lies beside the file tells
+        it, and its EXIF orientation.
+        """
+        landmarks = self.entries[entry]
+        how, name = landmarks.placing, name or entry or self.path.name
+        try:
+            if size is None and how != Placing():
+                size, orientation = self._beside.size_of(entry, how.size)
+            return landmarks if size is None else self._placed(landmarks, size, orientation, name)
+        except LandmarkError as fault:
+            raise LandmarkError(f"{self.path}: {fault}") from fault
+
+    def _placed(self, landmarks: Landmarks, size: Size, orientation: int, name: str) -> Landmarks:
+        """Place landmarks and the others of their image."""
+        placing, reading, declared = landmarks.placing, self.reading, landmarks.placing.size
+        stored = (size[1], size[0]) if orientation >= 5 else size
+        fits, fits_stored = (  # whether sizes have one ratio, but for rounding to whole pixels
+            declared is not None and abs(declared[0] * each[1] - declared[1] * each[0]) <= max(*declared, *each)
+            for each in (size, stored)
+        )
+        if declared is not None and not fits and not fits_stored:
+            theirs, ours = (f"{width:g} x {height:g}" for width, height in (declared, size))
+            differ = f"the file is for an image of {theirs} pixels, but the image has {ours}, which is no scaled copy"
+            raise LandmarkError(f"{differ}: give the image that was annotated, or annotate this one.")
+        turned = reading.stored if fits == fits_stored else fits_stored
+        if orientation != 1 and not reading.stored and fits == fits_stored:
+            self.notes.say(UNDECIDED, name)
+        target = stored if turned else size
+        frame = declared or target
+        points, known = landmarks.points, landmarks.points[~landmarks.missing]
+        if placing.fractions:
+            points = points * frame
+        elif len(known) > 2 and np.abs(known).max() <= _FRACTION and min(frame) > _SMALL:
+            low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
+            between = f"all positions lie between {low:.3g} and {high:.3g}"
+            raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
+        if placing.upwards and not reading.y_down:
+            points = np.stack([points[:, 0], frame[1] - 1 - points[:, 1]], axis=1)
+        if frame != target:
+            self.notes.say(SCALED, name)
+            points = (points + 0.5) * np.divide(target, frame) - 0.5
+        if turned and orientation != 1:
+            self.notes.say(TURNED, name)
+            points = turn(points, size, orientation)
+        others = tuple(self._placed(other, size, orientation, name) for other in landmarks.others)
+        return replace(landmarks, points=points, others=others, placing=Placing())
+
+
+class ImagesBeside:
+    """The images in a folder, lossless formats first, with the names that landmark files give them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    @cached_property
+    def _names(self) -> ImageNames:
+        files = [file for file in self._folder.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES]
+        return ImageNames(sorted(files, key=lambda file: (PICTURE_SUFFIXES.index(file.suffix.lower()), file.name)))
+
+    def size_of(self, name: str, declared: Size | None = None) -> tuple[Size, int]:
+        """Return the size and orientation of an image, perhaps named on another computer, or the declared size."""
+        fault = ""
+        try:
+            if name:
+                path = self._folder / name
+                there = path.is_file()  # which spares the list of a folder that holds a file for each image
+                return size_and_orientation(path if there else self._names.find(name, self._folder)[0] or path)
+        except (ImageError, OSError) as error:
+            fault = f" ({error})"
+        if declared is not None:
+            return declared, 1
+        remedy = "put the image beside the file, or pass image_size=(width, height) in pixels"
+        raise LandmarkError(f"the size of its image is needed{fault}: {remedy}.")
+
+
+def turn(points: np.ndarray, size: Size, orientation: int) -> np.ndarray:
+    """Turn points (n, 2) on a stored image along with its EXIF orientation; `size` is that of the upright image."""
+    x, y = points.T[::-1] if orientation >= 5 else points.T
+    y = size[1] - 1 - y if orientation in (3, 4, 7, 8) else y
+    x = size[0] - 1 - x if orientation in (2, 3, 6, 7) else x
+    return np.stack([x, y], axis=1)
 
 
 def read_landmarks(
-    path: str | os.PathLike[str],
-    image_size: Size | None = None,
-    image_name: str | None = None,
-    reading: Reading = USUAL,
+    path: AnyPath, image_size: Size | None = None, image_name: str | None = None, reading: Reading = USUAL
 ) -> Landmarks:
     """Read the landmarks of one image.
 
@@ -75,30 +209,21 @@ def read_landmarks(
         several images.
     """
     file = LandmarkFile.read(Path(path), reading)
-    placed = file.placed(_entry_of(file, image_name), image_size)
+    entries = list(file.entries)
+    if len(entries) > 1 and image_name is None:
+        many = f"{len(entries)} images ({', '.join(entries[:3])} ...)"
+        raise LandmarkError(f"{path} holds the landmarks of {many}: use read_collection, or load its folder.")
+    if len(entries) > 1 and image_name is not None:
+        names, same = ImageNames([Path(image_name)]), [e for e in entries if PureWindowsPath(e).name == image_name]
+        entries = same or [entry for entry in entries if names.find(entry)[0] is not None]
+        if not entries:
+            raise LandmarkError(f"{path} has no landmarks of {image_name}: add them, or name another file.")
+    placed = file.placed(entries[0], image_size)
     _warn(file)
     return placed
 
 
-def _entry_of(file: LandmarkFile, image_name: str | None) -> str:
-    """Return the only image of a file, or that with a name."""
-    entries = list(file.entries)
-    if len(entries) == 1:
-        return entries[0]
-    if image_name is None:
-        raise LandmarkError(
-            f"{file.path} holds the landmarks of {len(entries)} images ({', '.join(entries[:3])} ...): use "
-            "read_collection, or load its folder."
-        )
-    names = ImageNames([Path(image_name)])
-    same = [entry for entry in entries if PureWindowsPath(entry).name == image_name]
-    alike = same or [entry for entry in entries if names.find(entry)[0] is not None]
-    if not alike:
-        raise LandmarkError(f"{file.path} has no landmarks of {image_name}: add them, or name another file.")
-    return alike[0]
-
-
-def read_collection(path: str | os.PathLike[str], reading: Reading = USUAL) -> dict[str, Landmarks]:
+def read_collection(path: AnyPath, reading: Reading = USUAL) -> dict[str, Landmarks]:
     """Read a file with the landmarks of many images, such as a table, COCO, ``.tps``, or dlib's ``.xml``.
 
     The images of ``.tps`` and ``.nts`` must lie beside the file. Records with faults are left out, with a warning.
@@ -135,9 +260,7 @@ def parse_landmark_data(
     return next(iter(placed.values())) if file.is_single else placed
 
 
-def write_landmarks(
-    path: str | os.PathLike[str], landmarks: Landmarks | np.ndarray, image_size: Size | None = None
-) -> None:
+def write_landmarks(path: AnyPath, landmarks: Landmarks | np.ndarray, image_size: Size | None = None) -> None:
     """Write the landmarks of one image atomically as ``.pts``, ``.csv``, ``.ljson`` or ``.tps``.
 
     Only ``.ljson`` stores contours and invisible landmarks; ``.ljson`` and ``.csv`` store names; ``.tps`` and
@@ -159,15 +282,10 @@ def write_landmarks(
         If the format cannot be written, the points are invalid, or writing fails.
     """
     path = Path(path)
-    text = writer_of(path).text
-    assert text is not None
-    own = _landmarks(landmarks)
+    text = formats.writer_of(path)
+    own = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
     [own] = _to_write(path, [own], {} if image_size is None else {own.image_name or "": image_size})
     write_text_atomically(path, text(own), LandmarkError)
-
-
-def _landmarks(given: Landmarks | np.ndarray) -> Landmarks:
-    return given if isinstance(given, Landmarks) else Landmarks(given)
 
 
 def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> list[Landmarks]:
@@ -183,9 +301,7 @@ def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> 
 
 
 def write_collection(
-    path: str | os.PathLike[str],
-    collection: Mapping[str, Landmarks | np.ndarray],
-    image_sizes: Mapping[str, Size] | None = None,
+    path: AnyPath, collection: Mapping[str, Landmarks | np.ndarray], image_sizes: Mapping[str, Size] | None = None
 ) -> None:
     """Write the landmarks of many images, by file name, atomically as one ``.csv``, ``.tps`` or COCO ``.json``.
 
@@ -201,15 +317,13 @@ def write_collection(
 
 
 def collection_text(
-    path: str | os.PathLike[str],
-    collection: Mapping[str, Landmarks | np.ndarray],
-    image_sizes: Mapping[str, Size] | None = None,
+    path: AnyPath, collection: Mapping[str, Landmarks | np.ndarray], image_sizes: Mapping[str, Size] | None = None
 ) -> str:
     """Return the text that :func:`write_collection` writes to a file; the path is not used otherwise."""
     path = Path(path)
-    text = writer_of(path, many=True).text_of_many
-    assert text is not None
+    text = formats.writer_of(path, many=True)
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    sizes, named = image_sizes or {}, [replace(_landmarks(own), image_name=name) for name, own in collection.items()]
-    return text(dict(zip(collection, _to_write(path, named, sizes), strict=True)), sizes)
+    every = {name: own if isinstance(own, Landmarks) else Landmarks(own) for name, own in collection.items()}
+    named = [replace(own, image_name=name) for name, own in every.items()]
+    return text(dict(zip(every, _to_write(path, named, image_sizes or {}), strict=True)), image_sizes or {})

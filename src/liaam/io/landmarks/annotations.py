@@ -8,33 +8,20 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache, partial
-from itertools import chain
+from itertools import chain, count
 from pathlib import PureWindowsPath
 from typing import Any
 
 from liaam.errors import LandmarkError
 from liaam.io.files import natural_key
-from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.contours import Contour, chain_edges, edges_from
+from liaam.io.landmarks import reading as rd
+from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, edges_from
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.reading import (
-    MISSING,
-    Found,
-    Source,
-    area_of,
-    named_points,
-    names_of,
-    numbered_alike,
-    of_category,
-    size_of_file,
-    with_names,
-)
-from liaam.io.landmarks.text import check_number, parse_number
+from liaam.io.landmarks.reading import HIDDEN, MISSING, SEEN, Mark, Source
 
-_MOST_MISSING = 20
-"""Maximum ratio of missing to present parts; above it the part names must be wrong."""
+_Mask = tuple[str, list[int]]  # a label, and its landmarks
 
-# COCO ---------------------------------------------------------------------------------------------
+_MOST_MISSING = 20  # maximum ratio of missing to present parts; above it the part names must be wrong
 
 
 def parse_coco(source: Source) -> list[Landmarks]:
@@ -43,25 +30,37 @@ def parse_coco(source: Source) -> list[Landmarks]:
     A keypoint of visibility 0 is missing; one of visibility 1 (labelled but hidden) is invisible. The category's
     keypoint names become the names, and its skeleton (pairs counted from 1, or from 0) the contours.
     """
-    content = source.json
-    images, _ = _by_number(content["images"], "file_name")
-    categories, unclear = _by_number(content.get("categories") or (), "keypoints")
+    images, _ = _by_number(source.json["images"], "file_name")
+    categories, unclear = _by_number(source.json.get("categories") or (), "keypoints")
     if unclear:
         raise LandmarkError(f"several categories have the number {unclear[0]}: give each a number of its own.")
-    annotations = [each for each in content["annotations"] if each.get("keypoints")]
+    annotations = [each for each in source.json["annotations"] if each.get("keypoints")]
     # Keypoints that are all of visibility 0 belong to an object that was not labelled.
     labelled = [each for each in annotations if any(each["keypoints"][2::3]) or len(each["keypoints"]) % 3]
     order = {key: number for number, key in enumerate(images)}
-    labelled.sort(key=lambda each: (order.get(str(each.get("image_id")), -1), -_area(each)))
-    outline = cache(partial(_outline, source, categories))
+    outline = cache(lambda key, n: _outline(source, categories.get(key, {}), n))
 
-    def make(annotation: Any) -> Found:
-        key = str(annotation.get("category_id"))
-        category = categories.get(key, {})
-        kind = tuple(sorted(map(str, category.get("keypoints") or ()))) or len(annotation["keypoints"])
-        return Found(_annotated(annotation, images, outline), key, str(category.get("name", key)), kind)
+    def rank(annotation: Any) -> tuple[int, float]:
+        area, box = rd.area_of(annotation.get("area")), annotation.get("bbox")
+        area = area or rd.area_of(*(box[2:4] if isinstance(box, list) else ()))
+        return order.get(str(annotation.get("image_id")), -1), -area
 
-    return of_category(source, source.each(((f"annotation {each.get('id')}", each) for each in labelled), make))
+    def make(annotation: Any) -> tuple[str, Landmarks]:
+        key, number = str(annotation.get("category_id")), str(annotation.get("image_id"))
+        if number not in images:
+            raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
+        name, values = str(images[number]["file_name"]), annotation["keypoints"]
+        if len(values) % 3:
+            raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v of each: correct it.")
+        seen = (rd.parse_number(value, f"a keypoint of '{name}'") for value in values[2::3])
+        marks = zip(map(str, count(1)), values[::3], values[1::3], seen, strict=False)
+        own = rd.object_of(marks, name, rd.size_of(images[number]))
+        names, contours = outline(key, len(own))
+        return key, replace(own, names=names, contours=contours)
+
+    labelled.sort(key=rank)
+    found = source.each(((f"annotation {each.get('id')}", each) for each in labelled), make)
+    return rd.of_category(source, found, {key: str(each.get("name", key)) for key, each in categories.items()})
 
 
 def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
@@ -71,45 +70,18 @@ def _by_number(records: Any, what: str) -> tuple[dict[str, Any], list[str]]:
     return {key: record for key, record in found.items() if key not in several}, several
 
 
-def _area(annotation: Any) -> float:
-    """Return the area of an annotation, or of its box."""
-    box = annotation.get("bbox")
-    return area_of(annotation.get("area")) or area_of(*(box[2:4] if isinstance(box, list) else ()))
-
-
-def _annotated(annotation: Any, images: dict[str, Any], outline: Any) -> Landmarks:
-    image, values = images.get(str(annotation.get("image_id"))), annotation["keypoints"]
-    if image is None:
-        number = annotation.get("image_id")
-        raise LandmarkError(f"the file has no image {number}: add it, or number several of this number anew.")
-    name = str(image["file_name"])
-    if len(values) % 3:
-        raise LandmarkError(f"image '{name}' has {len(values)} keypoint values, not x, y, v per keypoint: correct it.")
-    numbers = [check_number(value, f"the keypoints of image '{name}'") for value in values]
-    triples = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
-    points: Any = [(x, y) if v else MISSING for x, y, v in triples]
-    invisible = tuple(i for i, v in enumerate(numbers[2::3]) if v == 1)
-    names, contours = outline(str(annotation.get("category_id")), len(points))
-    placing = size_of_file(image.get("width"), image.get("height"))
-    return Landmarks(points, contours, names, name, invisible, placing=placing)
-
-
-def _outline(source: Source, categories: Any, category: str, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
+def _outline(source: Source, category: Any, n: int) -> tuple[tuple[str, ...], tuple[Contour, ...]]:
     """Return the names of a category's keypoints, and their contours, as far as they suit n keypoints."""
-    found = categories.get(category, {})
-    names, skeleton = tuple(map(str, found.get("keypoints") or ())), found.get("skeleton") or ()
+    names, skeleton = tuple(map(str, category.get("keypoints") or ())), category.get("skeleton") or ()
     if names and len(names) != n:
         source.notes.repair("keypoints are read without names, because a category has", f"{len(names)} names for {n}")
         names = ()
     edges = edges_from(skeleton, n)
     if len(edges) < len(skeleton):
-        which = str(len(skeleton))
-        source.notes.repair("edges of the skeleton are left out, because there are no such keypoints", which)
-        return names, ()
+        what = "edges of the skeleton are left out, because there are no such keypoints"
+        source.notes.repair(what, str(len(skeleton)))
+        edges = []
     return names, chain_edges(edges)
-
-
-# LabelMe ------------------------------------------------------------------------------------------
 
 
 def parse_labelme(source: Source) -> list[Landmarks]:
@@ -119,42 +91,32 @@ def parse_labelme(source: Source) -> list[Landmarks]:
     are an object; those without one belong to the only object that lacks their labels. Without points, the only polygon
     or line is read.
     """
-    shapes = source.json["shapes"]
-    points = [shape for shape in shapes if shape.get("shape_type") == "point"]
+    shapes, groups = source.json["shapes"], defaultdict[str, list[Mark]](list)
     lines = [shape for shape in shapes if shape.get("shape_type") in ("polygon", "linestrip", "points")]
-    groups: dict[str, list[tuple[str, Any]]] = {}
-    for shape in points:
-        group = "" if shape.get("group_id") is None else str(shape["group_id"])
-        groups.setdefault(group, []).append((str(shape.get("label")), shape["points"][0]))
-    if len(groups) > 1 and all(len(own) == 1 for own in groups.values()):  # the groups number the points
-        labels = [own[0][0] for own in groups.values()]
-        keys = labels if len({*labels}) == len(labels) else list(groups)
-        pairs = zip(keys, (own[0][1] for own in groups.values()), strict=True)
-        groups = {"": sorted(pairs, key=lambda pair: natural_key(pair[0]))}
-    if len(groups) == 2 and len({label for own in groups.values() for label, _ in own}) == len(points) and "" in groups:
-        groups = {"": [pair for own in groups.values() for pair in own]}
-    if not points and len(lines) == 1:
-        groups = {"": [("", pair) for pair in lines[0]["points"]]}
+    for shape in shapes:
+        if shape.get("shape_type") == "point":
+            group = "" if shape.get("group_id") is None else str(shape["group_id"])
+            groups[group].append((str(shape.get("label")), *shape["points"][0][:2], SEEN))
+    marks = list(chain(*groups.values()))
+    distinct = len({name for name, *_ in marks}) == len(marks)
+    if len(groups) == len(marks) > 1:  # the groups number the points
+        named = [(name if distinct else group, *at) for group, [(name, *at)] in groups.items()]
+        groups = {"": sorted(named, key=lambda mark: natural_key(mark[0]))}
+    if len(groups) == 2 and distinct and "" in groups:
+        groups = {"": marks}
+    if not groups and len(lines) == 1:
+        groups = {"": [("", *pair[:2], SEEN) for pair in lines[0]["points"]]}
     if not groups:
         raise LandmarkError("it has no points: place the landmarks as points.")
-    made = [_shape(source.json, group, own) for group, own in groups.items()]
+    image = PureWindowsPath(str(source.json.get("imagePath") or "")).name or None
+    size = rd.size_of(source.json, "imageWidth", "imageHeight")
+    made = [rd.object_of(own, image, size, group) for group, own in groups.items()]
     usual = Counter(map(len, made)).most_common(1)[0][0]
     for own in made:
         if len(own) != usual:
             which = f"group '{own.label}' of {source.path.name}"
             source.notes.leave_out(which, f"{len(own)} points where others have {usual}")
     return [own for own in made if len(own) == usual]
-
-
-def _shape(content: Any, group: str, pairs: list[tuple[str, Any]]) -> Landmarks:
-    points: Any = [tuple(check_number(value, f"point '{label}'") for value in pair[:2]) for label, pair in pairs]
-    image = PureWindowsPath(str(content.get("imagePath") or "")).name or None
-    placing = size_of_file(content.get("imageWidth"), content.get("imageHeight"))
-    names = names_of([label for label, _ in pairs])
-    return Landmarks(points, names=names, image_name=image, label=group, placing=placing)
-
-
-# Label Studio -------------------------------------------------------------------------------------
 
 
 def parse_label_studio(source: Source) -> list[Landmarks]:
@@ -166,7 +128,7 @@ def parse_label_studio(source: Source) -> list[Landmarks]:
     tasks = source.json if isinstance(source.json, list) else [source.json]
     records = ((f"task {i}", task) for i, task in enumerate(tasks, 1))
     found = source.each(records, partial(_objects_of_task, source))
-    return named_points(source, list(chain.from_iterable(found)))
+    return rd.named_points(source, list(chain.from_iterable(found)))
 
 
 def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
@@ -188,19 +150,14 @@ def _objects_of_task(source: Source, task: dict[str, Any]) -> list[Landmarks]:
 
 
 def _marked(image: str, marks: list[Any]) -> Landmarks:
-    points: Any = [[check_number(mark[axis], f"'{image}'") / 100 for axis in "xy"] for mark in marks]
-    sizes = {(float(mark["original_width"]), float(mark["original_height"])) for mark in marks}
-    if len(sizes) != 1 or size_of_file(*next(iter(sizes))).size is None:
-        raise LandmarkError(f"'{image}' has keypoints for several sizes: label it again.")
+    sizes = {rd.size_of(mark, "original_width", "original_height") for mark in marks}
+    if len(sizes) != 1 or None in sizes:
+        raise LandmarkError(f"'{image}' has keypoints for several sizes, or none: label it again.")
     if any(mark.get("image_rotation") for mark in marks):
         raise LandmarkError(f"'{image}' was labelled on a turned picture: turn the image itself, and label that.")
-    names = names_of([str((mark.get("keypointlabels") or mark["labels"])[0]) for mark in marks])
-    return Landmarks(points, names=names, image_name=image, placing=Placing(next(iter(sizes)), fractions=True))
-
-
-# menpo --------------------------------------------------------------------------------------------
-
-_Mask = tuple[str, list[int]]
+    labels = [str((mark.get("keypointlabels") or mark["labels"])[0]) for mark in marks]
+    own = rd.object_of([(label, mark["x"], mark["y"], SEEN) for label, mark in zip(labels, marks, strict=True)], image)
+    return replace(own, points=own.points / 100, placing=Placing(sizes.pop(), fractions=True))
 
 
 def parse_ljson(source: Source) -> list[Landmarks]:
@@ -217,33 +174,26 @@ def parse_ljson(source: Source) -> list[Landmarks]:
     pairs = [(x, y) for y, x in group["landmarks"]["points"]]
     if not all(type(index) is int for index in chain(*edges, *(mask for _, mask in masks))):
         raise TypeError("an index is no whole number")
-    points: Any = [tuple(check_number(value, f"point {i}") for value in pair) for i, pair in enumerate(pairs, 1)]
+    points: Any = [tuple(rd.parse_number(value, f"point {i}") for value in pair) for i, pair in enumerate(pairs, 1)]
     masks, invisible = _without_invisible(masks, len(points))
-    scale = None if group.get("scale") is None else float(check_number(group["scale"], "the scale"))
+    scale = None if group.get("scale") is None else rd.parse_number(group["scale"], "the scale")
     names = _names_of_masks(masks, len(points))
     return [Landmarks(points, chain_edges(edges), names, None, tuple(invisible), scale)]
 
 
 def _group(content: Any, wanted: str | None) -> Any:
-    """Find the group of landmarks in the content of any version."""
+    """Find the group of landmarks in the content of any version. Join the labelled parts of one shape of version 1."""
     version = content.get("version") if isinstance(content, dict) else None
     if version == 2:
         return content
     if version not in (1, 3):
         raise LandmarkError(f"this is not .ljson version 1, 2 or 3 (it says {version}): export it again with menpo.")
-    groups = content["groups"]
-    if version == 1:
-        return _joined(groups)
-    if (len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups):
-        raise LandmarkError(
-            f"it holds {len(groups)} groups of landmarks ({', '.join(groups)}): choose one of them with --category."
-        )
-    return groups[wanted or next(iter(groups), "")]
-
-
-def _joined(groups: Any) -> Any:
-    """Join the groups of version 1, which are labelled parts of one shape, as version 2 has them."""
-    points, edges, labels = [], [], []
+    groups, points, edges, labels = content["groups"], [], [], []
+    if version == 3 and ((len(groups) > 1 and wanted is None) or (wanted is not None and wanted not in groups)):
+        several = f"{len(groups)} groups of landmarks ({', '.join(groups)})"
+        raise LandmarkError(f"it holds {several}: choose one of them with --category.")
+    if version == 3:
+        return groups[wanted or next(iter(groups), "")]
     for group in groups:
         first, own = len(points), [mark["point"] for mark in group["landmarks"]]
         points += own
@@ -269,9 +219,6 @@ def _names_of_masks(masks: list[_Mask], n_points: int) -> tuple[str, ...]:
     return tuple(by_index[index] for index in range(n_points)) if whole else ()
 
 
-# CVAT ---------------------------------------------------------------------------------------------
-
-
 def parse_cvat(source: Source) -> list[Landmarks]:
     """Parse CVAT for images: each skeleton is an object, and its points are named by their labels.
 
@@ -282,40 +229,31 @@ def parse_cvat(source: Source) -> list[Landmarks]:
         raise LandmarkError("this is CVAT's for a video: export it as 'CVAT for images'.")
     images = source.xml.iter("image")
     records = ((image.get("name", ""), (image, *part)) for image in images for part in _parts_of_image(image))
-    return named_points(source, of_category(source, source.each(records, _skeleton)))
+    return rd.named_points(source, rd.of_category(source, source.each(records, _skeleton), alike=False))
 
 
-def _parts_of_image(image: Any) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the label and the elements of points of each object."""
-    skeletons, points = image.findall("skeleton"), image.findall("points")
-    several = [each for each in points if ";" in each.get("points", "")]
-    yield from ((each.get("label", ""), each.findall("points")) for each in skeletons)
-    if not skeletons:
-        yield from ((each.get("label", ""), [each]) for each in several)
-    groups: dict[str, list[Any]] = defaultdict(list)
-    for point in points if not skeletons and not several else ():
+def _parts_of_image(image: Any) -> list[tuple[str, list[Any]]]:
+    """Return the label and the elements of points of each object."""
+    skeletons, points, groups = image.findall("skeleton"), image.findall("points"), defaultdict[str, list[Any]](list)
+    if skeletons:
+        return [(each.get("label", ""), each.findall("points")) for each in skeletons]
+    if any(";" in each.get("points", "") for each in points):
+        return [(each.get("label", ""), [each]) for each in points if ";" in each.get("points", "")]
+    for point in points:
         groups[point.get("group_id", "")].append(point)
-    yield from (("", group) for group in groups.values())
+    return [("", group) for group in groups.values()]
 
 
-def _skeleton(part: tuple[Any, str, list[Any]]) -> Found:
+def _skeleton(part: tuple[Any, str, list[Any]]) -> tuple[str, Landmarks]:
     image, label, elements = part
-    points: Any = []
-    names, invisible = [], []
+    marks: list[Mark] = []
     for element in elements:
-        for pair in element.get("points", "").split(";"):
-            x, y = (parse_number(value, f"'{image.get('name')}'") for value in pair.split(","))
-            invisible += [len(points)] if element.get("occluded") == "1" else []
-            points.append(MISSING if element.get("outside") == "1" else (x, y))
-            names.append(element.get("label", ""))
+        seen = MISSING if element.get("outside") == "1" else HIDDEN if element.get("occluded") == "1" else SEEN
+        marks += [(element.get("label", ""), *pair.split(","), seen) for pair in element.get("points", "").split(";")]
     attributes = [element.findtext("attribute", "").strip() for element in elements]
-    numbered = len({*names}) == 1 < len({*attributes}) == len(points)
-    named, placing = names_of(attributes if numbered else names), size_of_file(image.get("width"), image.get("height"))
-    own = Landmarks(points, (), named, image.get("name", ""), tuple(invisible), placing=placing)
-    return Found(own, label, kind=label)
-
-
-# dlib ---------------------------------------------------------------------------------------------
+    if len({name for name, *_ in marks}) == 1 < len({*attributes}) == len(marks):  # they number the points
+        marks = [(name, *at) for name, (_, *at) in zip(attributes, marks, strict=True)]
+    return label, rd.object_of(marks, image.get("name", ""), rd.size_of(image))
 
 
 def parse_dlib(source: Source) -> list[Landmarks]:
@@ -324,42 +262,28 @@ def parse_dlib(source: Source) -> list[Landmarks]:
     Parts are in natural order of their names (1, 2, ... 10) over all images. If a box lacks a part, that landmark is
     missing. Boxes that are marked ``ignore`` are left out.
     """
-    images = source.xml.iter("image")
-    boxes = ((f"box {n} of {image.get('file', '')}", (image, box)) for image in images for n, box in _boxes(image))
-    every = [each for each in source.each(boxes, _box) if each]
-    of_label: dict[str, set[str]] = defaultdict(set)
-    for each in every:
-        of_label[each.category].update(each.landmarks.names)
-    found = of_category(source, [replace(each, kind=of_label[each.category]) for each in every])
-    found = numbered_alike(found)
+    found = rd.numbered_alike(rd.of_category(source, filter(None, source.each(_boxes(source), _box))))
     names = sorted({name for own in found for name in own.names}, key=natural_key)
     if len(names) * len(found) > _MOST_MISSING * sum(map(len, found)):
-        raise LandmarkError(
-            f"its {len(found)} boxes share hardly any of the {len(names)} part names: give a part the same name in all "
-            "images."
-        )
-    return [with_names(own, names) for own in found]
+        few = f"its {len(found)} boxes share hardly any of the {len(names)} part names"
+        raise LandmarkError(f"{few}: give a part the same name in all images.")
+    return [own.with_names(names) for own in found]
 
 
-def _boxes(image: Any) -> Iterator[tuple[int, Any]]:
-    """Yield the boxes of an image that are not marked to be ignored, the largest first."""
-    boxes = list(enumerate(image.iterfind("box"), 1))  # direct children, so that nested ones are not repeated
-    for number, box in sorted(boxes, key=lambda each: -area_of(each[1].get("width"), each[1].get("height"))):
-        if box.get("ignore", "0").lower() in ("0", "false", "no", ""):
-            yield number, box
+def _boxes(source: Source) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Yield each image with each of its boxes that are not marked to be ignored, the largest first."""
+    for image in source.xml.iter("image"):
+        boxes = list(enumerate(image.iterfind("box"), 1))  # direct children, so that nested ones are not repeated
+        for number, box in sorted(boxes, key=lambda each: -rd.area_of(each[1].get("width"), each[1].get("height"))):
+            if box.get("ignore", "0").lower() in ("0", "false", "no", ""):
+                yield f"box {number} of {image.get('file', '')}", (image, box)
 
 
-def _box(pair: tuple[Any, Any]) -> Found | None:
+def _box(pair: tuple[Any, Any]) -> tuple[str, Landmarks] | None:
     image, box = pair
-    parts: dict[str, Any] = {}
-    for part in box.iterfind("part"):
-        where = f"part '{part.get('name')}' of image '{image.get('file', '')}'"
-        if part.get("name") in parts:
-            raise LandmarkError(f"{where} occurs twice: remove one of them.")
-        parts[part.get("name", "")] = [parse_number(part.get(axis, ""), where) for axis in "xy"]
-    if not parts:
-        return None
-    points: Any = list(parts.values())
-    placing = size_of_file(image.get("width"), image.get("height"))
-    own = Landmarks(points, names=tuple(parts), image_name=image.get("file", ""), placing=placing)
-    return Found(own, (box.findtext("label") or "").strip())
+    marks = [(part.get("name", ""), part.get("x", ""), part.get("y", ""), SEEN) for part in box.iterfind("part")]
+    twice = [name for name, n in Counter(name for name, *_ in marks).items() if n > 1]
+    if twice:
+        raise LandmarkError(f"part '{twice[0]}' of image '{image.get('file', '')}' occurs twice: remove one of them.")
+    label = (box.findtext("label") or "").strip()
+    return (label, rd.object_of(marks, image.get("file", ""), rd.size_of(image))) if marks else None

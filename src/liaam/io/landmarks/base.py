@@ -1,4 +1,4 @@
-"""The class `Landmarks`.
+"""The classes `Landmarks` and `Contour`.
 
 In liaam a landmark is (x, y) = (column, row) in pixels, with (0, 0) at the centre of the top-left pixel.
 A missing landmark is (NaN, NaN). Each format's module converts from and to its own convention.
@@ -7,28 +7,47 @@ A missing landmark is (NaN, NaN). Each format's module converts from and to its 
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
+from itertools import count, pairwise
 from typing import Any
 
 import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.files import count_of, name_key, some_names
-from liaam.io.landmarks.contours import Contour
+
+Size = tuple[float, float]  # width and height
+
+
+@dataclass(frozen=True)
+class Contour:
+    """A line through landmarks, such as an eyelid or the jaw.
+
+    Attributes
+    ----------
+    indices : tuple of int
+        Landmarks along the line, counted from 0. A closed line does not repeat the first.
+    closed : bool
+        Whether the last landmark is connected to the first.
+    """
+
+    indices: tuple[int, ...]
+    closed: bool = False
+
+    @classmethod
+    def all_of(cls, pairs: Iterable[tuple[Iterable[int], bool]]) -> "tuple[Contour, ...]":
+        """Return the contours of (indices, closed), as a model has them."""
+        return tuple(cls(tuple(indices), closed) for indices, closed in pairs)
 
 
 @dataclass(frozen=True)
 class Placing:
     """What the positions in a file count from."""
 
-    size: tuple[float, float] | None = None
-    """Width and height of the image that the positions are for, if the file states it."""
-    upwards: bool = False
-    """Whether y counts upwards from the bottom row."""
-    fractions: bool = False
-    """Whether x and y are fractions of the width and height."""
+    size: Size | None = None  # that of the image, if the file states it
+    upwards: bool = False  # whether y counts upwards from the bottom row
+    fractions: bool = False  # whether x and y are fractions of the width and height
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +73,7 @@ class Landmarks:
     label : str
         What the file calls this object, such as the ID of a specimen, or empty.
     placing : Placing
-        What the positions count from, until :func:`liaam.io.landmarks.in_pixels` has converted them.
+        What the positions count from, until they are converted to pixels of the image.
     format : str
         Name of the file's format, or empty.
 
@@ -77,7 +96,19 @@ class Landmarks:
     format: str = ""
 
     def __post_init__(self) -> None:
-        points = _checked_points(self.points)
+        try:
+            points = np.array(self.points, dtype=np.float64)
+        except (TypeError, ValueError) as fault:
+            raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
+            raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
+        half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
+        if len(half):
+            which = f"landmark {half[0] + 1} (counting from 1)"
+            raise LandmarkError(f"{which} has only one of x and y: give both, or leave out both.")
+        if np.isinf(points).any():
+            raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
+        points.setflags(write=False)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "invisible", tuple(sorted(set(self.invisible))))
         if self.names and len(self.names) != len(points):
@@ -86,8 +117,8 @@ class Landmarks:
         for what, indices in (("a contour names", in_contours), ("marked as invisible is", self.invisible)):
             wrong = [i for i in indices if not 0 <= i < len(points)]
             if wrong:
-                there = f"there are {len(points)} landmarks: correct the indices"
-                raise LandmarkError(f"{what} landmark {wrong[0]} (counting from 0), but {there}.")
+                which = f"{what} landmark {wrong[0]} (counting from 0)"
+                raise LandmarkError(f"{which}, but there are {len(points)} landmarks: correct the indices.")
         if self.scale is not None and not 0 < self.scale < math.inf:
             raise LandmarkError(f"the scale is {self.scale:g}: give the length of a pixel, a positive number.")
 
@@ -127,19 +158,23 @@ class Landmarks:
         LandmarkError
             If some of the names are missing, or name several landmarks.
         """
-        wanted, own = _keys(names), _keys(self.names)
+        wanted, own = ([without_zeros(name_key(name.strip())) for name in each] for each in (names, self.names))
         if min(len(set(wanted)) - len(names), len(set(own)) - len(self.names)) < 0:
             wanted, own = list(names), list(self.names)
         if self.names == tuple(names) or not set(wanted) & set(own):
             return self
-        counts, place = Counter(own), {key: i for i, key in enumerate(own)}
+        counts = Counter(own)
         lacking = [name for name, key in zip(names, wanted, strict=True) if counts[key] != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
-        return self.in_order([place[key] for key in wanted], names)
+        called = dict(zip(wanted, names, strict=True))
+        renamed = (called.get(key, name) for key, name in zip(own, self.names, strict=True))
+        return replace(self, names=tuple(renamed)).with_names(names)
 
-    def in_order(self, order: Sequence[int], names: Sequence[str]) -> "Landmarks":
-        """Return the landmarks of these indices, -1 for one that is missing, with these names."""
+    def with_names(self, names: Sequence[str]) -> "Landmarks":
+        """Return the landmarks of these names, in this order; those that lack are missing."""
+        place = {name: i for i, name in enumerate(self.names)}
+        order = [place.get(name, -1) for name in names]
         at = {old: new for new, old in enumerate(order) if old >= 0}
         contours = (Contour(tuple(at.get(i, -1) for i in each.indices), each.closed) for each in self.contours)
         return replace(
@@ -151,29 +186,55 @@ class Landmarks:
         )
 
 
-def _keys(names: Sequence[str]) -> list[str]:
-    return [without_zeros(name_key(name.strip())) for name in names]
-
-
 def without_zeros(name: str) -> str:
     """Return a name that is a number without zeros in front."""
     return re.sub(r"\A0+(?=\d+\Z)", "", name)
 
 
-def _checked_points(points: Any) -> np.ndarray:
-    """Return the points as a read-only (n, 2) float64 copy."""
-    try:
-        points = np.array(points, dtype=np.float64)
-    except (TypeError, ValueError) as fault:
-        raise LandmarkError(f"the landmarks are not numbers ({fault}): give an (n, 2) array of x, y.") from fault
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
-        raise LandmarkError(f"the landmarks have shape {points.shape}: give an (n, 2) array of x, y with n > 0.")
-    half = np.flatnonzero(np.isnan(points).sum(axis=1) == 1)
-    if len(half):
-        raise LandmarkError(
-            f"landmark {half[0] + 1} (counting from 1) has only one of x and y: give both, or leave out both."
-        )
-    if np.isinf(points).any():
-        raise LandmarkError("a landmark is infinite: give finite pixels, or NaN for a missing one.")
-    points.setflags(write=False)
-    return points
+def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
+    """Make a contour. A repeated first point closes it; a single point gives None."""
+    if len(indices) > 2 and indices[0] == indices[-1]:
+        indices, closed = indices[:-1], True
+    return Contour(tuple(indices), closed) if len({*indices}) > 1 else None
+
+
+def edges_of(contours: Iterable[Contour]) -> list[tuple[int, int]]:
+    """List the edges between neighbours along the contours."""
+    closed = (contour.indices + contour.indices[: int(contour.closed)] for contour in contours)
+    return [edge for indices in closed for edge in pairwise(indices)]
+
+
+def edges_from(pairs: Iterable[object], n: int) -> list[tuple[int, int]]:
+    """Return those pairs of numbers that are edges between n landmarks. They count from 1, unless one of them is 0."""
+    lists = [pair for pair in pairs if isinstance(pair, list) and len(pair) == 2]
+    sound = [pair for pair in lists if all(type(number) in (int, float) for number in pair)]
+    first = 0 if any(0 in edge for edge in sound) else 1
+    return [(int(a) - first, int(b) - first) for a, b in sound if {a - first, b - first} <= {*range(n)}]
+
+
+def chain_edges(edges: Iterable[tuple[int, int]]) -> tuple[Contour, ...]:
+    """Join edges into contours, the inverse of `edges_of` for contours that do not touch.
+
+    Lines end at loose ends and where three or more edges meet; lines without ends are closed. Repeated edges
+    count once, and edges from a landmark to itself are ignored.
+    """
+    neighbours: dict[int, dict[int, None]] = {}  # sets in order
+    for start, end in edges:
+        if start != end:
+            neighbours.setdefault(start, {})[end] = None
+            neighbours.setdefault(end, {})[start] = None
+    used: set[frozenset[int]] = set()
+    chains = []
+    # From ends and junctions first: what is left are closed lines.
+    for start in sorted(neighbours, key=lambda node: len(neighbours[node]) == 2):
+        for node in neighbours[start]:
+            chain = [start]
+            while (edge := frozenset((chain[-1], node))) not in used and len(edge) == 2:
+                used.add(edge)
+                chain.append(node)
+                if len(neighbours[node]) == 2:  # else this is the last
+                    node = next(other for other in neighbours[node] if other != chain[-2])
+            chains.append(chain)
+    contours = (contour_of(chain, closed=False) for chain in chains)
+    order = {node: number for number, node in enumerate(neighbours)}
+    return tuple(sorted(filter(None, contours), key=lambda contour: min(order[node] for node in contour.indices)))

@@ -1,13 +1,16 @@
-"""The table of landmark formats. Documentation, help, messages, the studio and tests are made from it."""
+"""The table of landmark formats. Documentation, help, messages, the studio and tests are made from it.
+
+A new format is a function that makes landmarks of a `Source`, as those of :mod:`~liaam.io.landmarks.plain` do, a row in
+`FORMATS`, and, if others have its suffix, what tells it from those that come later, in `_TOLD`.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks import annotations as an, morphometrics as morph, plain, tables, writers as out
+from liaam.io.landmarks import annotations as an, plain, tables, writers as out
 from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.columns import has_points, pairs_of
 from liaam.io.landmarks.reading import Source, UnrecognisedError
 
 
@@ -15,22 +18,16 @@ from liaam.io.landmarks.reading import Source, UnrecognisedError
 class Format:
     """A landmark file format."""
 
-    title: str
-    """Name of the format."""
-    suffixes: tuple[str, ...]
-    """Suffixes of its files, lower case."""
-    origin: str
-    """What its numbers count from, for the documentation."""
-    many: bool
-    """Whether one file can hold many images."""
+    title: str  # name of the format
+    suffixes: tuple[str, ...]  # suffixes of its files, lower case
+    origin: str  # what its numbers count from, for the documentation
+    many: bool  # whether one file can hold many images
     contours: bool
     names: bool
-    parse: Callable[[Source], list[Landmarks]]
-    """Make the landmarks of each object, as the file counts them."""
+    parse: Callable[[Source], list[Landmarks]]  # make the landmarks of each object, as the file counts them
+    # The text of one image's landmarks, and of those of many images of these sizes; None if it is not written.
     text: Callable[[Landmarks], str] | None = None
-    """Format landmarks as a file's text; None if the format is read-only. y of ``.tps`` counts upwards."""
     text_of_many: Callable[[Mapping[str, Landmarks], out.Sizes], str] | None = None
-    """Format the landmarks of many images, of these sizes, as a file's text."""
 
 
 _CENTRES = "centres counted from 0"
@@ -44,23 +41,21 @@ _TABLES = (".csv", ".tsv", ".txt")
 _IMAGES, _LINES, _NAMES = True, True, True  # whether a format holds many images, contours, names
 
 FORMATS: tuple[Format, ...] = (
-    Format("300-W points", (".pts",), _FIRST, False, False, False, plain.parse_pts, text=out.pts_text),
-    Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, text=out.ljson_text),
+    Format("300-W points", (".pts",), _FIRST, False, False, False, plain.parse_pts, out.pts_text),
+    Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, out.ljson_text),
     Format("WebMorph template", (".tem",), _TAKEN, False, _LINES, False, plain.parse_tem),
     Format("AAM-API shape", (".asf",), _FRACTIONS, False, _LINES, False, plain.parse_asf),
     Format("LabelMe", (".json",), _TAKEN, False, False, _NAMES, an.parse_labelme),
     Format("CVAT for images", (".xml",), _TAKEN, _IMAGES, False, _NAMES, an.parse_cvat),
     Format("dlib imglab", (".xml",), _CENTRES, _IMAGES, False, _NAMES, an.parse_dlib),
     Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio),
-    Format(
-        "COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, text_of_many=out.coco_collection
-    ),
-    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, morph.parse_tps, out.tps_text, out.tps_collection),
-    Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, morph.parse_nts),
+    Format("COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, None, out.coco_of_many),
+    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, plain.parse_tps, out.tps_text, out.tps_of_many),
+    Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, plain.parse_nts),
     Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes),
     Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
     Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
-    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_collection),
+    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_of_many),
     Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, tables.parse_list),
     Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines),
 )
@@ -68,17 +63,17 @@ FORMATS: tuple[Format, ...] = (
 
 A file of its own takes precedence over one for many images."""
 
-_TOLD: dict[str, Callable[[Source], bool]] = {
+_TOLD: dict[str, Callable[[Source], object]] = {
     "LabelMe": lambda file: isinstance(file.object.get("shapes"), list),
     "CVAT for images": lambda file: file.xml.tag == "annotations",
     "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
-    "COCO keypoints": lambda file: bool({"images", "annotations"} & file.object.keys()),
+    "COCO keypoints": lambda file: {"images", "annotations"} & file.object.keys(),
     "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
     "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
-    "table of one row an image": lambda file: len(pairs_of(file.rows[0][1])) > 1,
-    "table": lambda file: has_points(file.header),
+    "table of one row an image": lambda file: len(tables.pairs_of(file.rows[0][1])) > 1,
+    "table": lambda file: tables.has_points(file.header),
     "list of lines with an image's name": tables.is_list,
-    "lines of x and y, HELEN's": plain.is_lines,
+    "lines of x and y, HELEN's": plain.lines_of,
 }
 """What tells a file of a format from others of its suffix that come later."""
 
@@ -113,9 +108,8 @@ def format_of(source: Source) -> Format:
     suffix = source.path.suffix.lower()
     if suffix == ".json":
         raise UnrecognisedError(f"this is none of {titles_of(suffix)}: export it as one of these.")
-    raise UnrecognisedError(
-        "there are no columns x and y, or rows of x and y: name the columns in the first line, as x,y."
-    )
+    remedy = "name the columns in the first line, as x,y"
+    raise UnrecognisedError(f"there are no columns x and y, or rows of x and y: {remedy}.")
 
 
 def may_hold_many(path: Path) -> bool:
@@ -123,14 +117,14 @@ def may_hold_many(path: Path) -> bool:
     return path.suffix.lower() == ".asf" or any(form.many for form in formats_of(path))
 
 
-def writer_of(path: Path, many: bool = False) -> Format:
-    """Return the format that is written for a suffix. Raise if there is none."""
+def writer_of(path: Path, many: bool = False) -> Callable[..., str]:
+    """Return the function that formats the landmarks of one image, or of many, for a suffix. Raise if there is none."""
     known = formats_of(path)
-    writable = [form for form in FORMATS if (form.text_of_many if many else form.text) is not None]
-    for form in writable:
-        if form in known:
-            return form
-    use = ", ".join(form.suffixes[0] for form in writable)
+    writers = {form: form.text_of_many if many else form.text for form in FORMATS}
+    for form in known:
+        if (text := writers[form]) is not None:
+            return text
+    use = ", ".join(form.suffixes[0] for form, text in writers.items() if text is not None)
     if many:
         raise LandmarkError(f"{path} cannot be written: only {use} hold many images. Use such an extension.")
     holds_many = any(form.text_of_many is not None for form in known)

@@ -3,23 +3,20 @@
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from urllib.parse import unquote
 
 from liaam.io.files import name_key
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
-ENCODINGS = ("cp1251", "cp1252", "cp1250", "cp932", "gb18030", "big5", "euc_kr")
-ENCODINGS += ("koi8_r", "cp866", "cp437", "mac_roman")
-"""Encodings of names that are tried, because text that is not UTF-8 is read as Latin-1."""
-
+# Encodings of names that are tried, because text that is not UTF-8 is read as Latin-1.
+CODECS = ("cp1251", "cp1252", "cp1250", "cp932", "gb18030", "big5", "euc_kr", "koi8_r", "cp866", "cp437", "mac_roman")
 CASE = "images are named in another case in the landmark file"
 EXTENSION = "images are named with another extension in the landmark file"
 SPELLING = "images are named in another spelling in the landmark file"
 
-_UPLOADED = r"^[0-9a-f]{8}-(?=.)"
-"""What Label Studio puts before the names of images that are uploaded."""
-
+_UPLOADED = r"^[0-9a-f]{8}-(?=.)"  # what Label Studio puts before the names of images that are uploaded
 _SUFFIXES = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES}
 
 
@@ -27,8 +24,7 @@ class ImageNames:
     """Images by name, given in order of preference where several have one stem."""
 
     def __init__(self, images: Iterable[Path]) -> None:
-        self._by_name: dict[str, list[Path]] = defaultdict(list)
-        self._by_stem: dict[str, list[Path]] = defaultdict(list)
+        self._by_name, self._by_stem = defaultdict[str, list[Path]](list), defaultdict[str, list[Path]](list)
         for image in images:
             self._by_name[name_key(image.name)].append(image)
             self._by_stem[name_key(image.stem)].append(image)
@@ -36,8 +32,7 @@ class ImageNames:
     def find(self, entry: str, folder: Path = Path()) -> tuple[Path | None, str]:
         """Return the one image that an entry of a file in a folder names, if any, and what to say about the name."""
         for text, spelling in _spellings(entry):
-            path = PurePosixPath(text.replace("\\", "/"))
-            found, how = self._find(path, folder)
+            found, how = self._find(PurePosixPath(text.replace("\\", "/")), folder)
             if found is not None:
                 return found, how or spelling
         return None, ""
@@ -52,21 +47,14 @@ class ImageNames:
     def _find(self, path: PurePosixPath, folder: Path) -> tuple[Path | None, str]:
         named = self._by_name.get(name_key(path.name), [])
         best = _best(named, path, folder)
-        if best is not None:
-            return best, "" if _same(best.name, path.name) else CASE
         if named:
-            return None, ""
+            cases = best is not None and all(name_key(name) == name.casefold() for name in (best.name, path.name))
+            return best, CASE if best is not None and best.name != path.name and cases else ""
         other = path.suffix.lower() in _SUFFIXES
         stem = path.stem if other else path.name
-        alike = self._by_stem.get(name_key(stem), [])
-        firsts = {image.parent: image for image in reversed(alike)}
+        firsts = {image.parent: image for image in reversed(self._by_stem.get(name_key(stem), []))}
         best = _best(list(firsts.values()), path.parent / stem, folder)
         return best, EXTENSION if other else ""
-
-
-def _same(name: str, other: str) -> bool:
-    """Whether names differ in composed letters only."""
-    return name == other or name.casefold() != name_key(name) or name_key(other) != other.casefold()
 
 
 def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:
@@ -76,9 +64,8 @@ def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:
         return next(iter(exact or images), None)
 
     def shared(image: Path) -> int:
-        pairs = zip(reversed(image.parts[:-1]), reversed(path.parts[:-1]), strict=False)
-        alike = [name_key(a) == name_key(b) for a, b in pairs]
-        return [*alike, False].index(False)
+        pairs = zip(image.parts[-2::-1], path.parts[-2::-1], strict=False)
+        return [*(name_key(a) == name_key(b) for a, b in pairs), False].index(False)
 
     ranked = sorted(images, key=shared, reverse=True)
     return ranked[0] if shared(ranked[0]) > shared(ranked[1]) else None
@@ -87,6 +74,11 @@ def _best(images: list[Path], path: PurePosixPath, folder: Path) -> Path | None:
 def names_picture(entry: str) -> bool:
     """Whether a text, perhaps an address, ends as the name of a picture."""
     return PurePosixPath(_path_of(entry)).suffix.lower() in _SUFFIXES
+
+
+def without_title(name: str) -> str:
+    """Return an image's name without what ImageJ adds to it: ``a.png:eye``, ``stack.tif:a.png``."""
+    return next((part for part in reversed(re.split(r":(?![\\/])", name)) if names_picture(part)), name)
 
 
 def stem_of(entry: str) -> str:
@@ -104,16 +96,11 @@ def _spellings(entry: str) -> Iterator[tuple[str, str]]:
     """Yield an entry as it is, and as it may have been meant."""
     if "://" not in entry:  # else its end may be that of a query
         yield entry, ""
-    entry = entry.strip()
-    entry = _path_of(entry)
+    entry = _path_of(entry.strip())
     yield entry, SPELLING
     folder, _, name = entry.replace("\\", "/").rpartition("/")
     if re.match(_UPLOADED, name):
         yield f"{folder}/{name[9:]}", SPELLING
-    if entry.isascii():
-        return
-    for encoding in ENCODINGS:
-        try:
+    for encoding in () if entry.isascii() else CODECS:
+        with suppress(UnicodeError):
             yield entry.encode("latin-1").decode(encoding), SPELLING
-        except UnicodeError:
-            continue

@@ -1,21 +1,25 @@
-"""Files of the landmarks of one image, as text: 300-W ``.pts``, ``.tem``, ``.asf``, StereoMorph, and lines of x and y.
+"""Text files of points: 300-W, ``.tem``, ``.asf``, StereoMorph, lines of x and y, and ``.tps`` and ``.nts``.
 
-A missing landmark is written ``nan nan``, or by another of the usual words.
+A missing landmark is written ``nan nan``, or by another of the usual words. In ``.tps`` and ``.nts`` y counts
+**upwards from the bottom** row.
 """
 
+import math
 import operator
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
+import numpy as np
+
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number
-from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.contours import Contour, chain_edges, contour_of
+from liaam.io.landmarks import reading as rd
+from liaam.io.landmarks.base import Contour, Landmarks, Placing, chain_edges, contour_of
 from liaam.io.landmarks.matching import names_picture
-from liaam.io.landmarks.reading import Source, named_points, names_of
-from liaam.io.landmarks.text import check_count, decimal, parse_count, parse_number, parse_pair, parse_point
+from liaam.io.landmarks.reading import Source
 
 _COUNT = re.compile(r"n_?points\s*(?:[:=]\s*)?(\S+)", re.IGNORECASE)  # \s*[:=]?\s* would backtrack
 _COMMENT = re.compile(r"(#|//|%).*")
@@ -25,6 +29,13 @@ _IMAGE = re.compile(r"<image\.name\b[^<>]*>([^<]*)</image\.name\s*>")
 _NUMBER = r"(?:[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan|na)"
 _LINE = re.compile(
     rf"(?:\"?(?P<name>[^\"\t,;]*?[^\"\s,;])\"?[\s,;]+)?(?P<x>{_NUMBER})[\s,;]+(?P<y>{_NUMBER})", re.IGNORECASE
+)
+_UPWARDS = Placing(upwards=True)
+_KEY = re.compile(r"([A-Za-z]\w*)\s*=\s*(.*)")
+_MATRIX = re.compile(
+    r"1\s+(?P<rows>\d{1,9})(?P<named>[lbe]?)\s+(?P<columns>\d{1,9})(?P<columns_named>l?)"
+    r"(?:\s+(?P<missing>[01])(?:\s+(?P<value>-?(?:\d+(?:\.\d*)?|\.\d+)))?)?(?:\s+dim\s*=\s*(?P<dim>\d))?\s*",
+    re.IGNORECASE,
 )
 _FEWEST, _LONGEST = 2, 300
 
@@ -39,10 +50,10 @@ def parse_pts(source: Source) -> list[Landmarks]:
     lines = [line for line in body.splitlines() if line.strip()]
     count = _COUNT.search(header)
     if count is not None:
-        check_count("header", parse_count(count[1], "points"), lines)
+        rd.check_count("header", rd.parse_count(count[1], "points"), lines)
     if not brace:
         raise LandmarkError("there is no '}' after its points; it may be cut short: export it again.")
-    pairs = [parse_pair(line, f"point {number}") for number, line in enumerate(lines, 1)]
+    pairs = [rd.parse_pair(line, f"point {number}") for number, line in enumerate(lines, 1)]
     points: Any = [(x - 1, y - 1) for x, y in pairs]
     return [Landmarks(points)]
 
@@ -56,16 +67,16 @@ def parse_asf(source: Source) -> list[Landmarks]:
     lines = [line for line in source.lines if not line.startswith("#")]
     if not lines:
         raise LandmarkError("it holds comments only; it may be cut short: export it again.")
-    count = parse_count(lines[0], "points")
+    count = rd.parse_count(lines[0], "points")
     columns = [line.split() for line in lines[1:]]
     rows = [row for row in columns if len(row) >= _ASF_COLUMNS]
-    check_count("header", count, rows)
+    rd.check_count("header", count, rows)
     points, edges = {}, []
     for row in rows:
-        index, _, target = (parse_count(token, "a point") for token in row[4:7])
+        index, _, target = (rd.parse_count(token, "a point") for token in row[4:7])
         if max(index, target) >= count:
             raise LandmarkError(f"it names point {max(index, target)}, but has points 0 to {count - 1}: correct it.")
-        points[index] = [parse_number(cell, f"point {index}") for cell in row[2:4]]
+        points[index] = [rd.parse_number(cell, f"point {index}") for cell in row[2:4]]
         edges.append((index, target))
     if len(points) < count:
         lacking = min({*range(count)} - points.keys())
@@ -82,23 +93,19 @@ def parse_tem(source: Source) -> list[Landmarks]:
     or the corner of the first pixel, and landmarks are placed by hand to about a pixel. The lines become contours: a
     count, then for each 0 (open) or 1 (closed), the number of points and their indices from 0.
     """
-    count = parse_count(source.lines[0], "points")
+    count = rd.parse_count(source.lines[0], "points")
     pairs = source.lines[1 : count + 1]
-    check_count("first line", count, pairs)
-    points: Any = [parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
-    contours = _template_lines(" ".join(source.lines[count + 1 :]).split())
-    return [Landmarks(points, tuple(contour for contour in contours if contour is not None))]
-
-
-def _template_lines(tokens: list[str]) -> list[Contour | None]:
-    numbers, contours = (parse_count(token, "a line template") for token in tokens), []
+    rd.check_count("first line", count, pairs)
+    points: Any = [rd.parse_pair(line, f"point {number}") for number, line in enumerate(pairs, 1)]
+    tokens, contours = " ".join(source.lines[count + 1 :]).split(), []
+    numbers = (rd.parse_count(token, "a line template") for token in tokens)
     try:
         for _ in range(next(numbers) if tokens else 0):
             closed = next(numbers) == 1
             contours.append(contour_of([next(numbers) for _ in range(next(numbers))], closed))
     except StopIteration:
         raise LandmarkError("it ends within its line templates; it may be cut short: export it again.") from None
-    return contours
+    return [Landmarks(points, tuple(contour for contour in contours if contour is not None))]
 
 
 def parse_shapes(source: Source) -> list[Landmarks]:
@@ -110,14 +117,9 @@ def parse_shapes(source: Source) -> list[Landmarks]:
     lines = [line.strip() for line in matrix.splitlines() if line.strip()]
     rows = [re.split(r"\t+| +(?=\S+$)| +(?=\S+\s+\S+$)", line) for line in lines]
     rows = [[cell.strip("\"' ") for cell in row] for row in rows if len(row) in (2, 3) and row[-1].strip("\"'") != "y"]
-    points: Any = [parse_point(row[-2:], f"'{row[0]}'") for row in rows]
+    points: Any = [rd.parse_point(row[-2:], f"'{row[0]}'") for row in rows]
     names = tuple(row[0] for row in rows if len(row) == 3)
     return [Landmarks(points, (), names, image[1].strip("\"' \n\t") if image else None)]
-
-
-def is_lines(source: Source) -> bool:
-    """Whether all lines, perhaps but the first, are ``x y`` or ``name x y``, and all or none have names."""
-    return bool(_matches(source))
 
 
 def parse_lines(source: Source) -> list[Landmarks]:
@@ -125,16 +127,21 @@ def parse_lines(source: Source) -> list[Landmarks]:
 
     HELEN's begin with the image's name. A first line with the number of points is skipped.
     """
-    matches, first = _matches(source), _first(source)
-    points: Any = [parse_point(match.group("x", "y"), match[0]) for match in matches]
-    names = names_of([match["name"] for match in matches if match["name"]])
-    return named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
+    matches, first = lines_of(source), _first(source)
+    points: Any = [rd.parse_point(match.group("x", "y"), match[0]) for match in matches]
+    names = rd.names_of([match["name"] for match in matches if match["name"]])
+    return rd.named_points(source, [Landmarks(points, (), names, None if first.isdigit() else first or None)])
 
 
-def _matches(source: Source) -> list[re.Match[str]]:
+def lines_of(source: Source) -> list[re.Match[str]]:
+    """Match all lines, perhaps but the first, as ``x y`` or ``name x y``. Return none if some differ."""
     if len(max(source.lines, key=len)) > _LONGEST:
         return []
-    lines = [_with_points(line) for line in (source.lines[1:] if _first(source) else source.lines)]
+    lines = source.lines[1 if _first(source) else 0 :]
+    for number, line in enumerate(lines):  # replace decimal commas, if x and y both have one
+        cells = re.split(r"([\t;]|\s+)", line)
+        made = list(map(rd.decimal, cells))
+        lines[number] = "".join(made) if sum(map(operator.ne, made, cells)) == 2 else line
     found = [match for match in map(_LINE.fullmatch, lines) if match is not None]
     alike = len({match["name"] is None for match in found}) == 1
     whole = alike and len(found) == len(lines) >= _FEWEST
@@ -153,13 +160,136 @@ def _are_names(words: Sequence[str]) -> bool:
     return numbers != parts or max(map(float, words), default=0.0) <= 2 * len(words)
 
 
-def _with_points(line: str) -> str:
-    """Replace decimal commas, if x and y both have one."""
-    cells = re.split(r"([\t;]|\s+)", line)
-    made = [decimal(cell) for cell in cells]
-    return "".join(made if sum(map(operator.ne, made, cells)) == 2 else cells)
-
-
 def _first(source: Source) -> str:
     """Return the first line if it is one word: an image's name, or a number of points."""
     return source.lines[0] if len(source.lines[0].split()) == 1 and not _LINE.fullmatch(source.lines[0]) else ""
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A line ``KEY=VALUE``, with the lines up to the next."""
+
+    where: str
+    key: str
+    value: str
+    body: list[tuple[int, str]] = field(default_factory=list)
+
+
+def parse_tps(source: Source) -> list[Landmarks]:
+    """Parse the records of tpsDig and geomorph.
+
+    A record starts with ``LM=`` and its points; ``IMAGE=`` names the image, or else ``ID=`` without its extension.
+    ``SCALE=`` is the length of a pixel. The points of ``CURVES=`` follow the landmarks, and each curve becomes a
+    contour. Outlines, radii, variables and comments are skipped. A missing landmark is ``NA NA`` (geomorph),
+    ``NaN NaN``, or ``-1 -1`` (tpsDig). Records without points, of images not digitised yet, are skipped.
+    """
+    records: list[list[_Block]] = []
+    for block in _blocks(source):
+        if block.key in ("LM", "LM3"):
+            records.append([])
+        if not records:
+            raise LandmarkError(f"{block.where} comes before any LM=: export the file again.")
+        records[-1].append(block)
+    if not records:
+        raise LandmarkError(
+            f"'{rd.short(source.lines[0])}' is not expected here, before any LM=: export the file again."
+        )
+    named = ((_facts(record).get("IMAGE") or _facts(record).get("ID") or record[0].where, record) for record in records)
+    return [own for own in source.each(named, lambda record: _specimen(source, record, len(records) == 1)) if own]
+
+
+def _blocks(source: Source) -> list[_Block]:
+    blocks: list[_Block] = []
+    for number, line in enumerate(map(str.strip, source.text.splitlines()), 1):
+        match = _KEY.fullmatch(line)
+        if match is not None:
+            blocks.append(_Block(f"line {number} ('{rd.short(line)}')", match[1].upper(), match[2]))
+        elif line and blocks:
+            blocks[-1].body.append((number, line))
+    return blocks
+
+
+def _facts(record: list[_Block]) -> dict[str, str]:
+    return {block.key: block.value for block in record if block.value or block.key == "SCALE"}
+
+
+def _specimen(source: Source, record: list[_Block], only: bool) -> Landmarks | None:
+    """Make the landmarks of a record; None if it has no points."""
+    facts, curves, section = _facts(record), [], ""
+    points: Any = _points(record[0])
+    for block in record[1:]:
+        section = block.key if block.key in ("CURVES", "OUTLINES") else section
+        own = _points(block) if block.key == "POINTS" else []
+        if own and section == "CURVES":  # those of outlines are not used
+            curves.append(Contour(tuple(range(len(points), len(points) + len(own)))))
+            points = points + own
+    if not points:
+        return None
+    name = facts.get("IMAGE") or facts.get("ID")
+    if name is None and not only:
+        raise LandmarkError(f"the record of {record[0].where} names no image: add a line IMAGE=, or ID=.")
+    written = rd.decimal(facts.get("SCALE", ""))
+    scale = float(written) if is_number(written) else 0.0
+    if scale <= 0 and "SCALE" in facts:
+        source.notes.repair("there is no scale, because SCALE= is not a positive number", name or source.path.name)
+    label, length = facts.get("ID", ""), scale if scale > 0 else None
+    return Landmarks(points, tuple(curves), image_name=name, scale=length, label=label, placing=_UPWARDS)
+
+
+def _points(block: _Block) -> list[tuple[float, float]]:
+    """Return as many points as a line promises."""
+    if block.key == "LM3":
+        raise LandmarkError(f"{block.where} begins points with x, y and z: export x and y only, as LM=.")
+    if not (block.value.isascii() and block.value.isdigit()):
+        raise LandmarkError(f"{block.where} has no number of points after '=': correct it, such as LM=12.")
+    count, n = float(block.value), len(block.body)  # int has a limit of digits
+    if n > count:
+        number, line = block.body[int(count)]
+        where = f"line {number} ('{rd.short(line)}')"
+        raise LandmarkError(f"{where} is not expected here: correct the number of points above it, or remove it.")
+    points = [rd.parse_pair(line, f"line {number}") for number, line in block.body]
+    if n < count:
+        promised = f"{rd.short(block.value)} points but {n} follow; the file may be cut short"
+        raise LandmarkError(f"{block.where} promises {promised}: correct the number, or export the file again.")
+    return points
+
+
+def parse_nts(source: Source) -> list[Landmarks]:
+    """Parse a matrix of NTSYS, a row of x y of each landmark for a specimen.
+
+    The header has the number of rows and columns, an L (or B, E) behind the number of rows if these are named, whether
+    values are missing and by which number, and ``DIM=2``. A matrix of two columns holds the landmarks of one image.
+    """
+    lines = [line for line in source.lines if not line.startswith(('"', "'"))]
+    header = _MATRIX.fullmatch(" ".join(lines[0].split())) if lines else None
+    if header is None:
+        raise LandmarkError("there is no header of a matrix, such as '1 10L 16 0 DIM=2': export it again.")
+    n, width, dim = int(header["rows"]), int(header["columns"]), int(header["dim"] or 2)
+    if dim != 2 or width % 2:
+        raise LandmarkError(f"it holds {width} columns of {dim} dimensions: export x and y only.")
+    words = " ".join(lines[1:]).split()
+    names, values = _labels_and_values(header, words, n, width) if n <= len(words) else ([], words)
+    if len(values) != n * width or not values:
+        raise LandmarkError(f"{n} x {width} numbers are promised but {len(values)} are there: export it again.")
+    numbers = np.array([rd.parse_number(value, "a row") for value in values])
+    if header["missing"] == "1" and header["value"]:
+        numbers[numbers == float(header["value"])] = math.nan
+    if width == 2:
+        return [Landmarks(numbers.reshape(-1, 2), placing=_UPWARDS)]
+    rows = zip(names, numbers.reshape(n, -1, 2), strict=True)
+    named = ((name, (name, points)) for name, points in rows)
+    return list(source.each(named, lambda row: Landmarks(row[1], image_name=row[0], placing=_UPWARDS)))
+
+
+def _labels_and_values(header: re.Match[str], words: list[str], n: int, width: int) -> tuple[list[str], list[str]]:
+    """Separate the names of rows, or their numbers, from the values."""
+    kind = header["named"].lower()
+    names = [str(i + 1) for i in range(n)]
+    if kind == "l":
+        names, words = words[:n], words[n:]
+    words = words[width:] if header["columns_named"] else words
+    if kind in ("b", "e") and len(words) == n * (width + 1):
+        at = 0 if kind == "b" else width
+        names = words[at :: width + 1]
+        words = [word for i, word in enumerate(words) if i % (width + 1) != at]
+    return (names if len(names) == n else [str(i + 1) for i in range(n)]), words

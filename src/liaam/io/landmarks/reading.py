@@ -1,29 +1,46 @@
-"""What the readers of all formats share: how to read, what to say about a file, and the names of its landmarks."""
+"""What the readers of all formats share: how to read, what to say about a file, its text, numbers, and names."""
 
+import csv
+import io
 import json
 import math
 import re
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 from liaam.errors import LandmarkError
-from liaam.io.files import natural_key, some_names
-from liaam.io.landmarks.base import Landmarks, Placing, without_zeros
-from liaam.io.landmarks.columns import plain
-from liaam.io.landmarks.text import Row, rows_of, short
+from liaam.io.files import is_number, natural_key, read_bytes, some_names
+from liaam.io.landmarks.base import Landmarks, Placing, Size, without_zeros
+
+MAX_BYTES = 500_000_000  # of a landmark file
+
+Row = tuple[int, list[str]]  # a line number, and the cells of the line
+
+_UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\s*[)\]]", re.IGNORECASE)
+_SUMMARY = {"Mean", "SD", "Min", "Max"}  # labels of rows that ImageJ adds below its results
+_SEPARATED = re.compile(r"\s*([^\s,;]+)\s*[,;]\s*([^\s,;]+)\s*")  # x and y with a comma or semicolon between them
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x1f]")  # characters that binary files hold and text does not
+_MARKED = re.compile(r"[-+]?\d+[.,]\d+")
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}[.,]\d{3}")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_ABSENT = (-1.0, -999.0, -9999.0)  # what programs write for x and y of a missing landmark
+_MISSING_WORDS = frozenset({"", "nan", "na", "n/a", "#n/a", "none", "null", "missing", "?", "-", "."})
 
 T = TypeVar("T")
 R = TypeVar("R")
 
+# Errors of a reader where parts of a file are absent, or are of another type.
 LACKING = (TypeError, KeyError, IndexError, ValueError, AttributeError, OverflowError)
-"""Errors of a reader where parts of a file are absent, or are of another type."""
 
-MISSING = (math.nan, math.nan)
+NOWHERE = (math.nan, math.nan)
+MISSING, HIDDEN, SEEN = range(3)  # how a landmark is marked
+Mark = tuple[Any, ...]  # the name of a landmark, x and y as numbers or text, and how it is marked
 
 
 class UnrecognisedError(LandmarkError):
@@ -54,7 +71,6 @@ class Reading:
 
 
 USUAL = Reading()
-"""How files are read unless the user says otherwise."""
 
 
 @dataclass
@@ -62,10 +78,8 @@ class Notes:
     """What has to be said about a file: records that are left out, and what was done with others."""
 
     strict: bool = False
-    left_out: dict[str, str] = field(default_factory=dict)
-    """Reasons by record."""
-    done: dict[str, list[str]] = field(default_factory=dict)
-    """Names of records or images, by what was done with them."""
+    left_out: dict[str, str] = field(default_factory=dict)  # reasons by record
+    done: dict[str, list[str]] = field(default_factory=dict)  # records or images, by what was done with them
 
     def leave_out(self, which: str, why: LandmarkError | str) -> None:
         """Note that a record is left out; raise instead if strict."""
@@ -129,8 +143,33 @@ class Source:
 
     @cached_property
     def rows(self) -> list[Row]:
-        """Its rows as a table."""
-        return rows_of(self.text)
+        """Its rows of cells, without blank ones. Decimal commas become points if commas do not separate."""
+        text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text), ""
+        declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)
+        if declared is not None:  # as Excel writes it
+            separator, text = declared[1], text[declared.end() :]
+        first = text.splitlines()[0] if text else ""
+        most = max(";\t,|", key=first.count)
+        separator = separator or (most if most in first else " ")
+        if separator == " ":
+            text = "\n".join(" ".join(line.split()) for line in text.splitlines())
+        blanks = all(cell[:1] == " " for cell in first.split(separator)[1:])  # they are no part of cells
+        try:
+            reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=blanks)
+            rows = [(reader.line_num, row) for row in reader]
+        except csv.Error as fault:
+            raise LandmarkError(f"this is not a CSV table ({fault}): export it again.") from fault
+        rows = rows or [(1, [""])]
+        if "Label" in rows[0][1]:
+            rows = [(number, row) for number, row in rows if not _SUMMARY & {*row} or number == rows[0][0]]
+        if separator != ",":
+            _check_marks(cell.strip() for _, row in rows for cell in row)
+            rows = [(number, [decimal(cell) for cell in row]) for number, row in rows]
+        if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0].strip().isdigit():  # the number of rows
+            rows = rows[1:]
+        if len(rows) > 1 and all(len(row) == len(rows[0][1]) + 1 for _, row in rows[1:] if row):  # R names rows only
+            rows = [(rows[0][0], ["", *rows[0][1]]), *rows[1:]]
+        return rows
 
     @cached_property
     def header(self) -> list[str]:
@@ -160,35 +199,28 @@ class Source:
             raise first
 
 
-def size_of_file(width: Any, height: Any) -> Placing:
-    """Return how positions count in an image whose size a file states as numbers or text, if it does."""
-    size = _numbers(width, height)
-    return Placing((size[0], size[1]) if size and min(size) > 0 else None)
+def size_of(record: Any, *keys: str) -> Size | None:
+    """Return the width and height, which may have other keys, of an image that a record states, if it does."""
+    width, height = map(record.get, keys or ("width", "height"))
+    return (float(width), float(height)) if area_of(width, height) > 0 and float(width) > 0 else None
 
 
 def area_of(*sides: Any) -> float:
     """Return an area, or the product of the sides of a box; 0 if it is not known."""
-    return math.prod(_numbers(*sides) or [0.0])
-
-
-def _numbers(*values: Any) -> list[float]:
-    """Return values as finite numbers; nothing if one is none."""
     try:
-        numbers = list(map(float, values))
+        area = math.prod(map(float, sides))
     except (TypeError, ValueError, OverflowError):
-        return []
-    return numbers if math.isfinite(math.prod(numbers)) else []
+        return 0.0
+    return area if sides and math.isfinite(area) else 0.0
 
 
-def in_objects(landmarks: Iterable[Landmarks]) -> dict[str, Landmarks]:
-    """Return landmarks by image; further ones of an image are its others, unless they have no point."""
-    found: dict[str, list[Landmarks]] = {}
-    for own in landmarks:
-        found.setdefault(own.image_name or "", []).append(own)
-    return {
-        image: replace(first, others=(*first.others, *(other for other in others if not other.missing.all())))
-        for image, (first, *others) in found.items()
-    }
+def object_of(marks: Iterable[Mark], image: str | None, size: Size | None = None, label: str = "") -> Landmarks:
+    """Make the landmarks of an object as an annotation tool has them."""
+    marks, of = list(marks), f" of '{image}'" if image else ""
+    points: Any = [parse_point(at, f"point '{name}'{of}") if how else NOWHERE for name, *at, how in marks]
+    hidden = tuple(i for i, mark in enumerate(marks) if mark[-1] == HIDDEN)
+    names = names_of([mark[0] for mark in marks])
+    return Landmarks(points, (), names, image, hidden, label=label, placing=Placing(size))
 
 
 def names_of(labels: Sequence[str]) -> tuple[str, ...]:
@@ -200,12 +232,6 @@ def names_of(labels: Sequence[str]) -> tuple[str, ...]:
     if twice:
         raise LandmarkError(f"there are several points '{short(twice[0])}' in an object: group the points by object.")
     return tuple(labels)
-
-
-def with_names(own: Landmarks, names: Sequence[str]) -> Landmarks:
-    """Return landmarks of these names, in this order; those that lack are missing."""
-    at = {name: i for i, name in enumerate(own.names)}
-    return own.in_order([at.get(name, -1) for name in names], names)
 
 
 def numbered_alike(found: Sequence[Landmarks]) -> Sequence[Landmarks]:
@@ -226,18 +252,14 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
     Where an image lacks some of the names that most have, these landmarks are missing. It is left out where it has
     names that most lack, or has a name twice. If asked for, numbers are sorted, and those from 1 on are no names.
     """
-    if not found:
-        return []
     found = numbered_alike(found)
-    counts = Counter(name for own in found for name in set(own.names))
-    usual = [name for name, count in counts.items() if name and 2 * count >= sum(bool(own.names) for own in found)]
-    fullest = max(found, key=lambda own: len(set(own.names) & set(usual)))
-    place = {name: i for i, name in enumerate(fullest.names)}
-    usual.sort(key=lambda name: place.get(name, len(place)))
+    counts, n_named = Counter(name for own in found for name in set(own.names)), sum(bool(own.names) for own in found)
+    known = {name for name, count in counts.items() if name and 2 * count >= n_named}
+    fullest = max((own.names for own in found), key=lambda names: len(known & {*names}), default=())
+    usual = [name for name in dict.fromkeys((*fullest, *counts)) if name in known]
     numbers = numbers and all(name.isascii() and name.isdigit() for name in usual)
     usual = sorted(usual, key=natural_key) if numbers else usual
-    known = set(usual)
-    plain = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
+    counted = numbers and [name.lstrip("0") for name in usual] == [str(i + 1) for i in range(len(usual))]
 
     def alike(own: Landmarks) -> Landmarks:
         odd = [name for name, count in Counter(own.names).items() if name not in known or count > 1]
@@ -245,50 +267,132 @@ def named_points(source: Source, found: Sequence[Landmarks], numbers: bool = Tru
             raise LandmarkError(f"its landmark '{short(odd[0])}' occurs twice, or in few others.")
         if not own.names or (len(own) == len(usual) and not numbers):
             return own
-        return replace(with_names(own, usual), names=() if plain else tuple(usual))
+        return replace(own.with_names(usual), names=() if counted else tuple(usual))
 
     return list(source.each(((own.label or own.image_name or "", own) for own in found), alike))
 
 
-@dataclass(frozen=True)
-class Found:
-    """An object of an image, before it is decided which category is read."""
+def of_category(
+    source: Source, found: Iterable[tuple[str, Landmarks]], titles: Mapping[str, str] = {}, alike: bool = True
+) -> list[Landmarks]:
+    """Return the landmarks of the category that is asked for, or else that has more of them, then more images.
 
-    landmarks: Landmarks
-    category: str
-    """Number or name of its category."""
-    title: str = ""
-    """Name of its category, if it is another."""
-    kind: object = None
-    """Categories of one kind are one."""
-
-
-def of_category(source: Source, objects: Iterable[Found]) -> list[Landmarks]:
-    """Return the landmarks of the category that is asked for, or else that has more of them, then more images."""
-    groups: dict[str, list[Found]] = {}
-    found = list(objects)
-    for each in found:
-        groups.setdefault(each.category, []).append(each)
-    titles = {key: own[0].title or key for key, own in groups.items()}
+    A category has a key and may have a title. Those of the same names are one, if they may be alike.
+    """
+    found, groups = list(found), defaultdict[str, list[Landmarks]](list)
+    for key, own in found:
+        groups[key].append(own)
+    named = {key: titles.get(key, key) for key in groups}
     wanted = source.reading.category
     if wanted is not None:
-        kept = {key for key in groups if wanted.casefold() in (key.casefold(), titles[key].casefold())}
+        kept = {key for key in groups if wanted.casefold() in (key.casefold(), named[key].casefold())}
         if not kept:
-            has = some_names(list(dict.fromkeys(titles.values())))
+            has = some_names(list(dict.fromkeys(named.values())))
             raise LandmarkError(f"no landmarks of the category '{wanted}': it has {has}.")
-        return [each.landmarks for each in found if each.category in kept]
+        return [own for key, own in found if key in kept]
 
     def rank(key: str) -> tuple[int, int]:
-        usual = Counter(len(each.landmarks) for each in groups[key]).most_common(1)[0][0]
-        return usual, len({each.landmarks.image_name for each in groups[key]})
+        usual = Counter(map(len, groups[key])).most_common(1)[0][0]
+        return usual, len({own.image_name for own in groups[key]})
 
+    kinds = {key: {*chain(*(own.names for own in groups[key]))} or rank(key)[0] if alike else key for key in groups}
     first, *others = sorted(groups, key=rank, reverse=True) if groups else [""]
-    others = [key for key in others if groups[key][0].kind != groups[first][0].kind]
+    others = [key for key in others if kinds[key] != kinds[first]]
     if others and rank(others[0]) == rank(first):
-        both = f"'{titles[first]}' and '{titles[others[0]]}'"
+        both = f"'{named[first]}' and '{named[others[0]]}'"
         raise LandmarkError(f"the categories {both} have as many landmarks and images: choose one with --category.")
     for key in others:
-        what = f"left out the category '{titles[key]}', because '{titles[first]}' has more (--category chooses)"
-        for each in groups[key]:
-            source.notes.say(what, each.landmarks.image_name or "")
-    return [each.landmarks for each in found if each.category not in others]
+        what = f"left out the category '{named[key]}', because '{named[first]}' has more (--category chooses)"
+        for own in groups[key]:
+            source.notes.say(what, own.image_name or "")
+    return [own for key, own in found if key not in others]
+
+
+def read_text(path: Path, data: bytes | None = None) -> str:
+    """Read a text file, or decode its content, as UTF-8, UTF-16, or Latin-1. Raise if it is binary."""
+    data = read_bytes(path, LandmarkError, MAX_BYTES) if data is None else data
+    binary = LandmarkError(f"{path} is not a text file, so not a landmark file: export the landmarks again.")
+    encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+    if len(data) > 3 and encoding == "utf-8-sig" and not any(data[1:200:2]) and all(data[:200:2]):
+        encoding = "utf-16-le"  # without a byte order mark
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as fault:
+        if encoding.startswith("utf-16") or _CONTROL.search(data):
+            raise binary from fault
+        text = data.decode("latin-1")
+    if "\0" in text:
+        raise binary
+    if not text.strip():
+        raise LandmarkError(f"{path} is empty (only blank lines): copy or export it again.")
+    return text
+
+
+def _check_marks(cells: Iterable[str]) -> None:
+    """Raise if numbers have decimal commas as well as points, and some of these may separate thousands."""
+    marked = [cell for cell in cells if _MARKED.fullmatch(cell)]
+    with_comma = [cell for cell in marked if "," in cell]
+    if 0 < len(with_comma) < len(marked) and any(map(_THOUSANDS.fullmatch, marked)):
+        point = next(cell for cell in marked if "," not in cell)
+        both = f"'{short(with_comma[0])}' and '{short(point)}'"
+        raise LandmarkError(f"the numbers {both} have a comma and a point: write decimals one way, and no thousands.")
+
+
+def parse_count(token: str, what: str) -> int:
+    """Parse a non-negative integer."""
+    if not (token.isascii() and token.isdigit() and len(token) <= 18):
+        raise LandmarkError(f"'{short(token)}' is not a number of {what}: export the file again.")
+    return int(token)
+
+
+@lru_cache(1000)
+def plain(cell: str) -> str:
+    """Return a column's name in lower case, without what is in brackets, unless it is a unit other than pixels."""
+    without = re.sub(r"[(\[].*[)\]]", "", _UNIT.sub(r" \1", cell))
+    return re.sub(r"[\s_.-]+", "_", without.strip().casefold()).strip("_")
+
+
+def check_count(where: str, count: int, rows: Sequence[object]) -> None:
+    """Raise unless there are as many rows of points as a line of the file promises."""
+    if len(rows) != count:
+        cut = "the file may be cut short: export it again"
+        raise LandmarkError(f"the {where} promises {count} points but {len(rows)} are there; {cut}.")
+
+
+def parse_number(value: Any, where: str) -> float:
+    """Parse one coordinate as text or of JSON; NaN for null and the usual words for a missing value."""
+    if is_number(value) and not isinstance(value, bool) and not (isinstance(value, str) and "_" in value):
+        return float(value)
+    if value is None or str(value).strip().lower() in _MISSING_WORDS:
+        return math.nan
+    what = f"'{short(str(value))}' in {where}"
+    raise LandmarkError(f"{what} is not a number: correct it (decimal points, as in 12.5).")
+
+
+def decimal(cell: str) -> str:
+    """Replace a decimal comma, where commas do not separate."""
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
+
+
+def parse_point(tokens: Sequence[str], where: str) -> tuple[float, float]:
+    """Parse x and y, both or neither of them missing."""
+    x, y = (parse_number(token, where) for token in tokens)
+    if math.isnan(x) != math.isnan(y):
+        raise LandmarkError(f"{where} has only one of x and y: give both, or neither if the landmark is missing.")
+    return NOWHERE if x == y and x in _ABSENT else (x, y)
+
+
+def parse_pair(line: str, where: str) -> tuple[float, float]:
+    """Parse a line that holds x and y, both or neither of them missing."""
+    match = _SEPARATED.fullmatch(line)
+    tokens = match.groups() if match is not None else re.split(r"\s*;\s*|\s+", line.strip())
+    if all(map(_DECIMAL_COMMA.fullmatch, tokens)):
+        tokens = [decimal(token) for token in tokens]
+    if len(tokens) != 2:
+        raise LandmarkError(f"{where} holds {len(tokens)} values ('{short(line)}'), not x and y: correct it.")
+    return parse_point(tokens, where)
+
+
+def short(text: str, length: int = 40) -> str:
+    """Cut a text for a message."""
+    return text if len(text) <= length else f"{text[: length - 3]}..."

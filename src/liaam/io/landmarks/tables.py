@@ -1,13 +1,15 @@
 """Tables of landmarks (``.csv``, ``.tsv``, ``.txt``): a row for each landmark or image, DeepLabCut's, and lists.
 
 Positions are centres counted from 0, x to the right and y downwards, but for ImageJ's results. The separator is a
-comma, a semicolon, a tab or blanks. :mod:`liaam.io.landmarks.columns` finds out what the columns mean.
+comma, a semicolon, a tab or blanks. Columns have a meaning by their names, and else by their values.
 """
 
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import accumulate, chain, count, groupby
 from typing import Any
 
 import numpy as np
@@ -15,32 +17,48 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
-from liaam.io.landmarks.columns import (
-    LANDMARKS,
-    UNCLEAR,
-    Columns,
-    columns_of,
-    filled,
-    name_column,
-    pairs_of,
-    without_title,
-)
-from liaam.io.landmarks.reading import MISSING, Source, named_points, size_of_file
-from liaam.io.landmarks.text import Row, decimal, parse_point
+from liaam.io.landmarks.matching import names_picture, without_title
+from liaam.io.landmarks.reading import NOWHERE, Row, Source, decimal, named_points, parse_point, plain, size_of
 
-_HEADERS = ("scorer", "individuals", "bodyparts", "coords")
-"""Rows that DeepLabCut's tables begin with; the second only where there are several animals."""
-
-_WFLW = 5
-"""Pairs of numbers of a box and of attributes."""
-
+_HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
+_WFLW = 5  # pairs of numbers of a box and of attributes
 _SEPARATORS = r"\t;", r"\t,;", r"\s,;"
-_FEW = 3
-"""Least number of lines, and of points in each, to tell boxes from landmarks."""
+_FEW = 3  # least number of lines, and of points in each, to tell boxes from landmarks
+IMAGES = {"image", "image_name", "image_file", "image_id", "image_path", "img", "file", "filename", "file_name"}
+IMAGES |= {"photo", "picture", "photo_name", "path", "filepath", "file_path", "frame", "external"}
+SPECIMENS = {"specimen", "specimen_id", "specimen_name", "individual", "sample", "sample_id", "subject", "animal"}
+LANDMARKS = {"landmark", "landmark_name", "landmark_id", "landmarks", "lm", "point", "point_name", "point_id", "points"}
+LANDMARKS |= {"keypoint", "keypoint_name", "bodypart", "part", "marker", "joint", "lmk", "landmark_number", "kp"}
+SIZES = ("image_width", "image_height"), ("img_width", "img_height"), ("width", "height")
+VISIBLE = ("visible", "visibility", "v")
+UNCLEAR = ("name", "label", "id", "no", "number", "index", "slice")  # the values decide what these mean
+_AXIS = re.compile(r"(?:(?:pos|coord|point|pixel)_)?([xy])(?:_(?:px|pixels?|coords?|coordinates?|pos|position))?")
+_FORMS = (
+    r"(?:raw|coord|lm)?[ ._-]?(?P<axis>[xyz])[ ._-]?(?P<key>\d+)",
+    r"(?P<axis>[xyz])[ ._-](?P<key>\w.*)",
+    r"(?P<key>.*\w)[ ._-][(\[]?(?P<axis>[xyz])[)\]]?",
+    r"(?P<key>\w*\d)(?P<axis>[xyz])",
+    r"(?-i:(?P<key>\w*[a-z])(?P<axis>[XYZ]))",
+)
+# Words beside x and y that name no landmark.
+_OTHERS = {"bbox", "box", "rect", "min", "max", "centroid", "center", "image", "size"}
+_OTHERS |= {"px", "pixel", "pixels", "mm", "cm", "um", "inch"}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Indices of columns: x and y; of images, specimens in an image, landmarks and so on, None if there are none."""
+
+    x: int
+    y: int
+    image: int | None = None
+    specimen: int | None = None
+    landmark: int | None = None
+    visible: int | None = None
+    size: tuple[int, ...] = ()  # those of the width and height of the images
 
 
 def _check_width(header: Sequence[str], row: Row) -> Row:
-    """Return a row. Raise unless it has as many cells as the header."""
     if len(row[1]) != len(header):
         raise LandmarkError(f"line {row[0]} has {len(row[1])} cells but the header {len(header)}: correct the line.")
     return row
@@ -49,9 +67,6 @@ def _check_width(header: Sequence[str], row: Row) -> Row:
 def _whole(source: Source, header: Sequence[str], rows: Sequence[Row]) -> list[Row]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
-
-
-# One row a landmark -------------------------------------------------------------------------------
 
 
 def parse_long(source: Source) -> list[Landmarks]:
@@ -64,74 +79,62 @@ def parse_long(source: Source) -> list[Landmarks]:
     rows = [_check_width(header, row) for row in source.rows[1:] if any(row[1]) or len(row[1]) == len(header)]
     columns = columns_of(header, [row for _, row in rows])
     if columns.landmark is not None and header[columns.landmark] not in LANDMARKS | {*UNCLEAR}:
-        column = header[columns.landmark]
-        source.notes.say("landmarks are named by the values of a column", column)
-    for column in (columns.image, columns.specimen):
-        rows = rows if column is None else _without_gaps(source, rows, column)
-    shift = 0.5 if _is_imagej(source) else 0.0
+        source.notes.say("landmarks are named by the values of a column", header[columns.landmark])
+    # ImageJ's first column has a blank as its name, or one of two is "Label".
+    raw = source.rows[0][1]
+    shift = 0.5 if {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2]) else 0.0
 
     def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
         (image, specimen), own = group
-        points = np.array([_point(number, row, columns) for number, row in own]) - shift
-        names = [] if columns.landmark is None else [row[columns.landmark] for _, row in own]
-        placing = size_of_file(*(own[0][1][i] for i in columns.size)) if columns.size else Placing()
-        return Landmarks(points, (), tuple(names) if any(names) else (), image or None, label=specimen, placing=placing)
+        points = []
+        for number, row in own:
+            point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
+            seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
+            points.append(NOWHERE if point == (0.0, 0.0) and seen in ("0", "false") else point)
+        names = () if columns.landmark is None else tuple(row[columns.landmark] for _, row in own)
+        names = names if any(names) else ()
+        size = size_of(dict(zip(("width", "height"), (own[0][1][i] for i in columns.size), strict=False)))
+        return Landmarks(np.array(points) - shift, (), names, image or None, label=specimen, placing=Placing(size))
 
-    groups = ((group[0][0] or "its table", group) for group in _grouped(rows, columns))
+    groups = ((group[0][0] or "its table", group) for group in _grouped(source, rows, columns))
     made = list(source.each(groups, make))
     numbers = columns.landmark is not None and header[columns.landmark] != "name"
     return named_points(source, made, numbers) if columns.image is not None or numbers else made
 
 
-def _without_gaps(source: Source, rows: list[Row], column: int) -> list[Row]:
-    """Name the image or specimen in rows that lack it, as exports of merged cells do."""
+def _filled(source: Source, rows: list[Row], column: int | None) -> list[str]:
+    """Return the names of the images or specimens of rows, which exports of merged cells give in the first row only."""
+    if column is None:
+        return [""] * len(rows)
     names = filled([row[column] for _, row in rows])
     for name, (_, row) in zip(names, rows, strict=True):
         if name and not row[column]:
             source.notes.say("rows without a name of the image or specimen belong to the one above", name)
-    return [(n, [*row[:column], name, *row[column + 1 :]]) for name, (n, row) in zip(names, rows, strict=True)]
+    return names
 
 
-def _is_imagej(source: Source) -> bool:
-    """Whether ImageJ wrote the table: the first column has a blank as its name, or one of two is "Label"."""
-    header = source.rows[0][1]
-    return {"X", "Y"} <= {*header} and (source.text[:2] in (" ,", " \t") or "Label" in header[:2])
-
-
-def _grouped(rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
+def _grouped(source: Source, rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
     """Yield the image and the specimen of each object, and its rows.
 
     The rows of an image whose every landmark occurs as often are those of several specimens or replicates.
     """
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for number, row in rows:
-        image = "" if columns.image is None else without_title(row[columns.image])
-        specimen = "" if columns.specimen is None else row[columns.specimen].strip()
-        groups.setdefault((image, specimen), []).append((number, row))
+    groups = defaultdict[tuple[str, str], list[Row]](list)
+    images = map(without_title, _filled(source, rows, columns.image))
+    for image, specimen, row in zip(images, _filled(source, rows, columns.specimen), rows, strict=True):
+        groups[image, specimen.strip()].append(row)
     for (image, specimen), own in groups.items():
-        parts: dict[int, list[Row]] = {}
-        seen: Counter[str] = Counter()
+        parts, seen = defaultdict[int, list[Row]](list), Counter[str]()
         for number, row in own:
             name = "" if columns.landmark is None else row[columns.landmark].strip()
             seen[name] += 1
-            parts.setdefault(seen[name], []).append((number, row))
+            parts[seen[name]].append((number, row))
         if columns.image is None or "" in seen or len({*map(len, parts.values())}) > 1:
             parts = {1: own}
         for i, part in parts.items():
             yield (image, specimen if i == 1 else f"{specimen}{i}"), part
 
 
-def _point(number: int, row: list[str], columns: Columns) -> tuple[float, float]:
-    """Return the point of a row; missing if it is marked invisible and has no position."""
-    point = parse_point((row[columns.x], row[columns.y]), f"line {number}")
-    seen = "1" if columns.visible is None else row[columns.visible].strip().lower()
-    return MISSING if point == (0.0, 0.0) and seen in ("0", "false") else point
-
-
-# One row an image ---------------------------------------------------------------------------------
-
-_Pairs = dict[str, dict[str, int]]
-"""Indices of columns by landmark and axis."""
+_Pairs = dict[str, dict[str, int]]  # indices of columns by landmark and axis
 
 
 def parse_wide(source: Source) -> list[Landmarks]:
@@ -143,11 +146,11 @@ def parse_wide(source: Source) -> list[Landmarks]:
     (_, header), *rows = source.rows
     rows = _whole(source, header, [row for row in rows if any(row[1])])
     given = pairs_of(header)
-    digits = {key: axes for key, axes in given.items() if key.isdigit()}
-    if 1 < len(digits) < len(given):
-        for key in given.keys() - digits.keys():
+    others = [key for key in given if not key.isdigit()]
+    if len(others) < len(given) - 1:
+        for key in others:
             source.notes.say("columns of x and y beside those of numbered landmarks are not read", key)
-        given = digits
+            del given[key]
     numbered = all(map(str.isdigit, given))
     pairs = {key: given[key] for key in sorted(given, key=natural_key)} if numbered else given
     if any("z" in axes for axes in pairs.values()):
@@ -168,29 +171,25 @@ def parse_dlc(source: Source) -> list[Landmarks]:
     headers = {row[0]: row for _, row in rows[:4] if row[0] in _HEADERS}
     if not {"scorer", "bodyparts", "coords"} <= headers.keys():
         raise LandmarkError("it lacks rows of DeepLabCut's table (scorer, bodyparts, coords): export it again.")
-    rows, coords = rows[len(headers) :], headers["coords"]
+    coords = headers["coords"]
     for header in headers.values():
         _check_width(coords, (0, header))
-    rows = _whole(source, coords, rows)
+    rows = _whole(source, coords, rows[len(headers) :])
     first = next((i for i, cell in enumerate(coords) if cell in ("x", "y")), len(coords))
-    scorers = list(dict.fromkeys(headers["scorer"][first:]))
-    if len(scorers) > 1:
-        source.notes.say(f"of several scorers '{scorers[0]}' is read", source.path.name)
-    objects: dict[str, _Pairs] = {}
+    scorer, *others = dict.fromkeys(headers["scorer"][first:]) or [""]
+    if others:
+        source.notes.say(f"of several scorers '{scorer}' is read", source.path.name)
+    objects = defaultdict[str, _Pairs](lambda: defaultdict(dict))
     for i in range(first, len(coords)):
-        if headers["scorer"][i] == scorers[0] and coords[i] in ("x", "y"):
+        if headers["scorer"][i] == scorer and coords[i] in ("x", "y"):
             individual = headers["individuals"][i] if "individuals" in headers else ""
-            objects.setdefault(individual, {}).setdefault(headers["bodyparts"][i], {})[coords[i]] = i
+            objects[individual][headers["bodyparts"][i]][coords[i]] = i
     found = _of_rows(source, rows, objects, lambda row: "/".join(cell for cell in row[:first] if cell))
     return [own for own in found if not own.missing.all()]
 
 
 def _of_rows(
-    source: Source,
-    rows: list[Row],
-    objects: dict[str, _Pairs],
-    image_of: Callable[[list[str]], str | None],
-    named: bool = True,
+    source: Source, rows: list[Row], objects: dict[str, _Pairs], image_of: Callable[[list[str]], str | None], named=True
 ) -> list[Landmarks]:
     """Return the landmarks of the objects of each row."""
 
@@ -201,9 +200,6 @@ def _of_rows(
         return Landmarks(points, names=tuple(pairs) if named else (), image_name=image_of(row), label=label)
 
     return list(source.each(((f"line {row[0]}", (row, label)) for row in rows for label in objects), make))
-
-
-# Lists -------------------------------------------------------------------------------------------
 
 
 def is_list(source: Source) -> bool:
@@ -249,7 +245,8 @@ def parse_list(source: Source) -> list[Landmarks]:
 
     rows = list(source.each(((f"line {i}", words) for i, words in enumerate(lines, 1)), make))
     whole = len(rows) == len(lines)
-    last = _WFLW if whole and all(_has_attributes(pairs) for _, pairs in rows) else 0
+    wflw = whole and all(len(own) > _WFLW + 1 and {*own[-3:].flat} <= {0.0, 1.0} for _, own in rows)
+    last = _WFLW if wflw and all((own[-_WFLW] < own[1 - _WFLW]).all() for _, own in rows) else 0
     first = 0
     if whole and not last and len(rows) >= _FEW:
         first = 2 if all(_has_box(pairs) for _, pairs in rows) else 0
@@ -259,11 +256,6 @@ def parse_list(source: Source) -> list[Landmarks]:
     return [Landmarks(pairs[first : len(pairs) - last], image_name=name) for name, pairs in rows]
 
 
-def _has_attributes(pairs: np.ndarray) -> bool:
-    flags, box = {*pairs[-3:].flat}, pairs[-_WFLW:]
-    return len(pairs) > _WFLW + 1 and flags <= {0.0, 1.0} and bool((box[0] < box[1]).all())
-
-
 def _has_box(pairs: np.ndarray) -> bool:
     """Whether the first four numbers are a box around all points: two corners, or one and the size."""
     if len(pairs) < 2 + _FEW:
@@ -271,3 +263,156 @@ def _has_box(pairs: np.ndarray) -> bool:
     corner, other, low, high = pairs[0], pairs[1], pairs[2:].min(axis=0), pairs[2:].max(axis=0)
     around = (other >= high).all() or (corner + other >= high).all()
     return bool((corner <= low).all() and around and (other > 0).all())
+
+
+def filled(values: Iterable[str]) -> list[str]:
+    """Fill empty cells with those above them, as merged cells are exported."""
+    return list(accumulate(values, lambda last, value: value or last))
+
+
+def has_points(header: Sequence[str]) -> bool:
+    """Return whether a header has columns x and y."""
+    return {"x", "y"} <= {match[1] for match in map(_AXIS.fullmatch, header) if match is not None}
+
+
+def columns_of(header: list[str], rows: Sequence[Sequence[str]]) -> Columns:
+    """Find the columns of a table with a header in lower case. Raise if its meaning is ambiguous."""
+    axes: dict[str, int] = {}
+    for axis in "xy":
+        found = [i for i, name in enumerate(header) if (match := _AXIS.fullmatch(name)) and match[1] == axis]
+        first, *others = [i for i in found if header[i] == axis] or found
+        if others:
+            both = f"and '{header[first]}' both may be {axis}: name one of them {axis}"
+            raise _ambiguous(header, both, others[0])
+        axes[axis] = first
+    values = [[row[i].strip() for row in rows] for i in range(len(header))]
+    texts = [i for i in range(len(header)) if i not in axes.values()]
+    image = _one(header, values, [i for i in texts if header[i] in IMAGES or _are_files(values[i])])
+    specimen = _one(header, values, [i for i in texts if header[i] in SPECIMENS])
+    landmark = _one(header, values, [i for i in texts if header[i] in LANDMARKS])
+    if image in (None, specimen):
+        image, specimen = specimen, None
+    unclear = [i for name in UNCLEAR for i in texts if header[i] == name and i not in (image, specimen, landmark)]
+    for i in unclear:
+        present = [value for value in values[i] if value]
+        if image is None and header[i] != "name" and _in_blocks(values[i]):
+            image = i
+        elif landmark is None and (header[i] in ("name", "label") or len({*present}) < len(present)):
+            if image is not None and len({*zip(values[image], values[i], strict=True)}) == len({*values[image]}):
+                continue  # one value an image
+            landmark = i
+    if image is None:
+        _check_one_image(header, values, texts, landmark)
+        names = [i for i in texts if _name_rows(header[i], values[i])]
+        landmark = names[0] if landmark is None and len(names) == 1 else landmark
+    elif landmark is None:
+        keys = list(zip(filled(values[image]), values[image if specimen is None else specimen], strict=True))
+        landmark = next((i for i in texts if i not in (image, specimen) and _tells_apart(keys, values[i])), None)
+    sizes = [tuple(i for name in names for i in texts if header[i] == name) for names in SIZES]
+    pairs = chain(*(zip(values[axes[axis]], values[i], strict=True) for i, axis in zip(sizes[-1], "xy", strict=False)))
+    if any(is_number(at) and is_number(side) and float(at) > float(side) for at, side in pairs):
+        sizes.pop()  # width and height are those of boxes, since points lie beyond
+    size = next((own for own in sizes if len(own) == 2), ())
+    visible = next((i for i in texts if header[i] in VISIBLE), None)
+    return Columns(axes["x"], axes["y"], image, specimen, landmark, visible, size)
+
+
+def _name_rows(title: str, values: Sequence[str]) -> bool:
+    """Return whether a column names each row of an image by another text, or numbers them in another order."""
+    if not len({*values}) == len(values) > 1 or "" in values:
+        return False
+    numbers = sorted(values, key=natural_key)
+    counted = numbers in ([str(i + first) for i in range(len(values))] for first in (0, 1))
+    return not any(map(is_number, values)) or (title in UNCLEAR and counted and numbers != [*values])
+
+
+def _tells_apart(keys: Sequence[tuple[str, str]], values: Sequence[str]) -> bool:
+    """Return whether a column holds each of the same few values once in each image, as names of landmarks do."""
+    groups = defaultdict[tuple[str, str], list[str]](list)
+    for key, value in zip(keys, values, strict=True):
+        groups[key].append(value)
+    most = max(groups.values(), key=len, default=[])
+    alike = all(len(set(own)) == len(own) and set(own) <= set(most) for own in groups.values())
+    return alike and len(groups) > 1 < len(most)
+
+
+def pairs_of(header: list[str]) -> dict[str, dict[str, int]]:
+    """Return the indices of the columns of x and y by landmark, in a table of one row an image.
+
+    Positions in space (``X_0``, ``Y_0``, ``Z_0``) are not read beside those in the image (``x_0``, ``y_0``).
+    """
+    columns = list(_columns_of_axes(header))
+    kinds = {(key, axis.isupper()) for _, key, axis in columns}
+    in_space = {(key, axis.isupper()) for _, key, axis in columns if axis in "zZ" and (key, axis.islower()) in kinds}
+    found = defaultdict[str, dict[str, int]](dict)
+    columns = [(i, key, axis.lower()) for i, key, axis in columns if (key, axis.isupper()) not in in_space]
+    for i, key, axis in columns:
+        at = found[key].setdefault(axis, i)
+        if at != i:
+            both = f"'{header[at]}' and '{header[i]}' both may be {axis} of '{key}'"
+            raise LandmarkError(f"the columns {both}: remove one of them.")
+    return {key: axes for key, axes in found.items() if {"x", "y"} <= axes.keys()}
+
+
+def _columns_of_axes(header: list[str]) -> Iterator[tuple[int, str, str]]:
+    """Yield the index, the landmark and the axis of the columns of landmarks. Repeated x, y are numbered."""
+    cells, numbers = [cell.strip() for cell in header], defaultdict[str, Iterator[int]](count)
+    axes = [cell for cell in cells if cell in ("x", "y", "X", "Y")]
+    numbered = len(axes) > len({*axes}) or any(re.fullmatch(r"[xyXY]\.1", cell) for cell in cells)
+    for i, cell in enumerate(cells):
+        title = f"{cell}.{next(numbers[cell])}" if numbered and cell in ("x", "y", "X", "Y") else cell
+        match = next(filter(None, (re.fullmatch(form, title, re.IGNORECASE) for form in _FORMS)), None)
+        if match is not None and plain(match["key"]) not in _OTHERS:
+            yield i, match["key"], match["axis"]
+
+
+def name_column(header: list[str], rows: Sequence[Sequence[str]], used: set[int]) -> int | None:
+    """Return the column that names the images in a table of one row an image; `used` are those of x and y."""
+    others = [i for i in range(len(header)) if i not in used]
+    for known in (IMAGES, SPECIMENS, {*UNCLEAR, ""}):
+        found = [i for i in others if header[i] in known and all(row[i].strip() for row in rows)]
+        pixels = [header[i] for i in found if all(re.fullmatch(r"\d+(\s+\d+)+", row[i].strip()) for row in rows)]
+        if pixels:
+            raise LandmarkError(f"the column '{pixels[0]}' holds the images' pixels: put their names in its place.")
+        if found:
+            return found[0]
+    texts = [i for i in others if not all(re.fullmatch(r"[-\d.]*", row[i].strip()) for row in rows)]
+    if len(texts) == 1 and header[texts[0]] in LANDMARKS:
+        raise LandmarkError("it has a row for each landmark and columns for each image: exchange rows and columns.")
+    if len(texts) == 1 or len(rows) < 2:
+        return texts[0] if len(texts) == 1 else None
+    named = f" (the columns {', '.join(repr(header[i]) for i in texts)} may)" if texts else ""
+    raise LandmarkError(f"no column names the images{named}: name it 'image'.")
+
+
+def _check_one_image(header: list[str], values: list[list[str]], texts: list[int], landmark: int | None) -> None:
+    """Raise if a table without a column for images seems to hold several."""
+    counts = Counter(values[landmark]) if landmark is not None else Counter[str]()
+    if landmark is not None and len(counts) > 1 and len({*counts.values()} - {1}) == len({*counts.values()}) == 1:
+        raise _ambiguous(header, "repeats its names, but no column names the images: add a column 'image'", landmark)
+    for i in texts if landmark is None else ():
+        if header[i] and _in_blocks(values[i]) and not all(map(is_number, values[i])):
+            raise _ambiguous(header, "may name the images: name it 'image' if so, or else remove it", i)
+
+
+def _one(header: list[str], values: list[list[str]], found: list[int]) -> int | None:
+    """Return one of the columns of a meaning; raise if they divide the rows differently."""
+    first = next((i for i in found if _are_files(values[i])), found[0] if found else None)
+    for i in found:
+        if first is not None and len(set(zip(values[first], values[i], strict=True))) != len(set(values[first])):
+            raise _ambiguous(header, f"and '{header[first]}' both may name the same: remove one of them", i)
+    return first
+
+
+def _ambiguous(header: list[str], why: str, column: int) -> LandmarkError:
+    return LandmarkError(f"the column '{header[column]}' {why}.")
+
+
+def _are_files(values: Sequence[str]) -> bool:
+    return any(values) and all(names_picture(without_title(value)) for value in {*values} - {""})
+
+
+def _in_blocks(values: Sequence[str]) -> bool:
+    """Return whether rows of one value follow each other, for several values that each have several rows."""
+    sizes = [len(list(group)) for _, group in groupby(values)]
+    return 1 < len(sizes) == len(set(values)) and min(sizes) > 1

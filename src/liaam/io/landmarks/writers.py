@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from liaam.io.landmarks.base import Landmarks
-from liaam.io.landmarks.contours import edges_of
+from liaam.io.landmarks.base import Landmarks, Size, edges_of
 
-Sizes = Mapping[str, tuple[float, float]]
-"""Width and height of images by file name."""
+Sizes = Mapping[str, Size]  # width and height of images by file name
 
 
 def pts_text(landmarks: Landmarks) -> str:
@@ -39,27 +37,23 @@ def ljson_text(landmarks: Landmarks) -> str:
 
 def csv_text(landmarks: Landmarks) -> str:
     """Return the text of a table of one image's landmarks."""
-    return _table([], [([], landmarks)])
+    return csv_of_many({"": landmarks}, {})
 
 
-def csv_collection(collection: Mapping[str, Landmarks], _: Sizes) -> str:
+def csv_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:
     """Return the text of a table of the landmarks of many images, by file name."""
-    return _table(["image"], [([image], landmarks) for image, landmarks in collection.items()])
-
-
-def _table(first: list[str], every: list[tuple[list[str], Landmarks]]) -> str:
-    """Return the text of a table with these first columns, and their cells beside the landmarks."""
-    buffer, named = io.StringIO(newline=""), any(landmarks.names for _, landmarks in every)
+    buffer, titled = io.StringIO(newline=""), any(collection)
+    named = any(landmarks.names for landmarks in collection.values())
     writer = csv.writer(buffer)  # lines end in \r\n, so that a \r in a name is quoted
-    writer.writerow([*first, "x", "y", *(["name"] if named else [])])
-    for cells, landmarks in every:
-        names = [[name] for name in landmarks.names] or [[""] * named] * len(landmarks)
+    writer.writerow(["image"] * titled + ["x", "y"] + ["name"] * named)
+    for image, landmarks in collection.items():
+        names = landmarks.names or [""] * len(landmarks)
         for (x, y), name in zip(landmarks.points.tolist(), names, strict=True):
-            writer.writerow([*cells, *(["", ""] if x != x else [repr(x), repr(y)]), *name])
+            writer.writerow([image] * titled + (["", ""] if x != x else [repr(x), repr(y)]) + [name] * named)
     return buffer.getvalue()
 
 
-def upwards(landmarks: Landmarks, image_size: tuple[float, float]) -> Landmarks:
+def upwards(landmarks: Landmarks, image_size: Size) -> Landmarks:
     """Count y from the other side of an image of (width, height)."""
     x, y = landmarks.points.T
     return replace(landmarks, points=np.stack([x, image_size[1] - 1 - y], axis=1))
@@ -86,12 +80,12 @@ def tps_text(landmarks: Landmarks) -> str:
     return "\n".join([*text, ""])
 
 
-def tps_collection(collection: Mapping[str, Landmarks], _: Sizes) -> str:
+def tps_of_many(collection: Mapping[str, Landmarks], _: Sizes) -> str:
     """Return the text of a ``.tps`` file of many images, by file name. y counts upwards."""
     return "".join(map(tps_text, collection.values()))
 
 
-def coco_collection(collection: Mapping[str, Landmarks], sizes: Sizes) -> str:
+def coco_of_many(collection: Mapping[str, Landmarks], sizes: Sizes) -> str:
     """Return the text of a COCO file of many images, by file name.
 
     Missing landmarks have visibility 0, invisible ones 1, all others 2. Names and contours are those of the first
