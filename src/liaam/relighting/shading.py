@@ -16,6 +16,7 @@ from liaam.evaluation import short_repr
 from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
+from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.basis import light_on_frame
 from liaam.relighting.seen import NOISE_FACTOR, Seen, errors_of_the_model
 
@@ -35,9 +36,6 @@ ERRORS_PER_AREA = 2.0
 MARK, CONTRAST = 0.12, 0.2
 """Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
 the frame's diagonal, and the difference from it, in logarithms, at which a pixel has less weight."""
-
-WIDER, SHARE = 3.0, 0.03
-"""A second Gaussian, relative to the first, and its weight: below a mark, light is that of its surroundings."""
 
 SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
 """What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
@@ -62,15 +60,12 @@ class Shading:
     __repr__ = short_repr
 
 
-def find_shading(
-    model: AAM, seen: Seen, log_rgb: np.ndarray, coordinates: np.ndarray, covariance: np.ndarray
-) -> Shading:
+def find_shading(model: AAM, seen: Seen, appearance: ShadowFree, covariance: np.ndarray) -> Shading:
     """Estimate the light of a fitted image from its appearance and the coordinates of its light.
 
-    ``log_rgb`` (n_pixels, 3), ``coordinates`` (k,) and their covariance (k, k) are from
-    :func:`liaam.relighting.joint.appearance_in_light`.
+    Those and the coordinates' covariance (k, k) are from :func:`liaam.relighting.joint.appearance_in_light`.
     """
-    modes = light_on_frame(model)
+    modes, coordinates, log_rgb = light_on_frame(model), appearance.light, appearance.log_rgb
     lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1)
     left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
@@ -102,9 +97,9 @@ def without_marks(
     for _ in range(2):
         kept = weights * np.exp(-0.5 * np.square((left - near) / contrast).mean(axis=1))
         layers = np.column_stack([left * kept[:, None], kept])
-        sums = blurred(model, layers, SMOOTHNESS) + SHARE * blurred(model, layers, WIDER * SMOOTHNESS)
+        sums = blurred(model, layers, SMOOTHNESS)
         near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
-    return near, sums[:, 3] / (1.0 + SHARE)
+    return near, sums[:, 3]
 
 
 def medians(model: AAM, values: np.ndarray) -> np.ndarray:
