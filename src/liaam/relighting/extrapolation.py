@@ -152,7 +152,7 @@ def _weighted(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 def _means(sums: np.ndarray) -> np.ndarray:
     """Return the means, (h, w, c), of averages of the layers of :func:`_weighted`."""
-    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:

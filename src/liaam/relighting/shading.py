@@ -33,9 +33,10 @@ SHADOWS = 0.6
 ERRORS_PER_AREA = 2.0
 """Number of independent errors of the model in the area of the smoothing."""
 
-MARK, CONTRAST = 0.12, 0.2
+MARK, CONTRAST, CAST = 0.12, 0.07, 0.45
 """Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
-the frame's diagonal, and the difference from it, in logarithms, at which a pixel has less weight."""
+the frame's diagonal, the difference from it, in logarithms, at which a pixel has less weight, and what is added to that
+(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window."""
 
 SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
 """What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
@@ -70,10 +71,10 @@ def find_shading(model: AAM, seen: Seen, appearance: ShadowFree, covariance: np.
     left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
-    prior = WRONG**2 * np.maximum(varying, 0.0)
-    contrast = CONTRAST
+    varying = np.maximum(varying, 0.0)
+    prior, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
     if model.light is None:
-        prior, contrast = prior + SHADOWS**2, SHADOWS
+        prior, contrast = prior + SHADOWS**2, np.full_like(prior, SHADOWS)
     else:
         left = without_pairs(model, left, bright)
     weights = seen.usable / (errors_of_the_model(model, log_rgb) + NOISE_FACTOR * seen.noise.mean(axis=1))
@@ -87,15 +88,16 @@ def find_shading(model: AAM, seen: Seen, appearance: ShadowFree, covariance: np.
 
 
 def without_marks(
-    model: AAM, left: np.ndarray, weights: np.ndarray, contrast: float = CONTRAST
+    model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,); also average the weights.
 
-    A mark differs in brightness or colour, first from the median of its surroundings, then from the first average.
+    A mark differs in brightness or colour by a ``contrast`` (n_pixels,), first from the median of its surroundings, then
+    from the first average.
     """
     near = medians(model, smoothed(model, left, 0.5 * SMOOTHNESS))
     for _ in range(2):
-        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast).mean(axis=1))
+        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
         layers = np.column_stack([left * kept[:, None], kept])
         sums = blurred(model, layers, SMOOTHNESS)
         near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
