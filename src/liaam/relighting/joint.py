@@ -14,7 +14,8 @@ solves weighted least squares with Gaussian priors, and then weighs the pixels b
 
 Most images of an object may be in the training light, and errors of the model always look like a little light. So the
 light is 0 with the probability that the data give to it, and its coordinates are means over both cases. An image that
-is darker or redder as a whole is no evidence of another light, as its level c explains it.
+is darker or redder as a whole is no evidence of another light, as its level c explains it; under another light, the
+level is removed as well.
 """
 
 from functools import lru_cache
@@ -58,6 +59,8 @@ class InLight(NamedTuple):
     """Appearance under the training light."""
     covariance: np.ndarray
     """(k, k): covariance of the coordinates of the light."""
+    level: np.ndarray
+    """(3,) float32: logarithm of the image's level, times the probability of another light than that of training."""
 
 
 def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
@@ -87,10 +90,11 @@ def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
     own, covariance = slice(n, -3), np.linalg.inv(hessian)
     light, variance = found[own], covariance[own, own]
     same = as_in_training(light, variance)
+    level = np.float32(1.0 - same) * (found[-3:].astype(np.float32) @ levels)
     found = found - same * covariance[:, own] @ np.linalg.solve(variance, light)
     spread = (1.0 - same) * (variance + same * np.outer(light, light))
     deviations = np.sqrt(np.diag(covariance)[:n])
-    return InLight(ShadowFree(known.texture(found[:n]), found[:n], deviations, found[own]), spread)
+    return InLight(ShadowFree(known.texture(found[:n]), found[:n], deviations, found[own]), spread, level)
 
 
 def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:

@@ -299,8 +299,8 @@ def _separated(
 
     noise = noise_deviation(image)
     seen = Seen.of(model, image, shape, response, noise)
-    appearance, covariance = appearance_in_light(model, seen, prior)
-    shading = find_shading(model, seen, appearance, covariance)
+    found = appearance_in_light(model, seen, prior)
+    shading = find_shading(model, seen, found)
     shading = shading if steadied is None else steadied(shading)
     around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
     region = Region.of(shape, around_it if model.light is None else square_around(model.light, shape, image.shape))
@@ -325,7 +325,7 @@ def _separated(
         shape=shape,
         response=response,
         picture=as_eight_bit(image),
-        appearance=appearance,
+        appearance=found.appearance,
         frame_shading=shading,
         region=region,
         log_flat=below_white(whole - light, whole),

@@ -16,8 +16,8 @@ from liaam.evaluation import short_repr
 from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
-from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.basis import light_on_frame
+from liaam.relighting.joint import InLight
 from liaam.relighting.seen import NOISE_FACTOR, Seen, errors_of_the_model
 
 SMOOTHNESS, WINDOW = 0.01, 0.08
@@ -61,13 +61,10 @@ class Shading:
     __repr__ = short_repr
 
 
-def find_shading(model: AAM, seen: Seen, appearance: ShadowFree, covariance: np.ndarray) -> Shading:
-    """Estimate the light of a fitted image from its appearance and the coordinates of its light.
-
-    Those and the coordinates' covariance (k, k) are from :func:`liaam.relighting.joint.appearance_in_light`.
-    """
-    modes, coordinates, log_rgb = light_on_frame(model), appearance.light, appearance.log_rgb
-    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1)
+def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
+    """Estimate the light of a fitted image from its appearance and the coordinates of its light."""
+    modes, coordinates, log_rgb = light_on_frame(model), found.appearance.light, found.appearance.log_rgb
+    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1) + found.level
     left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
@@ -78,21 +75,19 @@ def find_shading(model: AAM, seen: Seen, appearance: ShadowFree, covariance: np.
     else:
         left = without_pairs(model, left, bright)
     weights = seen.usable / (errors_of_the_model(model, log_rgb) + NOISE_FACTOR * seen.noise.mean(axis=1))
-    rest, weights = without_marks(model, left, weights, contrast)
+    rest = without_marks(model, left, weights, contrast)
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
     kept = prior / (prior + uncertain)
     brightness = modes.mean(axis=2)
-    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + kept * uncertain
+    variance = np.einsum("kn,kl,ln->n", brightness, found.covariance, brightness, optimize=True) + kept * uncertain
     log, deviation = lit + kept[:, None] * rest, np.sqrt(np.maximum(variance, 0.0))
     return Shading(coordinates, log.astype(np.float32), deviation.astype(np.float32))
 
 
-def without_marks(
-    model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,); also average the weights.
+def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray) -> np.ndarray:
+    """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,).
 
-    A mark differs in brightness or colour by a ``contrast`` (n_pixels,), first from the median of its surroundings, then
+    A mark differs in light by a ``contrast`` (n_pixels,): first from the median of its surroundings, then
     from the first average.
     """
     near = medians(model, smoothed(model, left, 0.5 * SMOOTHNESS))
@@ -101,7 +96,7 @@ def without_marks(
         layers = np.column_stack([left * kept[:, None], kept])
         sums = blurred(model, layers, SMOOTHNESS)
         near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
-    return near, sums[:, 3]
+    return near
 
 
 def medians(model: AAM, values: np.ndarray) -> np.ndarray:
