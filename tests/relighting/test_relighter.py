@@ -363,8 +363,8 @@ def test_values_are_carried_on_as_far_as_things_look_alike():
     own[:, 154:] = [1.5, 0.0, -1.0]  # a wall on the right
     around = Surroundings.of(inside, own, 6.0)
     share, belongs = around.share, around.belongs
-    light = around.spread(np.full((160, 200, 1), 2.0, np.float32), np.float32(0.0), own)
-    np.testing.assert_allclose(light, 2.0 * share, atol=1e-3)
+    light = around.spread(np.full((160, 200, 3), 2.0, np.float32), np.float32(0.0), own)
+    np.testing.assert_allclose(light, np.broadcast_to(2.0 * share, light.shape), atol=1e-3)
     assert share[90, 38] > 0.8 > share[90, 20] > 0.05
     assert share[90, 160:].max() < 0.01
     assert share[:, :14].max() == 0.0
