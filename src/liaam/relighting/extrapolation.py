@@ -121,7 +121,7 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
     brightness = mean_of(colours)[..., None]
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
     colours = colours - brightness
-    apart = np.square(colours - colours[inside].mean(axis=0)).sum(axis=2, keepdims=True) / ANOTHER_COLOUR**2
+    apart = 3.0 * mean_of(np.square(colours - colours[inside].mean(axis=0)))[..., None] / ANOTHER_COLOUR**2
     alike = np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
     certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]  # that of the mesh is 1
     belongs = np.where(certain, 1.0, alike * belongs)
