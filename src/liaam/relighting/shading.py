@@ -63,9 +63,9 @@ class Shading:
 
 def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
     """Estimate the light of a fitted image from its appearance and the coordinates of its light."""
-    modes, coordinates, log_rgb = light_on_frame(model), found.appearance.light, found.appearance.log_rgb
+    modes, coordinates = light_on_frame(model), found.appearance.light
     lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1) + found.level
-    left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
+    left = np.where(seen.usable[:, None] > 0, seen.log - found.appearance.log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
     varying = np.maximum(varying, 0.0)
@@ -74,7 +74,7 @@ def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
         prior, contrast = prior + SHADOWS**2, np.full_like(prior, SHADOWS)
     else:
         left = without_pairs(model, left, bright)
-    weights = seen.usable / (errors_of_the_model(model, log_rgb) + NOISE_FACTOR * seen.noise.mean(axis=1))
+    weights = seen.usable / (errors_of_the_model(model) + NOISE_FACTOR * seen.noise.mean(axis=1))
     rest = without_marks(model, left, weights, contrast)
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
     kept = prior / (prior + uncertain)
