@@ -43,6 +43,9 @@ ANOTHER_COLOUR, COLOUR_BLUR = 0.5, 0.1
 """Difference of log-chromaticity from the object's mean from which a pixel is rather background, and standard deviation
 of the Gaussian before it is measured, in reaches."""
 
+EVEN = 0.5
+"""Scale within which that division is evened out, in reaches."""
+
 BRIGHTER, BRIGHTEST = 0.3, 0.95
 """Logarithm of light above the brightest of the object, from which a pixel is rather background, as a wall is behind a
 dark face; the brightest is this quantile."""
@@ -121,7 +124,8 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
     apart = 3.0 * mean_of(np.square(colours - colours[inside].mean(axis=0)))[..., None] / ANOTHER_COLOUR**2
     alike = np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
     certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]  # that of the mesh is 1
-    belongs = np.where(certain, 1.0, alike * belongs).astype(np.float32)
+    belongs = np.where(certain, 1.0, alike * belongs)
+    belongs = np.where(known > 0, belongs, averaged(belongs, seen, max(1.0, EVEN * reach))).astype(np.float32)
     share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
     share = np.where(share > LEAST_SHARE, share, 0.0).astype(np.float32)
     return belongs, np.where(known > 0, belongs, share)
