@@ -45,8 +45,8 @@ def measured(model: AAM, pair: LitPair, relighter: Relighter) -> tuple[float, ..
     untouched = log_light(picture, relighter.response)
     made = untouched.copy()
     made[relighter.region.box] = relighter.log_flat
-    alone, _ = paint(picture, shape, model, relighter.appearance.log_rgb)
-    errors = flat_error(model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
+    alone, _ = paint(picture, shape, relighter.model, relighter.appearance.log_rgb)
+    errors = flat_error(relighter.model, alone, shape, pair.flat), flat_error(model, made, shape, pair.flat)
     truth = eight_bits(np.log(np.maximum(pair.flat.linear, 1e-4)), relighter.response)
     pictures = (relighter.flat(), relighter.under((1, 0, 0.3)), picture, truth)
     seams = (seam(model, made, shape, pair.flat) for made in pictures)

@@ -20,8 +20,8 @@ BLUR_OWN = 1.0
 EDGE = 0.8
 """Change of log light, summed over channels, that counts as a distance of one scale."""
 
-NEARBY = (2.0, 0.4)
-"""Scales of averages of values, in reaches; the finer one counts where it has enough weight."""
+NEARBY = 0.8
+"""Scale of averages of values, in reaches."""
 
 COLOUR = 4.0
 """Scale of averages of the colour of light, in reaches. Lamps of two colours mix slowly over a surface, and at the
@@ -97,7 +97,7 @@ class Surroundings:
         It follows the edges of the logarithms of light ``own``, (h, w, 3).
         """
         rest = values - lit
-        grey = rest.mean(axis=2, keepdims=True)
+        grey = mean_of(rest)[..., None]
         rest = grey + _blurred(rest - grey, self.inside, COLOUR * self.reach)
         nearby = carried(rest, self.inside, own, self.reach)
         light = np.where(self.inside[..., None], self.belongs * values, self.share * nearby + self.belongs * lit)
@@ -121,7 +121,7 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
     brightness = mean_of(colours)[..., None]
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
     colours = colours - brightness
-    apart = np.square(colours - colours[inside].mean(axis=0)).sum(axis=2, keepdims=True) / ANOTHER_COLOUR**2
+    apart = 3.0 * mean_of(np.square(colours - colours[inside].mean(axis=0)))[..., None] / ANOTHER_COLOUR**2
     alike = np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
     certain = (depth > min(BORDER * reach, 0.5 * depth.max()))[..., None]  # that of the mesh is 1
     belongs = np.where(certain, 1.0, alike * belongs)
@@ -133,19 +133,15 @@ def _division(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.nda
 
 def carried(values: np.ndarray, inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
     """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
-    layers, seen, nearby = _weighted(values, inside), _edges(own, inside)[1], np.zeros(1, np.float32)
-    for scale in NEARBY:
-        sums = averaged(layers, seen, max(1.0, scale * reach))
-        means = _means(sums)
-        nearby = nearby + smoothstep(4.0 * sums[..., -1:] if nearby.ndim > 1 else 1.0) * (means - nearby)
-    return nearby
+    return _means(averaged(_weighted(values, inside), _edges(own, inside)[1], max(1.0, NEARBY * reach)))
 
 
 def _blurred(values: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
-    """Return Gaussian averages of values (h, w, c) over a mask (h, w)."""
+    """Return averages of values (h, w, c) over a mask (h, w), by two box filters of a standard deviation."""
     import cv2
 
-    return _means(cv2.GaussianBlur(_weighted(values, inside), (0, 0), scale))
+    width = 2 * round(1.22 * scale) + 1  # the variances of boxes, (width**2 - 1) / 12, sum to scale**2
+    return _means(cv2.blur(cv2.blur(_weighted(values, inside), (width, width)), (width, width)))
 
 
 def _weighted(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -156,7 +152,7 @@ def _weighted(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 def _means(sums: np.ndarray) -> np.ndarray:
     """Return the means, (h, w, c), of averages of the layers of :func:`_weighted`."""
-    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-6)
+    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)
 
 
 def _distance(mask: np.ndarray) -> np.ndarray:

@@ -5,13 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.model.shape import diagonal_of
-from liaam.relighting.painting import REACH, mean_of
+from liaam.relighting.painting import REACH
 
 FINEST = 128.0
 """Largest diagonal of an object, in pixels, at which light is computed. In larger objects it is enlarged."""
-
-EDGE = 0.05
-"""Variance of log brightness from which light follows the edges of the image when it is enlarged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,21 +54,3 @@ class Region:
         import cv2
 
         return layers if self.size == self.small else cv2.resize(layers, self.size, interpolation=cv2.INTER_LINEAR)
-
-    def along_edges(self, light: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Interpolate light (h, w, 3) at the pixels of the box, along the edges of the image (h, w, 3) there.
-
-        Within neighbouring pixels light is taken as linear in the image's log brightness (He, Sun and Tang, "Guided
-        image filtering", PAMI 2013): where both have an edge, that of light becomes as sharp as the image's.
-        """
-        import cv2
-
-        if self.size == self.small:
-            return light
-        bright = mean_of(own)
-        guide = self.reduced(bright)[..., None]
-        mean, expected = cv2.blur(guide, (3, 3))[..., None], cv2.blur(light, (3, 3))
-        variance = cv2.blur(guide * guide, (3, 3))[..., None] - mean * mean
-        slope = (cv2.blur(guide * light, (3, 3)) - mean * expected) / (np.maximum(variance, 0.0) + EDGE)
-        slope = cv2.blur(slope, (3, 3))
-        return self.enlarged(light - slope * guide) + self.enlarged(slope) * bright[..., None]

@@ -299,8 +299,8 @@ def _separated(
 
     noise = noise_deviation(image)
     seen = Seen.of(model, image, shape, response, noise)
-    appearance, log_rgb, covariance = appearance_in_light(model, seen, prior)
-    shading = find_shading(model, seen, log_rgb, appearance.light, covariance)
+    found = appearance_in_light(model, seen, prior)
+    shading = find_shading(model, seen, found)
     shading = shading if steadied is None else steadied(shading)
     around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
     region = Region.of(shape, around_it if model.light is None else square_around(model.light, shape, image.shape))
@@ -319,13 +319,13 @@ def _separated(
     normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
     normals /= np.sqrt(np.maximum(cv2.transform(np.square(normals), np.ones((1, 3), np.float32)), 1e-12))[..., None]
     light, whole = spared(own, light, surroundings.belongs, region)
-    light = region.along_edges(light, own)
+    light = region.enlarged(light)
     return Relighter(
         model=model,
         shape=shape,
         response=response,
         picture=as_eight_bit(image),
-        appearance=appearance,
+        appearance=found.appearance,
         frame_shading=shading,
         region=region,
         log_flat=below_white(whole - light, whole),

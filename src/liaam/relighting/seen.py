@@ -1,6 +1,7 @@
 """A fitted image on the model's reference frame, and how far image and model can be trusted there."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,12 +13,6 @@ from liaam.photometry.invariant import THETA_DEFAULT
 from liaam.photometry.response import log_slope
 from liaam.relighting.painting import soft_edge
 from liaam.training.textures import sample_appearance
-
-MISPLACED = 0.4
-"""Standard deviation of the corrected landmarks, pixels of the reference frame."""
-
-FINE = 0.03
-"""Standard deviation of detail finer than the model's appearance, in logarithms."""
 
 NOISE_FACTOR = 3.0
 """Factor on the noise's variance: rounding and JPEG compression add to the measured noise."""
@@ -57,13 +52,12 @@ def noise_variance(stored: np.ndarray, response: Response, deviation: float) -> 
     return np.square(deviation * log_slope(np.maximum(stored, 0.5 / 255), response))
 
 
-def errors_of_the_model(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
-    """Return the variance of the errors of a model's appearance in a fitted image, (n_pixels,) float32."""
+@lru_cache(maxsize=4)
+def errors_of_the_model(model: AAM) -> np.ndarray:
+    """Return the variance of the errors of a model's appearance in fitted images, (n_pixels,) float32."""
     unexplained = model.levels[-1].appearances["log"].unexplained
     known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
-    slopes = np.square(model.frame.gradient(log_rgb)).sum(axis=1).mean(axis=1)
-    border = np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))
-    return (known + FINE**2 + MISPLACED**2 * slopes + border).astype(np.float32)
+    return (known + np.square(AT_THE_BORDER * (1.0 - soft_edge(model)))).astype(np.float32)
 
 
 def angle_of(theta: float) -> float:

@@ -17,6 +17,7 @@ from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
 from liaam.relighting.basis import light_on_frame
+from liaam.relighting.joint import InLight
 from liaam.relighting.seen import NOISE_FACTOR, Seen, errors_of_the_model
 
 SMOOTHNESS, WINDOW = 0.01, 0.08
@@ -32,12 +33,10 @@ SHADOWS = 0.6
 ERRORS_PER_AREA = 2.0
 """Number of independent errors of the model in the area of the smoothing."""
 
-MARK, CONTRAST = 0.12, 0.2
+MARK, CONTRAST, CAST = 0.12, 0.07, 0.45
 """Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
-the frame's diagonal, and the difference from it, in logarithms, at which a pixel has less weight."""
-
-WIDER, SHARE = 3.0, 0.03
-"""A second Gaussian, relative to the first, and its weight: below a mark, light is that of its surroundings."""
+the frame's diagonal, the difference from it, in logarithms, at which a pixel has less weight, and what is added to that
+(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window."""
 
 SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
 """What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
@@ -62,49 +61,42 @@ class Shading:
     __repr__ = short_repr
 
 
-def find_shading(
-    model: AAM, seen: Seen, log_rgb: np.ndarray, coordinates: np.ndarray, covariance: np.ndarray
-) -> Shading:
-    """Estimate the light of a fitted image from its appearance and the coordinates of its light.
-
-    ``log_rgb`` (n_pixels, 3), ``coordinates`` (k,) and their covariance (k, k) are from
-    :func:`liaam.relighting.joint.appearance_in_light`.
-    """
-    modes = light_on_frame(model)
-    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1)
-    left = np.where(seen.usable[:, None] > 0, seen.log - log_rgb - lit, 0.0).astype(np.float32)
+def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
+    """Estimate the light of a fitted image from its appearance and the coordinates of its light."""
+    modes, coordinates = light_on_frame(model), found.appearance.light
+    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1) + found.level
+    left = np.where(seen.usable[:, None] > 0, seen.log - found.appearance.log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
-    prior = WRONG**2 * np.maximum(varying, 0.0)
-    contrast = CONTRAST
+    varying = np.maximum(varying, 0.0)
+    prior, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
     if model.light is None:
-        prior, contrast = prior + SHADOWS**2, SHADOWS
+        prior, contrast = prior + SHADOWS**2, np.full_like(prior, SHADOWS)
     else:
         left = without_pairs(model, left, bright)
-    weights = seen.usable / (errors_of_the_model(model, log_rgb) + NOISE_FACTOR * seen.noise.mean(axis=1))
-    rest, weights = without_marks(model, left, weights, contrast)
+    weights = seen.usable / (errors_of_the_model(model) + NOISE_FACTOR * seen.noise.mean(axis=1))
+    rest = without_marks(model, left, weights, contrast)
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
     kept = prior / (prior + uncertain)
     brightness = modes.mean(axis=2)
-    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + kept * uncertain
+    variance = np.einsum("kn,kl,ln->n", brightness, found.covariance, brightness, optimize=True) + kept * uncertain
     log, deviation = lit + kept[:, None] * rest, np.sqrt(np.maximum(variance, 0.0))
     return Shading(coordinates, log.astype(np.float32), deviation.astype(np.float32))
 
 
-def without_marks(
-    model: AAM, left: np.ndarray, weights: np.ndarray, contrast: float = CONTRAST
-) -> tuple[np.ndarray, np.ndarray]:
-    """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,); also average the weights.
+def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray) -> np.ndarray:
+    """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,).
 
-    A mark differs in brightness or colour, first from the median of its surroundings, then from the first average.
+    A mark differs in light by a ``contrast`` (n_pixels,): first from the median of its surroundings, then
+    from the first average.
     """
     near = medians(model, smoothed(model, left, 0.5 * SMOOTHNESS))
     for _ in range(2):
-        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast).mean(axis=1))
+        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
         layers = np.column_stack([left * kept[:, None], kept])
-        sums = blurred(model, layers, SMOOTHNESS) + SHARE * blurred(model, layers, WIDER * SMOOTHNESS)
+        sums = blurred(model, layers, SMOOTHNESS)
         near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
-    return near, sums[:, 3] / (1.0 + SHARE)
+    return near
 
 
 def medians(model: AAM, values: np.ndarray) -> np.ndarray:
