@@ -6,6 +6,7 @@ Errors for the user have the form ``{"error": sentence}``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -294,8 +295,14 @@ class _Handlers:
         return answer
 
     def upload(self, request: Request, data: bytes) -> dict[str, Any]:
-        upload = self.studio.uploads.add(data, request.query_params.get("name", ""))
-        return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height}
+        """Keep a dropped picture; with a ``method``, also fit it. If that fails, asking for the fit will say why."""
+        asked, studio, fit = request.query_params, self.studio, None
+        upload = studio.uploads.add(data, asked.get("name", ""))
+        if "method" in asked:
+            with suppress(LiaamError):
+                source = studio.uploads.source(upload.id)
+                fit = studio.fits.fit(source, ("upload", upload.id), asked["method"]).as_json()
+        return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height, "fit": fit}
 
     def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)

@@ -40,6 +40,9 @@ export class FitStore {
 
   async #ask(source, method, start) {
     await source.ready;
+    const { fit } = source;
+    source.fit = null;
+    if (fit?.method === method && !start) return cleaned(fit);
     const asked = { ...source.reference, method, start };
     return cleaned(await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
   }

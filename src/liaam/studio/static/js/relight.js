@@ -10,8 +10,7 @@ import { button, h, menu, slider } from "./ui.js";
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
 /** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
 
-const SIZE_WHILE_MOVING = 800;
-const SIZE_AT_REST = 1600;
+const LARGEST = 1600; // pixels of the longest side of the picture
 
 const BALL = 1.4; // diameter of the ball that lamps are on, relative to the object's box
 const LEAST = 120; // css pixels of its diameter
@@ -46,6 +45,12 @@ export const PRESETS = {
 
 /** Red, green and blue of "#rrggbb", 0 to 1. */
 const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
+
+/** Lights for the computation in the browser: {lamps: [{direction, channels: linear light, softness}], ambient}. */
+export const linearLights = ({ lamps, ambient }) => ({
+  ambient, lamps: lamps.map(({ direction, colour, strength, softness }) =>
+    ({ direction, softness, channels: channelsOf(colour).map((value) => strength * value ** 2.2) })),
+});
 
 /** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
 export function lightQuery({ lamps, ambient }, size) {
@@ -200,7 +205,7 @@ export class Light extends EventTarget {
   }
 }
 
-/** Fetches the relit picture, with at most one request at a time for the newest light. */
+/** Fetches the exact relit picture, with at most one request at a time for the newest light. */
 export class Relighter extends LatestWins {
   constructor({ done, failed }) {
     const task = async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query)));
@@ -212,8 +217,8 @@ export class Relighter extends LatestWins {
     this.meter = new FrameMeter();
   }
 
-  relight(fit, light, resting) {
-    const size = Math.min(Math.max(fit.width, fit.height), resting ? SIZE_AT_REST : SIZE_WHILE_MOVING);
+  relight(fit, light) {
+    const size = Math.min(Math.max(fit.width, fit.height), LARGEST);
     this.ask({ fit, query: lightQuery(light, size) });
   }
 }
