@@ -37,6 +37,8 @@ export class RoughLight {
     this._y = part(([, green]) => (green - 128) / 127);
     this._z = this._x.map((x, i) => Math.sqrt(Math.max(1 - x * x - this._y[i] ** 2, 0)));
     this._share = part(([, , blue]) => blue / 255);
+    this._light = new Float32Array(3 * this._n);
+    this._frontal = new Float32Array(this._n);
   }
 
   /** Paint the object under lights. @param {{ambient: number, lamps: {direction: number[], channels: number[],
@@ -59,9 +61,8 @@ export class RoughLight {
 
   /** Write the factors of stored values. */
   _compute(lamps, ambient) {
-    const { _n: n, _x: x, _y: y, _z: z, _share: share } = this;
-    const light = new Float32Array(3 * n);
-    const [sums, frontal] = [{ frontal: 0, light: 0 }, new Float32Array(n)];
+    const { _n: n, _x: x, _y: y, _z: z, _share: share, _light: light, _frontal: frontal } = this;
+    const [darker, brighter, sums] = [this._darker.data, this._brighter.data, { frontal: 0, light: 0 }];
     for (let i = 0; i < n; i += 1) {
       frontal[i] = Math.max(ambient + (1 - ambient) * z[i], DARKEST);
       for (let c = 0; c < 3; c += 1) light[3 * i + c] = ambient;
@@ -77,9 +78,9 @@ export class RoughLight {
     const exposure = Math.min(Math.sqrt(sums.frontal / Math.max(sums.light, 1e-6)), LONGEST);
     for (let i = 0; i < n; i += 1)
       for (let c = 0; c < 3; c += 1) {
-        const factor = ((exposure * light[3 * i + c]) / frontal[i]) ** (share[i] / GAMMA);
-        this._darker.data[4 * i + c] = 255 * Math.min(factor, 1);
-        this._brighter.data[4 * i + c] = 255 * (1 - 1 / Math.max(factor, 1));
+        const factor = share[i] ? ((exposure * light[3 * i + c]) / frontal[i]) ** (share[i] / GAMMA) : 1;
+        darker[4 * i + c] = 255 * Math.min(factor, 1);
+        brighter[4 * i + c] = 255 * (1 - 1 / Math.max(factor, 1));
       }
   }
 }
