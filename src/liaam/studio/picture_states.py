@@ -24,8 +24,8 @@ class PictureStates:
     proposals: Proposals
     templates: TemplateStore
     log: ReviewLog
-    slips: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """:meth:`version_of` the landmarks in which a slip was found, and its description, by picture."""
+    slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
+    """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -51,7 +51,8 @@ class PictureStates:
         else:
             state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
         checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
-        revision, slip = self.slips.get(file.name, (None, None))
+        revision, slip, wrong = self.slips.get(file.name, (None, None, []))
+        has_slip = state == "done" and revision == self.version_of(marks) and not checked
         return {
             "name": file.name,
             "tag": file.tag,
@@ -65,7 +66,8 @@ class PictureStates:
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked,
-            "slip": slip if state == "done" and revision == self.version_of(marks) and not checked else None,
+            "slip": slip if has_slip else None,
+            "slip_points": wrong if has_slip else [],
             "left_out": self.log.left_out_by(file.name),
             "revision": marks.revision,
         }

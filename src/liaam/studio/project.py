@@ -297,8 +297,8 @@ class Project:
         with self._lock:
             return self._intake.add(name, data)
 
-    def set_slips(self, slips: dict[str, tuple[str, str]]) -> None:
-        """Set the revision of the landmarks and the slip in them, by picture."""
+    def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
+        """Set the revision of the landmarks, the slip in them and its points, by picture."""
         with self._lock:
             self._states.slips.clear()
             self._states.slips.update(slips)

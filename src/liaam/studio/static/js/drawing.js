@@ -6,7 +6,7 @@ import { bounds } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = {
-  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8",
+  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f",
 };
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
