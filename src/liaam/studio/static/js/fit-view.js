@@ -6,7 +6,8 @@ import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
 import { isGone, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { Light, linearLights, Relighter } from "./relight.js";
+import { FrameMeter } from "./fit-schedule.js";
+import { Light, lightQuery, linearLights } from "./relight.js";
 import { RoughLight } from "./rough-light.js";
 import { button, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
@@ -33,6 +34,8 @@ const LIKE_PICTURES = ["flat", "relit"];
 const FETCHED = { flat: ["flat"], shading: ["shading"], residual: ["residual"], relit: ["flat", "normals"] };
 const LAYER_SIZE = 1600;
 
+const REST = 150; // milliseconds after the last move of a lamp until the exact picture is fetched
+
 export class FitView {
   /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
   constructor({ gone, ambient }) {
@@ -55,11 +58,8 @@ export class FitView {
     this.invariant = new InvariantView(this.viewer);
     this.light = new Light(ambient);
     this.container.append(this.light.stage);
-    this.relighter = new Relighter({
-      done: (image, fit) => this._relit(image, fit), failed: (error, { fit }) => this._failed("relit", error, fit),
-    });
-    this.light.addEventListener("change", () => this._relight(false));
-    this.light.addEventListener("rest", () => this._relight(true));
+    this.meter = new FrameMeter(); // of a dragged lamp
+    this.light.addEventListener("change", () => this._relight());
     this._build();
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
     this.show("picture");
@@ -86,7 +86,7 @@ export class FitView {
     this._scales.clear();
     this._rough = null; // computes the relit picture in the browser
     this._moved = this._isRough = false; // whether it has not been painted since a lamp moved, and whether it is shown
-    this.relighter.cancel();
+    this._dropRelit();
     this.show(this.name);
   }
 
@@ -144,7 +144,7 @@ export class FitView {
 
   async _load() {
     if (this._why(this.name)) return;
-    if (this.name === "relit" && !this._images.has("relit")) this._relight(true);
+    if (this.name === "relit" && !this._images.has("relit")) this._relight(0);
     await Promise.all((FETCHED[this.name] ?? []).map((layer) => this._fetch(layer)));
     if (this.name !== "invariant") return;
     const { source } = this;
@@ -187,24 +187,38 @@ export class FitView {
     this.viewer.redraw();
   }
 
-  /** Show the object under the lamps: while they move, what the browser can compute, as soon as it has the layers. */
-  _relight(resting) {
+  /** Show the object under the lamps: what the browser can compute at once, and the exact picture when they rest. */
+  _relight(wait = REST) {
+    this._dropRelit();
     if (this.name !== "relit" || this._why("relit")) return;
     const layers = FETCHED.relit.map((layer) => this._images.get(layer));
-    if (resting || !layers.every(Boolean)) this.relighter.relight(this.fit, this.light);
-    else {
-      this.relighter.cancel();
+    if (this._images.has("relit") && layers.every(Boolean)) {
       this._rough ??= new RoughLight(...layers, this._scales.get("normals").box);
       this._moved = true;
     }
+    this._awaited = setTimeout(() => this._fetchRelit(this._awaited), wait);
     this.viewer.redraw();
   }
 
-  _relit(image, fit) {
-    if (this.fit !== fit) return;
-    this._images.get("relit")?.close();
-    this._images.set("relit", image);
-    this._moved = this._isRough = false;
+  /** Drop the exact picture that is awaited. */
+  _dropRelit() {
+    clearTimeout(this._awaited);
+    this._awaited = null;
+  }
+
+  async _fetchRelit(turn) {
+    const { fit } = this;
+    try {
+      const size = Math.min(Math.max(fit.width, fit.height), LAYER_SIZE);
+      const image = await createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", lightQuery(this.light, size))));
+      if (turn !== this._awaited) return;
+      this._images.get("relit")?.close();
+      this._images.set("relit", image);
+      this._moved = this._isRough = false;
+    } catch (error) {
+      if (turn === this._awaited) this._failed("relit", error, fit);
+    }
+    if (turn === this._awaited) this._awaited = null;
     this.viewer.redraw();
   }
 
@@ -212,7 +226,7 @@ export class FitView {
   _relitImage() {
     if (this._moved) {
       this._rough.draw(linearLights(this.light));
-      this.relighter.meter.tick();
+      this.meter.tick();
       this._isRough = true;
     }
     this._moved = false;
