@@ -54,8 +54,8 @@ MODELS_KEPT = 2
 FITTERS_KEPT, RESIDUALS_KEPT = 16, 4
 
 SHARP = 2.0
-"""Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The finest
-level compares at the model's resolution: on photographs of 12 megapixels, fits differ by 0.04 % of the diagonal."""
+"""Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
+finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
 
 WARM_UP = (480, 640)
 """Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""

@@ -147,7 +147,7 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
 
 
 def normals_layer(light: Relighter) -> np.ndarray:
-    """Encode the normals (x and y) and the share of the light of lamps as (h, w, 3) uint8, at the resolution of light."""
+    """Encode x and y of the normals, and the share of the light of lamps, as (h, w, 3) uint8 in the light's size."""
     layer = np.dstack([128 + 127 * light.normals[..., :2], 255 * light.surroundings.share])
     return np.rint(layer if layer.size else np.zeros((1, 1, 3))).astype(np.uint8)
 

@@ -246,7 +246,7 @@ class Pictures:
 
     @contextmanager
     def at_work(self, source: Source, small: bool = False) -> Iterator[np.ndarray]:
-        """Yield the decoded picture (:meth:`pixels`), within a limit of the pixels that all threads process concurrently.
+        """Yield the decoded picture (:meth:`pixels`), within a limit of the pixels that all threads work on.
 
         Do not nest this, and do not hold it while waiting for a :meth:`Kept.get` that needs it: both can deadlock.
         """

@@ -174,9 +174,8 @@ def test_a_moved_lamp_is_shown_at_once_as_it_is_when_it_rests(relight):
     wait_for(relight, "() => !window.liaamStudio.fit.relightBusy")
     relight.wait_for_load_state("networkidle")
     shape = np.array(hook(relight, "fit.shape"))
-    (left, top), (right, bottom) = (
-        np.array(hook(relight, f"viewer.toScreen({place.tolist()})")) for place in (shape.min(axis=0), shape.max(axis=0))
-    )
+    corners = [shape.min(axis=0).tolist(), shape.max(axis=0).tolist()]
+    (left, top), (right, bottom) = (hook(relight, f"viewer.toScreen({corner})") for corner in corners)
     middle = (left + right) / 2
     area = [middle + 20, top + 40, right - middle - 40, bottom - top - 80]
     before = np.array(relight.evaluate(AREA, area), float)
