@@ -160,8 +160,7 @@ export class FitView {
     if (this._images.has(layer)) return;
     this._images.set(layer, null); // requested
     try {
-      const { blob, scale } = await api.layer(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
-      const image = await createImageBitmap(blob);
+      const { image, scale } = await api.layer(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
       if (this.fit !== fit) return;
       this._images.set(layer, image);
       this._scales.set(layer, scale);
@@ -210,7 +209,7 @@ export class FitView {
     const { fit } = this;
     try {
       const size = Math.min(Math.max(fit.width, fit.height), LAYER_SIZE);
-      const image = await createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", lightQuery(this.light, size))));
+      const { image } = await api.layer(api.url("fits", fit.id, "relit", lightQuery(this.light, size)));
       if (turn !== this._awaited) return;
       this._images.get("relit")?.close();
       this._images.set("relit", image);
