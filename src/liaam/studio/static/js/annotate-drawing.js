@@ -26,10 +26,12 @@ export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   const radius = Math.min(4, Math.max(1.8, 4 * room));
   drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested, radius });
-  discs(ctx, viewer, points.filter((_, i) => wrong.includes(i)), radius + 5);
-  stroked(ctx, COLOURS.slip, 2.2);
+  const slips = points.filter((_, i) => wrong.includes(i));
+  const isClear = spacing(viewer, slips) >= CLOSE;
+  discs(ctx, viewer, slips, radius + (isClear ? 5 : 2));
+  stroked(ctx, COLOURS.slip, 2);
   if (!tool.gesture) drawFrame(ctx, viewer, points, marking.framed());
-  const few = [[...selection], wrong].flatMap((some) => (some.length <= NAMED ? some : []));
+  const few = [[...selection], isClear ? wrong : []].flatMap((some) => (some.length <= NAMED ? some : []));
   const named = show.names ? indicesOf(points) : [...new Set([...few, tool.hovered].filter((i) => i >= 0))];
   drawNames(ctx, viewer, points, names, named);
   if (marking.placing && !viewer.isLoupe && tool.pointer && !tool.gesture && tool.hovered < 0) {
