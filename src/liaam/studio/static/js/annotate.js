@@ -95,7 +95,7 @@ export class AnnotateTab {
       app, accept: () => commands.accept(), skip: () => commands.skip(), confirm: () => commands.confirmLayout(),
     });
     const boxes = () => this.boxing;
-    this.review = createReview(app);
+    this.review = createReview(app, (event, work) => this.act(event, work));
     this.tool = new PointTool(viewer, () => this.doc, { boxes, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
