@@ -9,7 +9,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
@@ -186,8 +186,18 @@ class Fits:
             layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
 
     def warm_up_soon(self, current: ModelInUse | None) -> threading.Thread:
-        """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`."""
-        return _soon("warm-up", lambda: self.warm_up(current))
+        """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`.
+
+        It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
+        """
+
+        def warm_up() -> None:
+            with suppress(LiaamError):  # the request that needs the result will report it
+                self.warm_up(current)
+
+        thread = threading.Thread(target=warm_up, name="warm-up")
+        thread.start()
+        return thread
 
     def fit(
         self,
@@ -325,21 +335,6 @@ class Fits:
         model = current.model
         camera = model.camera.suited_to(raw=raw)
         return self._fitters.get((id(model), method, raw), lambda: Fitter(model, method, camera=camera))
-
-
-def _soon(name: str, work: Callable[[], Any]) -> threading.Thread:
-    """Work in a thread. Errors are ignored, since the request that needs the result will report them.
-
-    It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
-    """
-
-    def run() -> None:
-        with suppress(LiaamError):
-            work()
-
-    thread = threading.Thread(target=run, name=name)
-    thread.start()
-    return thread
 
 
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:

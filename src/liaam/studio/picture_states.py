@@ -51,8 +51,7 @@ class PictureStates:
         else:
             state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
         checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
-        revision, slip, wrong = self.slips.get(file.name, (None, None, []))
-        has_slip = state == "done" and revision == self.version_of(marks) and not checked
+        slip, wrong = self.slip_of(file) if state == "done" else (None, [])
         return {
             "name": file.name,
             "tag": file.tag,
@@ -66,8 +65,8 @@ class PictureStates:
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked,
-            "slip": slip if has_slip else None,
-            "slip_points": wrong if has_slip else [],
+            "slip": slip,
+            "slip_points": wrong,
             "left_out": self.log.left_out_by(file.name),
             "revision": marks.revision,
         }
@@ -108,6 +107,13 @@ class PictureStates:
             return None
         discarded = self.log.standing(file.name, "discarded")
         return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
+
+    def slip_of(self, file: File) -> tuple[str | None, list[int]]:
+        """Return the slip that was found in the landmarks of a picture, and its points; None once they are checked."""
+        marks = self.landmarks.of(file)
+        revision, slip, wrong = self.slips.get(file.name, (None, None, []))
+        is_open = revision == self.version_of(marks) and not self.log.checked_by(file.name, marks.placement)
+        return (slip, wrong) if is_open else (None, [])
 
     def version_of(self, marks: Marks) -> str:
         """Return a value that changes with what a model is trained on: points and template, but not the scale."""
