@@ -170,6 +170,15 @@ def test_the_divider_has_the_picture_at_its_left(fit_tab, lit_file, artefacts):
     shoot(fit_tab, artefacts, "22-divider")
 
 
+MOVES = """([x, y]) => {
+  const lamp = document.querySelector("[data-testid=lamp]");
+  for (let step = 0; step < 40; step += 1) {
+    const at = { clientX: x + step, clientY: y + 0.5 * step };
+    lamp.dispatchEvent(new PointerEvent("pointermove", { ...at, pointerId: 1, bubbles: true }));
+  }
+}"""
+
+
 def test_a_moved_light_asks_for_one_picture_when_it_rests(fit_tab, lit_file, lit_portrait):
     dropped(fit_tab, lit_file)
     asked, waiting, moving = [], [], False
@@ -192,8 +201,7 @@ def test_a_moved_light_asks_for_one_picture_when_it_rests(fit_tab, lit_file, lit
     moving, before = True, len(asked)
     fit_tab.mouse.move(x, y)
     fit_tab.mouse.down()
-    for step in range(40):
-        fit_tab.mouse.move(x + step, y + 0.5 * step)
+    fit_tab.evaluate(MOVES, [x, y])
     fit_tab.mouse.up()
     wait_until(fit_tab, lambda: waiting)
     moving = False
