@@ -30,6 +30,7 @@ ON_A_PAGE = 16  # pictures of the wall
 N_DONE = f"{PICTURES}.filter(({{state}}) => state === 'done').length"
 IS_TRAINED = "window.liaamStudio.state.project.model"
 IS_TRAINING = "(window.liaamStudio.state.project.training.state === 'running')"
+IS_CHECKED = "window.liaamStudio.state.project.checked"
 IS_FITTED = f"!window.liaamStudio.state.project.fitting && !{PICTURES}.some(({{state}}) => state === 'new')"
 HAS_GONE_ON = """name => window.liaamStudio.annotate.name() !== name
   || window.liaamStudio.state.picture(name).state === 'done'"""
@@ -135,10 +136,12 @@ def look_at_wall(person: Person) -> None:
             person.click_on(f"[data-testid=strip] [data-name='{name}']")
             person.correct()
             person.key("g")
-        if wrong:  # a person who looks at the next pages meanwhile takes longer than the training
-            person.wait(f"() => {IS_TRAINED} && !{IS_TRAINING} && {IS_FITTED}")
         person.key("Shift+Enter")
-        person.page.wait_for_timeout(200)  # until the next pictures are drawn
+        person.page.wait_for_timeout(500)  # until the next pictures are drawn
+        if wrong:  # a person takes longer for a page than the check and the training
+            person.wait(f"() => {IS_CHECKED}")
+            person.page.wait_for_timeout(500)  # until the training has begun
+            person.wait(f"() => {IS_TRAINED} && !{IS_TRAINING} && {IS_FITTED}")
     person.wait(f"() => !{PICTURES}.some(({{state, doubtful}}) => state === 'proposed' && !doubtful)")
     done = sum(each["state"] == "done" for each in person.pictures())
     report(

@@ -121,6 +121,7 @@ def relight_rate(page) -> float:
     """Relit images per second while a lamp is dragged round the object."""
     page.locator("[data-testid=layer-relit]").click()
     page.wait_for_function("() => window.liaamStudio.fit.hasLayer")
+    page.wait_for_load_state("networkidle")  # until the page can compute light
     box = page.locator("[data-testid=light-stage]").bounding_box()
     x, y, radius = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, 0.4 * box["width"]
     lamp = page.locator("[data-testid=lamp]").bounding_box()

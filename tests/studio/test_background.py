@@ -119,6 +119,7 @@ def test_exchanged_points_are_a_slip_until_a_person_checks_them(folder, begin):
     background.check_landmarks()
     slips = {name: picture["slip"] for name, picture in by_name(background.project).items() if picture["slip"]}
     assert list(slips) == ["p4.png"] and "exchanged" in slips["p4.png"]
+    assert {tuple(sorted(each["slip_points"])) for each in by_name(background.project).values()} == {(), (33, 39)}
     assert told == [("project", {})]
     background.check_landmarks()
     assert len(told) == 1

@@ -11,13 +11,13 @@ import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
+from liaam.studio.app import make_studio
 from liaam.studio.background import Background
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
     ModelStore,
     follow_template,
     forget_studio_model,
-    load_given_model,
     load_studio_model,
     model_json,
 )
@@ -223,6 +223,23 @@ def test_a_process_that_is_killed_is_told(setting):
     assert ended.state == "failed" and "ended unexpectedly" in ended.error
 
 
+def test_possible_slips_are_left_out_unless_a_person_wants_them(setting):
+    project, models, _, trainer = setting(4, 4)
+    (first, *_), slip = project.annotated(), "points 1–2 are exchanged"
+    project.set_slips({first.name: (first.revision, slip, [0, 1])})
+    trainer.start()
+    trainer.wait()
+    assert models.current.facts["left_out"] == {first.name: f"its points may be wrong: {slip}"}
+    assert not models.current.is_trained_on(first.name)
+    assert models.current.model.n_all_images == 3
+    assert shown(models.current, project)["stale"] == 0  # it is no reason to train again
+    trainer.start(slips=True)
+    trainer.wait()
+    assert models.current.is_trained_on(first.name)
+    project.review({"pictures": [first.name], "did": "checked"})
+    assert project.annotated()[0].slip is None
+
+
 def test_pictures_that_do_not_serve_are_left_out(setting):
     from liaam.io import read_image, write_image
 
@@ -279,9 +296,9 @@ def test_a_model_without_its_facts_still_serves(folder, head_model):
 
 def test_a_given_model_serves(folder, head_model, tmp_path):
     head_model.save(tmp_path / "m.liaam")
-    project, models = Project(folder(2)), ModelStore()
-    load_given_model(tmp_path / "m.liaam", models)
-    assert shown(models.current, project)["source"] == "file"
+    studio = make_studio(folder(2), tmp_path / "m.liaam")
+    assert shown(studio.models.current, studio.project)["source"] == "file"
+    studio.close()
 
 
 def test_a_fit_that_blew_up_is_no_proposal(head_model, moving):

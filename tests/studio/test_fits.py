@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Thread
 from urllib.parse import quote, unquote
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -243,15 +244,27 @@ class TestFit:
         assert searcher is not None
         assert "templates" in searcher.finder.__dict__
 
-    def test_a_dropped_picture_is_searched_at_once(self, folder, head_model, monkeypatch):
-        fits = make_fits(folder, head_model)
-        source = fits.uploads.source(fits.uploads.add((folder / "face.png").read_bytes(), "a.png").id)
-        thread = fits.search_soon(source)
-        assert thread is not None
-        thread.join()
-        monkeypatch.setattr(Fitter, "find", lambda *given, **more: pytest.fail("it has been found"))
-        assert fits.fit(source, ("upload", "x")).result.found is not None
-        assert make_fits(folder, None).search_soon(source) is None
+    @pytest.mark.parametrize(("factor", "sizes"), [(6, [(480, 360)]), (2, [(160, 120), (320, 240)])])
+    def test_a_large_picture_is_fitted_on_a_copy_if_the_object_is_large_there(
+        self, factor, sizes, scene, head_model, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr("liaam.studio.pictures.COPIED_FROM", 60_000)
+        monkeypatch.setattr("liaam.studio.pictures.COPY_SIDE", 40 * factor)
+        large = cv2.resize(scene.image, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        write_image(tmp_path / "large.jpg", large)
+        seen, fit_image = [], Fitter.fit
+        remember = lambda self, image, *more: seen.append(image.shape[:2]) or fit_image(self, image, *more)  # noqa: E731
+        monkeypatch.setattr(Fitter, "fit", remember)
+        fits = make_fits(tmp_path, head_model)
+        seen.clear()
+        fitted = fit(fits, "large.jpg")
+        assert seen == sizes
+        whole = Fitter(head_model).fit(large)
+        close = 0.002 * diagonal_of(whole.landmarks)
+        assert np.abs(fitted.result.landmarks - whole.landmarks).max() < close
+        assert np.allclose(fitted.result.deviations, whole.deviations, rtol=0.2)
+        assert fitted.result.found.scale == pytest.approx(whole.found.scale, rel=0.05)
+        assert fitted.as_json()["width"] == 120 * factor
 
     def test_the_example_shows_the_object(self, head_model):
         image = example(head_model, (240, 320))
@@ -276,6 +289,17 @@ class TestLayers:
             # The mask's corners are rounded, and pixels on the mesh's border are half covered.
             assert not clear[mesh_mask(fitted, (width, height), grow=-5)].any()
 
+    def test_normals_lie_on_the_object(self, fits, fitted):
+        drawn = decode_image(fits.layer(fitted, "normals", 320)).astype(float)
+        left, top, width, height = fits.scale(fitted, "normals", 320)["box"]
+        middle = (fitted.result.landmarks.mean(axis=0) / (120, 160) - (left, top)) / (width, height)
+        x, y, share = drawn[tuple((middle[::-1] * drawn.shape[:2]).astype(int))]
+        assert share == 255
+        assert np.hypot(x - 128, y - 128) < 60  # the middle faces the viewer
+        half = drawn[:, : drawn.shape[1] // 2], drawn[:, drawn.shape[1] // 2 :]
+        left_x, right_x = (part[part[..., 2] > 250][:, 0].mean() for part in half)
+        assert left_x < 118 < 138 < right_x
+
     def test_flat_is_the_whole_picture(self, fits, fitted, scene):
         drawn = decode_image(fits.layer(fitted, "flat", 320))
         assert drawn.shape == scene.image.shape
@@ -283,7 +307,8 @@ class TestLayers:
         assert np.array_equal(drawn[far], scene.image[far])
 
     def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
-        seen = fitted.residual
+        seen = fits._residual(fitted)
+        assert fits.scale(fitted, "residual", 100) == {"limit": seen.limit, "what": seen.what}
         residual, _ = residual_at(fitted.fitter, fits.pictures.pixels(fitted.source), fitted.result)
         power = np.square(residual).sum(axis=0)
         assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
@@ -293,7 +318,7 @@ class TestLayers:
         rows, columns = fitted.model.frame.pixels.T
         assert np.array_equal(own[rows, columns], whole[rows + offset[0], columns + offset[1]])
         for method in ("grey", "rgb", "li", "chroma", "igo"):
-            values = fit(fits, method=method).residual
+            values = fits._residual(fit(fits, method=method))
             assert values.values.shape == (fitted.model.n_pixels, 2)
             assert values.limit > 0
 
@@ -536,7 +561,11 @@ class TestRequests:
         assert (made["upload"], made["error"], made["ok"]) == (upload["id"], None, True)
         from_folder = page.fit(picture="face.png").json()
         assert made["shape"] == from_folder["shape"]
+        at_once = page.ask("POST", "/api/uploads?name=face.png&method=soft-li", content=data).json()
+        assert at_once["fit"]["shape"] == made["shape"]
+        assert page.ask("POST", "/api/uploads?name=face.png&method=none", content=data).json()["fit"] is None
         layer = page.ask("GET", f"/api/fits/{made['id']}/layers/residual?size=80")
+        assert set(json.loads(layer.headers["x-scale"])) == {"limit", "what"}
         assert Image.open(io.BytesIO(layer.content)).size == (60, 80)
 
     @pytest.mark.parametrize("what", [what for what in FILES if what != "relit"])

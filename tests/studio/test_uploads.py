@@ -114,11 +114,9 @@ class TestTaken:
         with pytest.raises(Refusal, match=f"a.png has {len(PNG) + 1:,} bytes, more than {len(PNG):,}: make it smaller"):
             uploads.add(PNG + b"x", "a.png")
 
-    def test_who_listens_is_told_of_each(self, uploads):
-        heard = []
-        uploads.listeners.append(heard.append)
+    def test_is_a_source_without_its_folder(self, uploads):
         upload = uploads.add(PNG, "folder/a.png")
-        (source,) = heard
+        source = uploads.source(upload.id)
         assert (source.name, source.tag) == ("a.png", f"upload-{upload.id}")
         assert source.size == (32, 24)
         assert len(upload.id) >= 12

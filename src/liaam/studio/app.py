@@ -6,6 +6,7 @@ Errors for the user have the form ``{"error": sentence}``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from liaam import __version__
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
+from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import fit_routes, live
@@ -36,7 +38,6 @@ from liaam.studio.model_store import (
     ModelStore,
     follow_template,
     load_dropped_model,
-    load_given_model,
     load_studio_model,
     model_json,
 )
@@ -111,7 +112,7 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
         background = Background(project, models, trainer, events.publish)
         fits, videos = Fits(project, models, uploads, pictures), LiveVideos(models, settings)
         if model is not None:
-            load_given_model(model, models)
+            models.publish(load_model(model), {"source": "file", "trained": None, "pictures": {}})
         else:
             load_studio_model(project, models)
         return Studio(settings, project, models, events, trainer, background, pictures, uploads, fits, videos, lock)
@@ -165,7 +166,7 @@ class _Handlers:
             route("GET", "/api/measurements", self.measurements),
             route("PUT", "/api/template", act(self.save_template), read_json),
             route("POST", "/api/template/file", self.read_template, data),
-            route("POST", "/api/training", act(lambda *_: asdict(training.start())), maybe_json, status=202),
+            route("POST", "/api/training", act(self.train), maybe_json, status=202),
             route("DELETE", "/api/training", act(lambda *_: asdict(training.stop())), maybe_json),
             Route("/api/events", self.events, methods=["GET"]),
             route("POST", FILES, self.take_in, data, status=201),
@@ -271,6 +272,9 @@ class _Handlers:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
         return StreamingResponse(self.studio.events.stream(), media_type="text/event-stream", headers=headers)
 
+    def train(self, request: Request, data: Any) -> dict[str, Any]:
+        return asdict(self.studio.training.start(isinstance(data, dict) and data.get("slips") is True))
+
     def model_file(self, request: Request) -> Response:
         current = self.studio.models.current
         if current is None:
@@ -294,8 +298,14 @@ class _Handlers:
         return answer
 
     def upload(self, request: Request, data: bytes) -> dict[str, Any]:
-        upload = self.studio.uploads.add(data, request.query_params.get("name", ""))
-        return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height}
+        """Keep a dropped picture; with a ``method``, also fit it. If that fails, asking for the fit will say why."""
+        asked, studio, fit = request.query_params, self.studio, None
+        upload = studio.uploads.add(data, asked.get("name", ""))
+        if "method" in asked:
+            with suppress(LiaamError):
+                source = studio.uploads.source(upload.id)
+                fit = studio.fits.fit(source, ("upload", upload.id), asked["method"]).as_json()
+        return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height, "fit": fit}
 
     def image(self, request: Request) -> Response:
         size = checked_size(request.query_params.get("size"), IMAGE_SIZE)

@@ -241,11 +241,11 @@ class Background:
         revisions = {item.name: item.revision for item in done}
         if revisions == self._checked:
             return True
-        found: dict[str, tuple[str, str]] = {}
+        found: dict[str, tuple[str, str, list[int]]] = {}
         faults = find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else []
         for fault in faults:
             item = done[fault.picture]
-            found.setdefault(item.name, (item.revision, fault.message))
+            found.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
         self.project.set_slips(found)
         self._checked = revisions
         self.checks += 1

@@ -52,7 +52,8 @@ class _Handlers:
     def layer(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        return Response(self.fits.layer(fit, what, size), media_type="image/png", headers=KEPT)
+        data, scale = self.fits.layer(fit, what, size), json.dumps(self.fits.scale(fit, what, size))
+        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": scale})
 
     def relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)

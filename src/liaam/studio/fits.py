@@ -9,7 +9,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
@@ -51,10 +51,11 @@ LIGHT_BYTES = 200_000_000
 MODELS_KEPT = 2
 """Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
 
-FITTERS_KEPT = 16
+FITTERS_KEPT, RESIDUALS_KEPT = 16, 4
 
-SEARCHED_AHEAD = 4_000_000
-"""Largest dropped picture, in pixels, that is searched before its fit is requested."""
+SHARP = 2.0
+"""Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
+finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
 
 WARM_UP = (480, 640)
 """Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""
@@ -72,7 +73,6 @@ class Fit:
     result: FitResult
     search_seconds: float
     fit_seconds: float
-    residual: layers.Residual
     no_flat: str | None
     """Why its shading cannot be computed."""
     error: tuple[float, float] | None
@@ -130,10 +130,6 @@ class Fit:
             "height": self.source.size[1],
             "layers": self.layers,
             "no_flat": self.no_flat,
-            "scale": {
-                "residual": {"limit": self.residual.limit, "what": self.residual.what},
-                "shading": {"limit": layers.SHADING_LIMIT, "what": "natural logarithm of light"},
-            },
             self.of[0]: self.of[1],
         }
 
@@ -157,13 +153,13 @@ class Fits:
         self.pictures = pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
-        self._found: Kept[tuple[str, str, int], Detection] = Kept(settings.fits_kept)
+        self._found: Kept[tuple[str, str, tuple[int, ...], int], Detection] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
+        self._residuals: Kept[str, layers.Residual] = Kept(RESIDUALS_KEPT)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
         self._forgetting, self._large = threading.Lock(), threading.Lock()
         models.listeners += [self.forget_former, self.warm_up_soon]
-        uploads.listeners.append(self.search_soon)
 
     def forget_former(self, current: ModelInUse | None) -> None:
         """Remove the results of earlier models from the caches; a listener of :class:`ModelStore`."""
@@ -175,7 +171,7 @@ class Fits:
         numbers = {model.number for model in recent}
         models = {id(model.model) for model in recent}
         self._fitters.keep_only(lambda key, _: key[0] in models)
-        self._found.keep_only(lambda key, _: key[2] in numbers)
+        self._found.keep_only(lambda key, _: key[-1] in numbers)
         self._fits.keep_only(lambda _, fit: id(fit.model) in models)
         self._lights.keep_only(lambda key, _: self._fits.peek(key[0]) is not None)
 
@@ -186,25 +182,22 @@ class Fits:
         image = example(current.model, WARM_UP)
         searcher, fitter = self._searcher(current, False), self._fitter(current, DEFAULT_METHOD, False)
         result = fitter.fit(image, searcher.find(image)[0])
-        layers.residual_of(fitter, image, result)
         if layers.why_not_flat(fitter, image, result) is None:
             layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
 
     def warm_up_soon(self, current: ModelInUse | None) -> threading.Thread:
-        """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`."""
-        return _soon("warm-up", lambda: self.warm_up(current))
+        """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`.
 
-    def search_soon(self, source: Source) -> threading.Thread | None:
-        """Search a dropped picture while the upload is being answered, so that the fit has less to do."""
-        current = self.models.current
-        if current is None or prod(source.size) > SEARCHED_AHEAD:
-            return None
+        It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
+        """
 
-        def search() -> None:
-            with self.pictures.at_work(source) as image:
-                self._search(current, source, image)
+        def warm_up() -> None:
+            with suppress(LiaamError):  # the request that needs the result will report it
+                self.warm_up(current)
 
-        return _soon("search", search)
+        thread = threading.Thread(target=warm_up, name="warm-up")
+        thread.start()
+        return thread
 
     def fit(
         self,
@@ -223,29 +216,35 @@ class Fits:
         if current is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
-        with self.pictures.at_work(source) as image:
+        result, seconds, no_flat = self._fitted(current, fitter, source, start, start is None and source.has_copy)
+        trained_on = of[0] == "picture" and current.is_trained_on(of[1])
+        error = error_of(result.landmarks, truth)
+        fit = Fit(secrets.token_urlsafe(9), source, fitter, result, *seconds, no_flat, error, of, trained_on)
+        self._fits.put(fit.id, fit)
+        return fit
+
+    def _fitted(
+        self, current: ModelInUse, fitter: Fitter, source: Source, start: Any, small: bool
+    ) -> tuple[FitResult, tuple[float, float], str | None]:
+        """Return a fit, the seconds of search and fit, and why it has no shading.
+
+        A ``small`` copy is tried first; it will do for an object that is large on it.
+        """
+        with self.pictures.at_work(source, small) as image:
             began = time.perf_counter()
             begin = self._search(current, source, image) if start is None else start
             searched = time.perf_counter()
             result = fitter.fit(image, begin, source.name)
             if start is None and result.quality < result.least_quality:  # try the other places that the search finds
                 result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
-            fitted = time.perf_counter()
-            fit = Fit(
-                secrets.token_urlsafe(9),
-                source,
-                fitter,
-                result,
-                searched - began,
-                fitted - searched,
-                layers.residual_of(fitter, image, result),
-                layers.why_not_flat(fitter, image, result),
-                error_of(result.landmarks, truth),
-                of,
-                of[0] == "picture" and current.is_trained_on(of[1]),
-            )
-        self._fits.put(fit.id, fit)
-        return fit
+            seconds = searched - began, time.perf_counter() - searched
+            no_flat = layers.why_not_flat(fitter, image, result)
+            result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
+        # Landmarks on the copy are coarser by the ratio of the widths.
+        least = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
+        if small and not (result.status.ok and diagonal_of(result.landmarks) >= least):
+            return self._fitted(current, fitter, source, start, small=False)
+        return result, seconds, no_flat
 
     def get(self, number: str) -> Fit:
         """Return the fit with an id."""
@@ -260,14 +259,32 @@ class Fits:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
         return self._layers.get((fit.id, what, size), lambda: png_bytes(self.draw(fit, what, size)))
 
+    def scale(self, fit: Fit, what: str, size: int) -> dict[str, Any] | None:
+        """Return what the page needs to know of a layer: the limit of its colours and what they show, or its place."""
+        if what == "residual":
+            residual = self._residual(fit)
+            return {"limit": residual.limit, "what": residual.what}
+        if what == "normals":
+            return {"box": layers.box_of_normals(self._light(fit, size)[0])}
+        return {"limit": layers.SHADING_LIMIT, "what": "light"} if what == "shading" else None
+
+    def _residual(self, fit: Fit) -> layers.Residual:
+        def make() -> layers.Residual:
+            with self.pictures.at_work(fit.source) as image:
+                return layers.residual_of(fit.fitter, image, fit.result)
+
+        return self._residuals.get(fit.id, make)
+
     def draw(self, fit: Fit, what: str, size: int) -> np.ndarray:
         """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
         if what == "residual":
             to = fitted_size(*fit.source.size, size)
             shape = layers.scaled_points(fit.result.landmarks, fit.source.size, to)
             part = fit.fitter.part_for(fit.result).model
-            return layers.residual_layer(part, shape, fit.residual, to)
+            return layers.residual_layer(part, shape, self._residual(fit), to)
         light, to = self._light(fit, size)
+        if what == "normals":
+            return layers.normals_layer(light)
         return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)
 
     def relit(self, fit: Fit, lamps: Sequence[Lamp], ambient: float, size: int) -> np.ndarray:
@@ -306,7 +323,7 @@ class Fits:
     def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Detection:
         """Search for the object; all methods share one search."""
         searcher = self._searcher(current, source.raw)
-        key = (source.name, source.tag, current.number)
+        key = (source.name, source.tag, image.shape, current.number)
         return self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
@@ -318,21 +335,6 @@ class Fits:
         model = current.model
         camera = model.camera.suited_to(raw=raw)
         return self._fitters.get((id(model), method, raw), lambda: Fitter(model, method, camera=camera))
-
-
-def _soon(name: str, work: Callable[[], Any]) -> threading.Thread:
-    """Work in a thread. Errors are ignored, since the request that needs the result will report them.
-
-    It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
-    """
-
-    def run() -> None:
-        with suppress(LiaamError):
-            work()
-
-    thread = threading.Thread(target=run, name=name)
-    thread.start()
-    return thread
 
 
 def example(model: AAM, size: tuple[int, int]) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
+from liaam.fitting.detection import Detection
 from liaam.fitting.solution import residual_at
 from liaam.model import AAM
 from liaam.model.mesh import ReferenceFrame
@@ -20,7 +21,7 @@ from liaam.photometry.encoding import stored_values
 from liaam.relighting import Relighter, paint
 from liaam.studio.pictures import averaged
 
-LAYERS = ("residual", "shading", "flat")
+LAYERS = ("residual", "shading", "flat", "normals")
 
 RESIDUAL_COLOURS = ((33, 102, 172), (247, 247, 247), (178, 24, 43))
 """Colours below, at and above 0: the picture is darker than, equal to, or brighter than the model."""
@@ -85,6 +86,29 @@ def scaled_points(points: np.ndarray, size: tuple[int, int], to: tuple[int, int]
     return (points + 0.5) * (np.array(to) / np.array(size)) - 0.5
 
 
+def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> FitResult:
+    """Convert a fit from one picture size (width, height) to another."""
+    if size == to:
+        return result
+
+    def there(points: np.ndarray) -> np.ndarray:
+        return scaled_points(points, size, to)
+
+    def moved(found: Detection) -> Detection:
+        others = tuple(map(moved, found.others))
+        return replace(found, landmarks=there(found.landmarks), scale=found.scale * factor, others=others)
+
+    factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
+    return replace(
+        result,
+        landmarks=there(result.landmarks),
+        landmark_covariances=result.landmark_covariances * factor**2,
+        pose=Similarity(result.pose.matrix * factor, there(result.pose.offset[None])[0]),
+        history=tuple(replace(step, landmarks=there(step.landmarks)) for step in result.history),
+        found=None if result.found is None else moved(result.found),
+    )
+
+
 def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tuple[int, int]) -> np.ndarray:
     """Draw the residual of a shape (n, 2) on a layer of a size (width, height), as (height, width, 4) uint8.
 
@@ -103,15 +127,11 @@ def taken_apart(
 
     The values of a ``raw`` picture are linear. The output is always sRGB.
     """
-    size = (image.shape[1], image.shape[0])
     small = averaged(image, to)
     if raw:
         small = linear_to_srgb(stored_values(small)).astype(np.float32)
         fitter = replace(fitter, camera=replace(fitter.camera or fitter.model.camera, response="srgb"))
-    factor = float(np.sqrt(to[0] * to[1] / (size[0] * size[1])))
-    moved = scaled_points(result.pose.offset[None], size, to)[0]
-    pose = Similarity(result.pose.matrix * factor, moved)
-    return Relighter.of(fitter, small, replace(result, landmarks=scaled_points(result.landmarks, size, to), pose=pose))
+    return Relighter.of(fitter, small, scaled(result, (image.shape[1], image.shape[0]), to))
 
 
 def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
@@ -124,6 +144,19 @@ def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
     mean, coverage = averaged(shading.mean(axis=2), to), averaged(inside, to)
     colours = coloured(mean / np.maximum(coverage, 1e-6) / SHADING_LIMIT, SHADING_COLOURS)
     return _with_alpha(colours, coverage > 0.5)
+
+
+def normals_layer(light: Relighter) -> np.ndarray:
+    """Encode x and y of the normals, and the share of the light of lamps, as (h, w, 3) uint8 in the light's size."""
+    layer = np.dstack([128 + 127 * light.normals[..., :2], 255 * light.surroundings.share])
+    return np.rint(layer if layer.size else np.zeros((1, 1, 3))).astype(np.uint8)
+
+
+def box_of_normals(light: Relighter) -> list[float]:
+    """Return the part of the picture that has normals, (left, top, width, height), as fractions of its sides."""
+    rows, columns = light.region.box
+    height, width = light.picture.shape[:2]
+    return [columns.start / width, rows.start / height, *np.divide(light.region.size, (width, height)).tolist()]
 
 
 def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:

@@ -164,11 +164,6 @@ def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> N
         forget_studio_model(project, models)
 
 
-def load_given_model(path: Path, models: ModelStore) -> None:
-    """Publish a model from a file given by the user."""
-    models.publish(load_model(path), {"source": "file", "trained": None, "pictures": {}})
-
-
 def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
     """Read a model that was dropped on the page, with at most so many points."""
     with tempfile.TemporaryDirectory() as folder:  # safetensors reads the metadata of files only

@@ -24,8 +24,8 @@ class PictureStates:
     proposals: Proposals
     templates: TemplateStore
     log: ReviewLog
-    slips: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """:meth:`version_of` the landmarks in which a slip was found, and its description, by picture."""
+    slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
+    """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
@@ -51,7 +51,7 @@ class PictureStates:
         else:
             state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
         checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
-        revision, slip = self.slips.get(file.name, (None, None))
+        slip, wrong = self.slip_of(file) if state == "done" else (None, [])
         return {
             "name": file.name,
             "tag": file.tag,
@@ -65,7 +65,8 @@ class PictureStates:
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
             "checked": checked,
-            "slip": slip if state == "done" and revision == self.version_of(marks) and not checked else None,
+            "slip": slip,
+            "slip_points": wrong,
             "left_out": self.log.left_out_by(file.name),
             "revision": marks.revision,
         }
@@ -106,6 +107,13 @@ class PictureStates:
             return None
         discarded = self.log.standing(file.name, "discarded")
         return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
+
+    def slip_of(self, file: File) -> tuple[str | None, list[int]]:
+        """Return the slip that was found in the landmarks of a picture, and its points; None once they are checked."""
+        marks = self.landmarks.of(file)
+        revision, slip, wrong = self.slips.get(file.name, (None, None, []))
+        is_open = revision == self.version_of(marks) and not self.log.checked_by(file.name, marks.placement)
+        return (slip, wrong) if is_open else (None, [])
 
     def version_of(self, marks: Marks) -> str:
         """Return a value that changes with what a model is trained on: points and template, but not the scale."""

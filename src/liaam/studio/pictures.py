@@ -38,6 +38,9 @@ CHROMA_STEP = 1 / 4096
 CHROMA_MASKED = -32768
 """Value in chroma of a pixel that is dark or saturated in a channel, so that its logarithm is undefined."""
 
+COPIED_FROM, COPY_SIDE = 4_000_000, 1000
+"""Pixels of pictures from which on a copy is fitted, and the least of its sides; the longest has twice as many."""
+
 DECODED_BYTES = 150_000_000
 ENCODED_BYTES = 50_000_000
 
@@ -168,6 +171,11 @@ class Source:
     raw: bool = False
     """Whether the values are linear."""
 
+    @property
+    def has_copy(self) -> bool:
+        """Whether there is a smaller copy to fit (:meth:`Pictures.pixels`)."""
+        return self.preview is not None and prod(self.size) > COPIED_FROM
+
 
 def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
     """Return the picture of a file; its name is by default that of the file."""
@@ -224,27 +232,26 @@ class Pictures:
         # Acquired before a picture is decoded, so that a waiting thread does not hold one.
         self.work_room = Room(WORKED_ON_AT_ONCE)
 
-    def pixels(self, source: Source) -> np.ndarray:
-        """Return the decoded picture with three channels. The array is shared and must not be modified."""
+    def pixels(self, source: Source, small: bool = False) -> np.ndarray:
+        """Return the decoded picture with three channels, or a ``small`` copy of it. The array must not be modified."""
 
         def read() -> np.ndarray:
             with self.room.of(prod(source.size)):
-                return as_colour(source.read(), source.name)
+                if not small or source.preview is None:
+                    return as_colour(source.read(), source.name)
+                image = as_colour(source.preview(COPY_SIDE), source.name)
+                return averaged(image, fitted_size(image.shape[1], image.shape[0], 2 * COPY_SIDE))
 
-        return self._decoded.get((source.name, source.tag), read)
+        return self._decoded.get((source.name, source.tag, small), read)
 
     @contextmanager
-    def at_work(self, source: Source) -> Iterator[np.ndarray]:
-        """Yield the decoded picture, within a limit of the pixels that all threads process concurrently.
+    def at_work(self, source: Source, small: bool = False) -> Iterator[np.ndarray]:
+        """Yield the decoded picture (:meth:`pixels`), within a limit of the pixels that all threads work on.
 
         Do not nest this, and do not hold it while waiting for a :meth:`Kept.get` that needs it: both can deadlock.
         """
         with self.work_room.of(prod(source.size)):
-            yield self.pixels(source)
-
-    def keep(self, source: Source, image: np.ndarray) -> None:
-        """Cache a decoded picture."""
-        self._decoded.put((source.name, source.tag), image)
+            yield self.pixels(source, small)
 
     def image(self, source: Source, size: int) -> bytes:
         """Return a JPEG for display, its longest side at most ``size``."""

@@ -71,6 +71,8 @@ class Annotated:
     """(n, 2) float64 in pixels."""
     revision: str
     """Changes with the points and the template, not with the scale (:meth:`PictureStates.version_of`)."""
+    slip: str | None = None
+    """What seems to be wrong with the landmarks."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +251,13 @@ class Project:
         kept = [file for file in usable if self._log.left_out_by(file.name) is None]
         found = [(file, self._landmarks.of(file)) for file in kept if self._states.is_done(file)]
         return [
-            Annotated(file.name, self.root / file.name, marks.landmarks.points, self._states.version_of(marks))
+            Annotated(
+                file.name,
+                self.root / file.name,
+                marks.landmarks.points,
+                self._states.version_of(marks),
+                self._states.slip_of(file)[0],
+            )
             for file, marks in found
             if marks.landmarks is not None
         ]
@@ -297,8 +305,8 @@ class Project:
         with self._lock:
             return self._intake.add(name, data)
 
-    def set_slips(self, slips: dict[str, tuple[str, str]]) -> None:
-        """Set the revision of the landmarks and the slip in them, by picture."""
+    def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
+        """Set the revision of the landmarks, the slip in them and its points, by picture."""
         with self._lock:
             self._states.slips.clear()
             self._states.slips.update(slips)

@@ -54,12 +54,12 @@ class Trainer:
         self._stopped = False
         self._order = ""
 
-    def start(self) -> Training:
-        """Train on the done pictures."""
+    def start(self, slips: bool = False) -> Training:
+        """Train on the done pictures, without those with possible slips unless ``slips``."""
         with self._lock:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
-            job = self._job()
+            job = self._job(slips)
             self._order, self._stopped, self.is_measuring = job.order, False, False
             self._process, pipe = launch(job)
             self._set(Training("running", what="starting"))
@@ -89,12 +89,14 @@ class Trainer:
             self._listener.join(timeout)
         return self.state
 
-    def _job(self) -> Job:
+    def _job(self, with_slips: bool) -> Job:
         order = self.project.templates.order  # read before the points, so that results for changed points are dropped
         done, template = self.project.annotated(), self.project.templates.current
-        if len(done) < LEAST or template is None:
+        slips = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not with_slips}
+        n_used = len(done) - len(slips)
+        if n_used < LEAST or template is None:
             raise Refusal(
-                422, f"only {len(done)} pictures have all their points: complete at least {LEAST}, better 5, to train"
+                422, f"only {n_used} pictures have all their points: complete at least {LEAST}, better 5, to train"
             )
         if len(template) < 3:
             raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
@@ -105,7 +107,8 @@ class Trainer:
             self.project.store.path(MODEL_FILE),
             order,
             self.project.root.name,
-            choose_held_out([item.name for item in done], self.versions.held_out(order)),
+            choose_held_out([item.name for item in done if item.name not in slips], self.versions.held_out(order)),
+            slips,
         )
 
     def _listen(self, job: Job, pipe: Any, process: Any) -> None:

@@ -44,6 +44,8 @@ class Job:
     """Name of the model."""
     held_out: tuple[str, ...] = ()
     """Pictures on which a model that is trained without them is measured."""
+    slips: dict[str, str] = field(default_factory=dict)
+    """Pictures that are left out because their landmarks may be wrong, and what they may have."""
 
 
 def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
@@ -74,7 +76,7 @@ def _work(job: Job, pipe: Any) -> None:
         os.nice(5)  # requests of the user have priority
     with suppress(BrokenPipeError, ConnectionError):
         try:
-            pipe.send(("done", _Worker(job, pipe.send).run()))
+            pipe.send(("done", _Worker(job, pipe.send, dict(job.slips)).run()))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
 

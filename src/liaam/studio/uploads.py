@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from liaam.errors import ImageError
-from liaam.io import decode_image, image_kind, image_size, is_raw
-from liaam.photometry.encoding import as_colour
+from liaam.io import decode_image, image_kind, image_size, is_raw, read_preview
 from liaam.studio.pictures import Kept, Pictures, Source
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
@@ -39,8 +37,6 @@ class Uploads:
         self._settings = settings or Settings()
         most, self._least = self._settings.uploads_bytes, self._settings.uploads_bytes // self._settings.uploads_kept
         self._uploads: Kept[str, Upload] = Kept(most, lambda upload: min(max(len(upload.data), self._least), most))
-        self.listeners: list[Callable[[Source], object]] = []
-        """Called with each new picture in the thread that adds it."""
 
     def __len__(self) -> int:
         return len(self._uploads)
@@ -49,17 +45,13 @@ class Uploads:
         """Check, decode and keep a picture."""
         name = plain_name(name)
         width, height = self._checked(data, name)
+        upload = Upload(secrets.token_urlsafe(9), name, data, width, height)
+        source = self._source(upload, data)
         try:
-            with self._pictures.room.of(width * height):
-                image = as_colour(decode_image(data, name, self._settings.pixels), name)
+            self._pictures.pixels(source, source.has_copy)
         except ImageError as fault:
             raise Refusal(422, str(fault)) from fault
-        upload = Upload(secrets.token_urlsafe(9), name, data, width, height)
-        source = self._source(upload)
-        self._pictures.keep(source, image)
         self._uploads.put(upload.id, upload)
-        for listener in self.listeners:
-            listener(source)
         return upload
 
     def get(self, number: str) -> Upload:
@@ -74,14 +66,15 @@ class Uploads:
         """Return an upload as a :class:`Source`, which can be read while the upload is in memory."""
         return self._source(self.get(number))
 
-    def _source(self, upload: Upload) -> Source:
-        # A source may outlive the upload, so it must not hold its bytes.
+    def _source(self, upload: Upload, data: bytes | None = None) -> Source:
+        # A source may outlive the upload, so it must not hold its bytes, unless they are not kept yet.
         number, name, pixels = upload.id, upload.name, self._settings.pixels
         return Source(
             name,
             f"upload-{number}",
             (upload.width, upload.height),
-            lambda: decode_image(self.get(number).data, name, pixels),
+            lambda: decode_image(data or self.get(number).data, name, pixels),
+            lambda size: read_preview(data or self.get(number).data, size, pixels, name),
         )
 
     def _checked(self, data: bytes, name: str) -> tuple[int, int]:

@@ -161,6 +161,42 @@ def test_lamps_are_moved_by_the_mouse_and_change_the_right_half(relight):
     assert relight.evaluate(PIXEL, left) == before[0]
 
 
+AREA = """([left, top, width, height]) => {
+  const { canvas } = window.liaamStudio.fit.viewer;
+  const ratio = canvas.width / canvas.clientWidth;
+  const [own, outer] = [canvas, canvas.parentElement].map((element) => element.getBoundingClientRect());
+  const at = [left + outer.left - own.left, top + outer.top - own.top, width, height].map((v) => Math.round(ratio * v));
+  return [...canvas.getContext("2d").getImageData(...at).data];
+}"""
+
+
+def test_a_moved_lamp_is_shown_at_once_as_it_is_when_it_rests(relight):
+    wait_for(relight, "() => !window.liaamStudio.fit.relightBusy")
+    relight.wait_for_load_state("networkidle")
+    shape = np.array(hook(relight, "fit.shape"))
+    corners = [shape.min(axis=0).tolist(), shape.max(axis=0).tolist()]
+    (left, top), (right, bottom) = (hook(relight, f"viewer.toScreen({corner})") for corner in corners)
+    middle = (left + right) / 2
+    area = [middle + 20, top + 40, right - middle - 40, bottom - top - 80]
+    before = np.array(relight.evaluate(AREA, area), float)
+    asked = []
+    relight.on("request", lambda request: asked.append(request.url) if "/relit" in request.url else None)
+    lamp = relight.locator("[data-testid=lamp]").bounding_box()
+    ball = relight.locator("[data-testid=light-stage]").bounding_box()
+    relight.mouse.move(lamp["x"] + lamp["width"] / 2, lamp["y"] + lamp["height"] / 2)
+    relight.mouse.down()
+    relight.mouse.move(ball["x"] + 0.85 * ball["width"], ball["y"] + 0.6 * ball["height"], steps=5)
+    relight.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    rough = np.array(relight.evaluate(AREA, area), float)
+    assert not asked
+    relight.mouse.up()
+    wait_for(relight, "() => !window.liaamStudio.fit.relightBusy")
+    relight.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    exact = np.array(relight.evaluate(AREA, area), float)
+    assert len(asked) == 1
+    assert np.abs(rough - exact).mean() < 0.15 * np.abs(before - exact).mean()
+
+
 def test_lamps_are_moved_added_and_removed_by_keys(relight):
     lamp = relight.locator("[data-testid=lamp]")
     lamp.focus()

@@ -113,6 +113,37 @@ def test_one_scale_for_all_pictures_and_its_undo(marked, serve, open_page, artef
     assert scale_of(marked, NAMES[1]) == pytest.approx(20 / 160, rel=0.02)
 
 
+def test_a_length_that_makes_no_sense_is_not_taken(marked, serve, page, artefacts):
+    page.goto(serve(marked).address)
+    opened(page, "portrait-01.png")
+    draw(page, "10", "mm", page.mouse.click)
+    length, dialog = page.locator("[data-testid=scale-length]"), page.locator("dialog[open]")
+    for typed in ("", "0", "-3", "1e9", "1e999", "abc", "1e-9"):
+        length.fill("")
+        length.press_sequentially(typed)
+        for button in ("scale-save", "scale-share"):
+            page.locator(f"[data-testid={button}]").click()
+            assert dialog.is_visible(), typed
+            assert not length.evaluate("field => field.checkValidity()")
+    shoot(page, artefacts, "scale-wrong-length")
+    assert annotate(page, "bar()") is None
+    length.fill("2.5")
+    page.locator("[data-testid=scale-save]").click()
+    wait_for(page, "() => window.liaamStudio.annotate.bar()?.length === 2.5")
+
+
+def test_a_bar_without_length_waits_for_its_other_end(marked, serve, page):
+    page.goto(serve(marked).address)
+    opened(page, "portrait-01.png")
+    page.locator("[data-testid=scale-bar]").click()
+    for _ in range(2):
+        page.mouse.click(*client(page, ENDS[0]))
+    assert page.locator("dialog[open]").count() == 0
+    assert "other end" in page.locator(".annotate-prompt").inner_text()
+    page.mouse.click(*client(page, ENDS[1]))
+    page.locator("[data-testid=scale-length]").wait_for()
+
+
 def test_escape_ends_drawing_and_the_bar_of_a_picture_is_its_own(marked, serve, page):
     server = serve(marked)
     page.goto(server.address)

@@ -58,6 +58,9 @@ def test_a_picture_is_checked_and_its_history_shown(annotating):
     page.locator("[data-testid=history] li", has_text="Ann checked it").wait_for()
     page.locator("[data-testid=check]").click()  # the name is asked for once
     checked(page, NAMES[0], "Ann")
+    page.keyboard.press("Enter")  # goes on, and does not press the button again
+    page.locator(".toast", has_text="All pictures are done").wait_for()
+    checked(page, NAMES[0], "Ann")
 
 
 def test_actions_on_several_pictures_are_undone(annotating, marked):

@@ -819,6 +819,13 @@ test("the first model comes with four pictures, the next after three more", () =
   assert.ok(!assist.shouldTrain(project(four.slice(1)), auto));
   assert.ok(assist.shouldTrain(project(four), auto));
   assert.ok(!assist.shouldTrain(project(four), { auto: false }));
+  const withSlip = (states) => {
+    const all = project([...states, "done"]);
+    all.pictures.at(-1).slip = "?";
+    return all;
+  };
+  assert.ok(!assist.shouldTrain(withSlip(four.slice(1)), auto)); // it is left out
+  assert.ok(assist.shouldTrain(withSlip(four), auto));
   assert.ok(!assist.shouldTrain(project(four, { training: { state: "running" } }), auto));
   assert.ok(!assist.shouldTrain(project(four, { model: { stale: 2, source: "studio" } }), auto));
   assert.ok(assist.shouldTrain(project(four, { model: { stale: 3, source: "studio" } }), auto));

@@ -21,6 +21,8 @@ interface Picture {
   quality: number | null;
   /** What looks wrong with its landmarks. */
   slip: string | null;
+  /** Indices of its points. */
+  slip_points: number[];
   doubtful: boolean;
   rank: number | null;
   error: string | null;

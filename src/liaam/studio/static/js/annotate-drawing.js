@@ -4,7 +4,7 @@ import { AxisGrip } from "./axis-grip.js";
 import {
   COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText,
 } from "./drawing.js";
-import { drawEllipses } from "./overlays.js";
+import { discs, drawEllipses, stroked } from "./overlays.js";
 import { bounds, indicesOf } from "./points.js";
 
 const CLOSE = 24; // css pixels between points from which on there is room for ellipses and for points of full size
@@ -16,8 +16,8 @@ function spacing(viewer, points) {
   return viewer.scale * Math.sqrt(((x1 - x0) * (y1 - y0)) / Math.max(points.length, 1)) || CLOSE;
 }
 
-/** Draw the marks of a picture; show: {names, contours, ellipses}. */
-export function drawMarking(ctx, viewer, tool, marking, show) {
+/** Draw the marks of a picture; show: {names, contours, ellipses}; wrong: indices of points that may be slips. */
+export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
   const { points, suggested, selection, active, invisible, names } = marking;
   const room = spacing(viewer, points) / CLOSE;
   if (marking.state.source === "proposal" && show.ellipses && room > 1) {
@@ -26,8 +26,12 @@ export function drawMarking(ctx, viewer, tool, marking, show) {
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   const radius = Math.min(4, Math.max(1.8, 4 * room));
   drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested, radius });
+  const slips = points.filter((_, i) => wrong.includes(i));
+  const isClear = spacing(viewer, slips) >= CLOSE;
+  discs(ctx, viewer, slips, radius + (isClear ? 5 : 2));
+  stroked(ctx, COLOURS.slip, 2);
   if (!tool.gesture) drawFrame(ctx, viewer, points, marking.framed());
-  const few = selection.size <= NAMED ? [...selection] : [];
+  const few = [[...selection], isClear ? wrong : []].flatMap((some) => (some.length <= NAMED ? some : []));
   const named = show.names ? indicesOf(points) : [...new Set([...few, tool.hovered].filter((i) => i >= 0))];
   drawNames(ctx, viewer, points, names, named);
   if (marking.placing && !viewer.isLoupe && tool.pointer && !tool.gesture && tool.hovered < 0) {

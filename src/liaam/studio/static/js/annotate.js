@@ -95,7 +95,7 @@ export class AnnotateTab {
       app, accept: () => commands.accept(), skip: () => commands.skip(), confirm: () => commands.confirmLayout(),
     });
     const boxes = () => this.boxing;
-    this.review = createReview(app);
+    this.review = createReview(app, (event, work) => this.act(event, work));
     this.tool = new PointTool(viewer, () => this.doc, { boxes, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
@@ -103,6 +103,8 @@ export class AnnotateTab {
 
   get template() { return this.state.project?.template ?? null; }
   get editing() { return this.templates.editing; }
+  /** Indices of the points of the open picture that may be slips. */
+  get wrong() { return this.state.picture(this.name)?.slip_points ?? []; }
   /** The document that gestures edit: the template, the scale bar that is being drawn, or the marks of the picture. */
   get doc() { return this.editing ? this.templates.doc : this.ruler.on ? this.ruler : this.marking; }
 
@@ -263,7 +265,7 @@ export class AnnotateTab {
     if (!viewer.width || marking.hidden) return;
     if (this.editing) this.templates.draw(ctx, tool);
     else if (marking.book) {
-      drawMarking(ctx, viewer, tool, marking, this.drawn);
+      drawMarking(ctx, viewer, tool, marking, this.drawn, this.wrong);
       this.ruler.draw(ctx, viewer);
     }
     drawGesture(ctx, viewer, tool, marking.suggested);
@@ -282,7 +284,7 @@ export class AnnotateTab {
       },
       /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
       source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
-      selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible], bar: () => this.ruler.bar,
+      wrong: () => this.wrong, selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible], bar: () => this.ruler.bar,
       undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
       loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },

@@ -92,6 +92,11 @@ export const api = {
     json(address, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: blob, ...options }),
   buffer: async (address, options = {}) => (await send(address, options)).arrayBuffer(),
   blob: async (address, options = {}) => (await send(address, options)).blob(),
+  /** A picture, and what the server says of its colours. */
+  layer: async (address) => {
+    const answer = await send(address);
+    return { image: await createImageBitmap(await answer.blob()), scale: JSON.parse(answer.headers.get("x-scale")) };
+  },
   /** A file to save: [blob, name]. */
   file: async (address, options = {}) => {
     const answer = await send(address, options);

@@ -26,8 +26,8 @@ export function shouldTrain(project, { auto, failedAt = null }) {
   const { model, training, pictures } = project;
   if (!auto || !project.template || training?.state === "running") return false;
   if (model && !["studio", "face"].includes(model.source)) return false; // a model given by the user is replaced only on request
-  if (project.checked === false || slipped(pictures).length) return false; // a person looks at slips first
-  if (forTraining(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
+  if (project.checked === false) return false; // possible slips are left out
+  if (forTraining(pictures).length - slipped(pictures).length < AUTO_FIRST || situation(project) === failedAt) return false;
   return !model || model.stale >= AUTO_AGAIN;
 }
 
@@ -136,7 +136,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     progress, h("div.row", h("div.grow", what), cancel));
   const failure = h("p.small.error-text", { role: "alert", hidden: true });
   const train = button("Train", {
-    icon: "brain", small: true, testid: "train", onclick: async () => (await mayTrain()) && start(),
+    icon: "brain", small: true, testid: "train", onclick: async () => (await mayTrain()) && start(true),
   });
   const auto = h("input", {
     type: "checkbox", checked: localStorage.getItem(AUTO_KEY) !== "off", testid: "auto-train",
@@ -187,12 +187,13 @@ export function createAssist({ app, accept, skip, confirm }) {
     return answer === "train";
   }
 
-  async function start() {
+  /** slips: whether to train on points that look wrong, too. */
+  async function start(slips) {
     if (asking) return;
     asking = true;
     fail("");
     try {
-      state.project.training = await state.send((folder) => api.post(api.url("training"), { folder }));
+      state.project.training = await state.send((folder) => api.post(api.url("training"), { folder, slips }));
     } catch (error) {
       // 409: another tab has started the training already. 422: it cannot start with this data.
       if (error.status !== 409) fail(error.message, error.status === 422);
@@ -292,7 +293,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     else why.textContent = "Train the model to let it place points for you.";
   }
 
-  const trainIfNeeded = () => shouldTrain(state.project, { auto: auto.checked, failedAt }) && start();
+  const trainIfNeeded = () => shouldTrain(state.project, { auto: auto.checked, failedAt }) && start(false);
 
   /** Train between two pictures, when no point is being moved. */
   async function left() {

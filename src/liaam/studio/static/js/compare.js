@@ -4,6 +4,7 @@ import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, offer, Overlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
 import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
+import { bounds } from "./points.js";
 import { button, h, icon, isPlain, press } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -158,9 +159,8 @@ class CompareTab {
   _enlarge() {
     const [{ viewer }, shape] = [this.left, this.sides.find(({ fit }) => fit?.ok)?.fit.shape];
     if (!shape || viewer.container.clientHeight > SMALL || !viewer.view._fitted) return;
-    const [xs, ys] = [0, 1].map((axis) => shape.map((point) => point[axis]));
-    const margin = 0.08 * (Math.max(...ys) - Math.min(...ys));
-    viewer.fitTo([Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)], margin);
+    const box = bounds(shape);
+    viewer.fitTo(box, 0.08 * (box[3] - box[1]));
   }
 
   swap() {

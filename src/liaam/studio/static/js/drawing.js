@@ -2,11 +2,11 @@
 
 import { contourPath, discs, drawContours, drawPoints, RIM, stroked } from "./overlays.js";
 import { frameOf } from "./gestures.js";
-import { bounds } from "./points.js";
+import { fitInto } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = {
-  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8",
+  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f",
 };
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
@@ -168,19 +168,18 @@ export function drawHint(canvas, layout, contours, lit, style) {
   canvas.height = height * ratio;
   const ctx = canvas.getContext("2d");
   ctx.scale(ratio, ratio);
-  const [x0, y0, x1, y1] = bounds(layout) ?? [0, 0, 1, 1];
-  const scale = Math.min((width - 20) / Math.max(x1 - x0, 1), (height - 20) / Math.max(y1 - y0, 1));
-  const toScreen = ([x, y]) => [width / 2 + scale * (x - (x0 + x1) / 2), height / 2 + scale * (y - (y0 + y1) / 2)];
+  const view = { toScreen: (point) => point };
+  const points = fitInto(layout, width, height, 0.85);
   ctx.strokeStyle = style.getPropertyValue("--muted");
   ctx.fillStyle = style.getPropertyValue("--muted");
   ctx.lineWidth = 1.2;
   ctx.globalAlpha = 0.7;
-  contourPath(ctx, { toScreen }, layout, contours);
+  contourPath(ctx, view, points, contours);
   ctx.stroke();
-  discs(ctx, { toScreen }, layout, 1.8);
+  discs(ctx, view, points, 1.8);
   ctx.fill();
   ctx.globalAlpha = 1;
-  discs(ctx, { toScreen }, [layout[lit]], 5);
+  discs(ctx, view, [points[lit]], 5);
   ctx.fillStyle = style.getPropertyValue("--accent");
   ctx.fill();
   ctx.strokeStyle = style.getPropertyValue("--panel");

@@ -10,7 +10,7 @@ export class FirstMarks {
     this.state = state;
     this.fetchMarks = fetchMarks;
     this.begins = begins;
-    this.shapes = new Map(); // name -> {points, width, height} of done pictures
+    this.shapes = new Map(); // name -> promise of the marks of a done picture
   }
 
   /** The landmarks of a picture, or of all, have changed. */
@@ -25,23 +25,23 @@ export class FirstMarks {
     const fits = points.length === names.length; // a file may belong to another template
     if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source, bar };
     const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
-    if (layout) return { points: layout, invisible: [], source: "layout", bar };
-    return { points: names.map(() => null), invisible: [], source: "none", bar };
+    const own = layout ? { points: layout, source: "layout" } : { points: names.map(() => null), source: "none" };
+    return { ...own, invisible: [], bar };
   }
 
   /** Mean of the done pictures, or else the template's layout; null if there is neither. */
   async layout(name, width, height) {
     const { template, pictures } = this.state.project;
     const done = pictures.filter((picture) => picture.state === "done" && picture.name !== name).slice(0, LAYOUT_OF);
-    await Promise.all(done.map((picture) => this.learn(picture.name)));
-    const shapes = done.map((picture) => this.shapes.get(picture.name));
-    const whole = shapes.filter((shape) => shape?.points.length === template.names.length);
+    const shapes = await Promise.all(done.map((picture) => this.learn(picture.name)));
+    const whole = shapes.filter((shape) => shape?.source === "file" && shape.points.length === template.names.length);
     return meanLayout(whole, width, height) ?? layoutIn(template.points, width, height);
   }
 
-  async learn(name) {
-    if (this.shapes.has(name)) return;
-    const marks = await this.fetchMarks(name).catch(() => null); // a failed picture is left out of the mean
-    if (marks?.source === "file") this.shapes.set(name, marks);
+  /** Marks of a done picture; null if they cannot be fetched, so that it is left out of the mean. */
+  learn(name) {
+    const fetched = () => this.fetchMarks(name).catch(() => { this.shapes.delete(name); return null; });
+    if (!this.shapes.has(name)) this.shapes.set(name, fetched());
+    return this.shapes.get(name);
   }
 }

@@ -11,37 +11,32 @@ export const isGone = (error) => error?.status === 404;
 
 export class FitStore {
   #kept = new Map();
-  #running = new Map();
+  #changes = 0; // of landmarks, which the errors of fits refer to
 
   constructor(state) {
     this.state = state;
-    // Errors of fits refer to the earlier landmarks.
     state.addEventListener("landmarks", ({ detail }) => {
+      this.#changes += 1;
       this.#drop((fit) => fit.picture === detail.name);
-      for (const [key, { picture }] of this.#running) if (picture === detail.name) this.#running.delete(key);
     });
   }
 
-  /** Fit a source; start: null, {box} or {shape}. A request is not sent again while it is answered. */
-  run(source, method, start = null) {
-    const kept = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
-    const key = `${kept}|${JSON.stringify(start)}`;
-    if (this.#running.has(key)) return this.#running.get(key).answer;
-    const answer = this.#ask(source, method, start);
-    this.#running.set(key, { answer, picture: source.ofFolder ? source.name : null });
-    const end = (fit) => {
-      if (this.#running.get(key)?.answer !== answer) return; // its landmarks have changed
-      this.#running.delete(key);
-      if (fit) this.#keep(kept, fit);
-    };
-    answer.then(end, () => end(null));
-    return answer;
+  /** Fit a source; start: null, {box} or {shape}. */
+  async run(source, method, start = null) {
+    const key = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
+    const changes = this.#changes;
+    const fit = cleaned(await this.#ask(source, method, start));
+    if (changes === this.#changes) this.#keep(key, fit);
+    return fit;
   }
 
   async #ask(source, method, start) {
     await source.ready;
+    const { fit } = source; // with the upload
+    source.fit = null;
+    if (fit?.method === method && !start) return fit;
     const asked = { ...source.reference, method, start };
-    return cleaned(await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
+    return this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder }));
   }
 
   #keep(key, fit) {

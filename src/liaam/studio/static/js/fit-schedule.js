@@ -1,48 +1,4 @@
-// Scheduling of requests and drawing, independent of the page.
-
-/**
- * Sends one request at a time. While one is running, only the newest of the others is kept. So a drag is answered as
- * fast as the server can, without a queue of outdated requests.
- */
-export class LatestWins {
-  busy = false;
-  #waiting = null;
-  #epoch = 0;
-
-  constructor(task, { done, failed = (_error, _request) => {} }) {
-    this.task = task;
-    this.done = done;
-    this.failed = failed;
-  }
-
-  ask(request) {
-    this.#waiting = { request };
-    if (!this.busy) this.#run();
-  }
-
-  /** Drop the waiting request, and the answer of a running one. */
-  cancel() {
-    this.#epoch += 1;
-    this.#waiting = null;
-  }
-
-  async #run() {
-    this.busy = true;
-    while (this.#waiting) {
-      const { request } = this.#waiting;
-      const epoch = this.#epoch;
-      this.#waiting = null;
-      try {
-        const answer = await this.task(request);
-        if (epoch === this.#epoch) this.done(answer, request);
-      } catch (error) {
-        // Report the last failure only, since a newer request may succeed.
-        if (epoch === this.#epoch && !this.#waiting) this.failed(error, request);
-      }
-    }
-    this.busy = false;
-  }
-}
+// Timing of drawing, independent of the page.
 
 const GAP = 400; // milliseconds without a frame after which another drag begins
 

@@ -12,6 +12,7 @@ export class Source {
     this.id = null;
     this.image = null;
     this.width = this.height = 0;
+    this.method = this.fit = null; // how it is to be fitted with its upload, and that fit
     this.ready = Promise.resolve();
     this.started = performance.now();
     this.key = this.ofFolder ? `picture ${name} ${tag}` : `upload ${(uploads += 1)}`;
@@ -29,7 +30,7 @@ export class Source {
 let uploads = 0;
 
 /**
- * Holds the current source. Events: "taken" when the upload of a file starts, "change" when another source is shown,
+ * Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
  * "ready" when the server has it, "failed" with the error.
  */
 export class Sources extends EventTarget {
@@ -107,8 +108,8 @@ export class Sources extends EventTarget {
     const before = this.current;
     this._wanted = source;
     this._chosen = false;
-    source.ready = this._send(source, file);
     this._say("taken", { source });
+    source.ready = this._send(source, file);
     const seen = createImageBitmap(file).then((image) => {
       if (this._wanted !== source) return;
       source.image = image;
@@ -130,8 +131,8 @@ export class Sources extends EventTarget {
   }
 
   async _send(source, file) {
-    const { id, width, height } = await api.upload(api.url("uploads", { name: source.name }), file);
-    Object.assign(source, { id, width, height });
+    const { name, method } = source;
+    Object.assign(source, await api.upload(api.url("uploads", { name, method }), file)); // id, width, height and fit
     // Landmark coordinates refer to the server's size.
     if (this.current === source) this._say("ready");
   }

@@ -6,7 +6,9 @@ import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
 import { isGone, significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { Light, Relighter } from "./relight.js";
+import { FrameMeter } from "./fit-schedule.js";
+import { Light, lightQuery, linearLights } from "./relight.js";
+import { RoughLight } from "./rough-light.js";
 import { button, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -28,9 +30,11 @@ const VIEWS = [
 /** Layers that look like pictures: brightness and contrast change them, too. In the others, colours are values. */
 const LIKE_PICTURES = ["flat", "relit"];
 
-/** Layers fetched from the server, once per fit. */
-const FETCHED = ["flat", "shading", "residual"];
+/** Layers fetched from the server for a view, once per fit. */
+const FETCHED = { flat: ["flat"], shading: ["shading"], residual: ["residual"], relit: ["flat", "normals"] };
 const LAYER_SIZE = 1600;
+
+const REST = 150; // milliseconds after the last move of a lamp until the exact picture is fetched
 
 export class FitView {
   /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
@@ -48,16 +52,14 @@ export class FitView {
     this.iteration = null; // {shape, final} of the slider, null for the result
     this._images = new Map();
     this._faults = new Map(); // view -> error message of the server
+    this._scales = new Map(); // view -> {limit, what} of its colours
     this._split = new Set(["flat", "relit"]); // views that are shown beside the picture
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
     this.light = new Light(ambient);
     this.container.append(this.light.stage);
-    this.relighter = new Relighter({
-      done: (image, fit) => this._relit(image, fit), failed: (error, { fit }) => this._failed("relit", error, fit),
-    });
-    this.light.addEventListener("change", () => this._relight(false));
-    this.light.addEventListener("rest", () => this._relight(true));
+    this.meter = new FrameMeter(); // of a dragged lamp
+    this.light.addEventListener("change", () => this._relight());
     this._build();
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
     this.show("picture");
@@ -81,7 +83,10 @@ export class FitView {
     this.iteration = null;
     this._images.clear();
     this._faults.clear();
-    this.relighter.cancel();
+    this._scales.clear();
+    this._rough = null; // computes the relit picture in the browser
+    this._moved = this._isRough = false; // whether it has not been painted since a lamp moved, and whether it is shown
+    this._dropRelit();
     this.show(this.name);
   }
 
@@ -139,8 +144,8 @@ export class FitView {
 
   async _load() {
     if (this._why(this.name)) return;
-    if (FETCHED.includes(this.name)) await this._fetch(this.name);
-    if (this.name === "relit" && !this._images.has("relit")) this._relight(true);
+    if (this.name === "relit" && !this._images.has("relit")) this._relight(0);
+    await Promise.all((FETCHED[this.name] ?? []).map((layer) => this._fetch(layer)));
     if (this.name !== "invariant") return;
     const { source } = this;
     try {
@@ -155,9 +160,11 @@ export class FitView {
     if (this._images.has(layer)) return;
     this._images.set(layer, null); // requested
     try {
-      const blob = await api.blob(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
-      const image = await createImageBitmap(blob);
-      if (this.fit === fit) this._images.set(layer, image);
+      const { image, scale } = await api.layer(api.url("fits", fit.id, "layers", layer, { size: LAYER_SIZE }));
+      if (this.fit !== fit) return;
+      this._images.set(layer, image);
+      this._scales.set(layer, scale);
+      this._dress();
     } catch (error) {
       if (this.fit !== fit) return;
       this._images.delete(layer);
@@ -179,17 +186,50 @@ export class FitView {
     this.viewer.redraw();
   }
 
-  _relight(resting) {
+  /** Show the object under the lamps: what the browser can compute at once, and the exact picture when they rest. */
+  _relight(wait = REST) {
+    this._dropRelit();
     if (this.name !== "relit" || this._why("relit")) return;
-    this.relighter.relight(this.fit, this.light, resting);
+    const layers = FETCHED.relit.map((layer) => this._images.get(layer));
+    if (this._images.has("relit") && layers.every(Boolean)) {
+      this._rough ??= new RoughLight(...layers, this._scales.get("normals").box);
+      this._moved = true;
+    }
+    this._awaited = setTimeout(() => this._fetchRelit(this._awaited), wait);
     this.viewer.redraw();
   }
 
-  _relit(image, fit) {
-    if (this.fit !== fit) return;
-    this._images.get("relit")?.close();
-    this._images.set("relit", image);
+  /** Drop the exact picture that is awaited. */
+  _dropRelit() {
+    clearTimeout(this._awaited);
+    this._awaited = null;
+  }
+
+  async _fetchRelit(turn) {
+    const { fit } = this;
+    try {
+      const size = Math.min(Math.max(fit.width, fit.height), LAYER_SIZE);
+      const { image } = await api.layer(api.url("fits", fit.id, "relit", lightQuery(this.light, size)));
+      if (turn !== this._awaited) return;
+      this._images.get("relit")?.close();
+      this._images.set("relit", image);
+      this._moved = this._isRough = false;
+    } catch (error) {
+      if (turn === this._awaited) this._failed("relit", error, fit);
+    }
+    if (turn === this._awaited) this._awaited = null;
     this.viewer.redraw();
+  }
+
+  /** The rough relit picture while lamps are moved, or else the exact one. */
+  _relitImage() {
+    if (this._moved) {
+      this._rough.draw(linearLights(this.light));
+      this.meter.tick();
+      this._isRough = true;
+    }
+    this._moved = false;
+    return this._isRough ? this._rough.canvas : this._images.get("relit");
   }
 
   // The page.
@@ -252,7 +292,7 @@ export class FitView {
     this.splitter.disabled = !this.source;
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
     this._hint.hidden = !this.invariant.controls.hidden;
-    this._explain(why ? null : this.fit?.scale?.[this.name]);
+    this._explain(why ? null : this._scales.get(this.name));
     this.light.hidden = this.name !== "relit" || Boolean(why);
     const isSplit = this._split.has(this.name);
     press(this.splitter, isSplit);
@@ -268,9 +308,8 @@ export class FitView {
     const [low, high] = shading
       ? [`1/${significant(Math.exp(scale.limit))}`, `${significant(Math.exp(scale.limit))}×`]
       : [`−${significant(scale.limit, 2)}`, `+${significant(scale.limit, 2)}`];
-    const what = shading ? "light" : scale.what;
     this._legend.replaceChildren(
-      h("span", what), h("span.number", low),
+      h("span", scale.what), h("span.number", low),
       h("span.fit-ramp", { class: this.name, role: "img", "aria-label": `Colours from ${low} to ${high}` }),
       h("span.number", high),
     );
@@ -278,7 +317,8 @@ export class FitView {
 
   _image() {
     if (this._why(this.name)) return null;
-    return this.name === "invariant" ? this.invariant.image : (this._images.get(this.name) ?? null);
+    if (this.name === "invariant") return this.invariant.image;
+    return (this.name === "relit" ? this._relitImage() : this._images.get(this.name)) ?? null;
   }
 
   _draw(ctx, viewer) {

@@ -118,11 +118,10 @@ class FitTab {
     }
   }
 
-  /** Request the fit of a dropped file while the browser is still decoding it. */
+  /** Let a dropped file be fitted with its upload. */
   _early(source) {
     this.lastDropMs = null;
-    if (!this.visible || !this.state.project.model) return;
-    this.app.fits.run(source, this.method).catch(() => {}); // reported by run, which waits for it, or by the upload
+    if (this.visible && this.state.project.model) source.method = this.method;
   }
 
   /** The tool of a manual start, or null. */

@@ -4,18 +4,18 @@
 import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
 import { consume, h } from "./ui.js";
 
-/** onmove(direction); onrest(): the drag has ended. Further attributes are those of the element. */
+/** onmove(direction). Further attributes are those of the element. */
 export class LampHandle {
   direction = [0, 0, 1];
 
-  constructor({ onmove, onrest = () => {}, middle = [0.5, 0.5], ...attributes }) {
+  constructor({ onmove, middle = [0.5, 0.5], ...attributes }) {
     this.middle = middle;
     this._onmove = onmove;
     this.element = h("div.lamp", {
       role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
       onkeydown: (event) => this.key(event) && consume(event),
       onpointerdown: (event) => this._down(event), onpointermove: (event) => this._move(event),
-      onlostpointercapture: onrest, ...attributes,
+      ...attributes,
     });
   }
 
@@ -38,7 +38,7 @@ export class LampHandle {
   /** Move by an arrow key; return whether it was one. */
   key(event) {
     const next = directionAfterKey(this.direction, event);
-    if (next) this._onmove(next, true);
+    if (next) this._onmove(next);
     return next !== null;
   }
 
@@ -50,6 +50,6 @@ export class LampHandle {
   }
 
   _move(event) {
-    if (this.element.hasPointerCapture(event.pointerId)) this._onmove(this.at(event), false);
+    if (this.element.hasPointerCapture(event.pointerId)) this._onmove(this.at(event));
   }
 }

@@ -70,17 +70,19 @@ export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255
   ctx.stroke();
 }
 
-/** Draw the 95 % confidence ellipse of each landmark. */
+/** Draw the 95 % confidence ellipse of each landmark, all in one path. */
 export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1ff", width = 1.3 } = {}) {
+  ctx.beginPath();
   points.forEach((point, i) => {
     const covariance = covariances?.[i];
     if (!point || !covariance) return;
-    const { radii: [major, minor], turn } = ellipse(covariance);
+    const { radii, turn } = ellipse(covariance);
     const [x, y] = viewer.toScreen(point);
-    ctx.beginPath();
-    ctx.ellipse(x, y, Math.min(major * viewer.scale, 1e4), Math.min(minor * viewer.scale, 1e4), turn, 0, 2 * Math.PI);
-    stroked(ctx, colour, width);
+    const [major, minor] = radii.map((radius) => Math.min(radius * viewer.scale, 1e4));
+    ctx.moveTo(x + major * Math.cos(turn), y + major * Math.sin(turn));
+    ctx.ellipse(x, y, major, minor, turn, 0, 2 * Math.PI);
   });
+  stroked(ctx, colour, width);
 }
 
 /** Radii and angle of the 95 % confidence ellipse of a Gaussian with covariance [[a, b], [b, c]]. */

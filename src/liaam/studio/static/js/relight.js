@@ -1,17 +1,12 @@
 // Lamps that are moved over the object in the picture, and the relit picture.
 
-import { api } from "./api.js";
 import { directionAt, directionInWords } from "./fit-geometry.js";
-import { FrameMeter, LatestWins } from "./fit-schedule.js";
 import { LampHandle } from "./lamp.js";
 import { bounds, middleOf } from "./points.js";
 import { button, h, menu, slider } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
 /** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
-
-const SIZE_WHILE_MOVING = 800;
-const SIZE_AT_REST = 1600;
 
 const BALL = 1.4; // diameter of the ball that lamps are on, relative to the object's box
 const LEAST = 120; // css pixels of its diameter
@@ -47,6 +42,12 @@ export const PRESETS = {
 /** Red, green and blue of "#rrggbb", 0 to 1. */
 const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
 
+/** Lights for the computation in the browser: {lamps: [{direction, channels: linear light, softness}], ambient}. */
+export const linearLights = ({ lamps, ambient }) => ({
+  ambient, lamps: lamps.map(({ direction, colour, strength, softness }) =>
+    ({ direction, softness, channels: channelsOf(colour).map((value) => strength * value ** 2.2) })),
+});
+
 /** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
 export function lightQuery({ lamps, ambient }, size) {
   const round = (value) => Number(value.toFixed(4));
@@ -56,7 +57,7 @@ export function lightQuery({ lamps, ambient }, size) {
   return { light: JSON.stringify({ lamps: sent, ambient }), ...(size ? { size } : {}) };
 }
 
-/** The lamps over the picture, in `stage`, and the panel with their values. Events: "change" and "rest". */
+/** The lamps over the picture, in `stage`, and the panel with their values. Event: "change". */
 export class Light extends EventTarget {
   /** ambient: initial fraction of ambient light. */
   constructor(ambient) {
@@ -110,13 +111,13 @@ export class Light extends EventTarget {
     });
     this._colour = h("input.light-colour", {
       type: "color", "aria-label": "Colour of the lamp", testid: "lamp-colour",
-      oninput: () => this._edit("colour", this._colour.value), onchange: () => this._say("rest"),
+      oninput: () => this._edit("colour", this._colour.value),
     });
     const lights = { "One lamp": this.first, ...PRESETS };
     const labels = Object.fromEntries(Object.keys(lights).map((name) => [name, name]));
     const use = (name) => {
       this.set(lights[name]);
-      this._changed(true);
+      this._changed();
     };
     const presets = menu("Presets…", labels, use, { "aria-label": "Preset lights", testid: "light-presets" });
     this._sliders = SLIDERS.map((of) => this._slider(of, () => this.lamp[of.key], (to) => this._edit(of.key, to)));
@@ -133,7 +134,7 @@ export class Light extends EventTarget {
   _slider({ key, label, max, what }, get, set) {
     const input = slider({
       min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
-      oninput: () => set(Number(input.value)), onchange: () => this._say("rest"),
+      oninput: () => set(Number(input.value)),
     });
     const text = h("span.number");
     const show = () => {
@@ -148,20 +149,19 @@ export class Light extends EventTarget {
       this.selected = this._handles.indexOf(handle);
       this._show();
     };
-    const move = (direction, rested) => {
+    const move = (direction) => {
       this.lamp.direction = direction;
-      this._changed(rested);
+      this._changed();
     };
     const handle = new LampHandle({
       class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp", onfocus: select, onmove: move,
-      onrest: () => this._say("rest"),
     });
     return handle;
   }
 
   _put(lamps, selected) {
     Object.assign(this, { lamps, selected });
-    this._changed(true);
+    this._changed();
     this._handles[selected].element.focus({ preventScroll: true });
   }
 
@@ -170,10 +170,9 @@ export class Light extends EventTarget {
     this._changed();
   }
 
-  _changed(rested = false) {
+  _changed() {
     this._show();
-    this._say("change");
-    if (rested) this._say("rest");
+    this.dispatchEvent(new Event("change"));
   }
 
   _show() {
@@ -194,26 +193,5 @@ export class Light extends EventTarget {
     this._remove.disabled = lamps.length < 2;
     for (const { show } of this._sliders) show();
   }
-
-  _say(type) {
-    this.dispatchEvent(new Event(type));
-  }
 }
 
-/** Fetches the relit picture, with at most one request at a time for the newest light. */
-export class Relighter extends LatestWins {
-  constructor({ done, failed }) {
-    const task = async ({ fit, query }) => createImageBitmap(await api.blob(api.url("fits", fit.id, "relit", query)));
-    const shown = (image, { fit }) => {
-      this.meter.tick();
-      done(image, fit);
-    };
-    super(task, { done: shown, failed });
-    this.meter = new FrameMeter();
-  }
-
-  relight(fit, light, resting) {
-    const size = Math.min(Math.max(fit.width, fit.height), resting ? SIZE_AT_REST : SIZE_WHILE_MOVING);
-    this.ask({ fit, query: lightQuery(light, size) });
-  }
-}

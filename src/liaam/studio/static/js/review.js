@@ -25,13 +25,16 @@ export function accuracyText(versions) {
   return `${what}: ${on} held out from training.${others}`;
 }
 
-export function createReview(app) {
+/** press(event, work): run the action of a button, after which Enter works in the picture again. */
+export function createReview(app, press) {
   const { state, api } = app;
   const part = (testid, title, content, ontoggle) =>
     h("details.small", { name: "review", ontoggle, testid }, h("summary", title), content);
   const now = h("span.small.muted.grow", { role: "status", testid: "review-state" });
   const toggle = () => act(app, state.picture().checked ? "unchecked" : "checked", [state.current]);
-  const check = button("Mark as checked", { icon: "check", small: true, testid: "check", onclick: toggle });
+  const check = button("Mark as checked", {
+    icon: "check", small: true, testid: "check", onclick: (event) => press(event, toggle),
+  });
   const entries = h("ul.assist-lines");
   const history = part("history", "History", entries, () => fetchHistory());
   const chart = h("div");

@@ -9,6 +9,7 @@ const UNITS = { "µm": "µm", mm: "mm", cm: "cm", m: "m", in: "inches" };
 const KEY = "liaam-studio:scale-bar"; // the last length and unit
 const TICK = 6; // css pixels on each side of the line
 const LEAST = 1; // pixels between the ends
+const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
 
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
 
@@ -107,7 +108,11 @@ export class ScaleBar {
   /** Ask for the length; resolves to the answer and {length, unit}. */
   async ask(bar, more = []) {
     const length = h("input.text", {
-      type: "number", min: "0", step: "any", value: String(bar.length), testid: "scale-length", "aria-label": "Length",
+      type: "number", step: "any", value: String(bar.length), testid: "scale-length", "aria-label": "Length",
+      oninput: () => {
+        const fits = Number(length.value) > LENGTHS[0] && Number(length.value) < LENGTHS[1];
+        length.setCustomValidity(fits ? "" : "Enter a length above 0 and below a thousand million, such as 10 or 2.5.");
+      },
     });
     const unit = h("select.text", { "aria-label": "Unit", testid: "scale-unit" }, optionsOf(UNITS));
     unit.value = bar.unit;
@@ -116,12 +121,10 @@ export class ScaleBar {
     const kept = "Files .ljson and .tps keep the scale for liaam measure; .pts and .csv do not.";
     const note = h("p.small.muted", `Measurements of this picture are then in millimetres. ${kept}`);
     const body = h("div.column", h("div.row", length, unit), note, !this.alone() && others);
-    const share = { label: "Same scale for all", value: "share", testid: "scale-share" };
-    const actions = [...more, ...(this.alone() ? [] : [share]), { label: "Set the scale", kind: "primary", value: "save", testid: "scale-save" }];
-    const answer = await dialog("Length of the scale bar", body, actions);
-    const value = Number(length.value);
-    const wrong = (answer === "save" || answer === "share") && !(value > 0);
-    return [wrong ? null : answer, { length: value, unit: unit.value, anyway: anyway.checked }];
+    const share = { label: "Same scale for all", value: "share", checks: true, testid: "scale-share" };
+    const save = { label: "Set the scale", kind: "primary", value: "save", checks: true, testid: "scale-save" };
+    const answer = await dialog("Length of the scale bar", body, [...more, ...(this.alone() ? [] : [share]), save]);
+    return [answer, { length: Number(length.value), unit: unit.value, anyway: anyway.checked }];
   }
 
   set(bar, what) {

@@ -34,10 +34,10 @@ export function whyLeftOut({ name, state, left_out: who }, left) {
 
 export function describe(picture, left) {
   const { state, placed, doubtful, checked, error, slip } = picture;
+  if (slip) return "possible slip";
   if (state !== "broken" && whyLeftOut(picture, left)) return "left out";
   if (state === "partial") return error ? "points do not fit" : `${placed} placed`;
   if (state === "proposed" && doubtful) return "doubtful";
-  if (slip) return "possible slip";
   return checked ? "checked" : (STATES[state] ?? state);
 }
 

@@ -172,7 +172,7 @@ export function mountStrip(root, app) {
       dataset: { name, state: picture.state },
     }, h("span.strip-face", face,
       rank === 1 && h("span.strip-next", { title: "Helps the model most" }, icon("spark", 12)),
-      h("span.dot", { class: why ? "left-out" : slip ? "slip" : checked ? "checked" : picture.state })),
+      h("span.dot", { class: slip ? "slip" : why ? "left-out" : checked ? "checked" : picture.state })),
     h("span.strip-text", h("span.strip-name", filters.baseOf(name)),
       h("span.strip-state", folder ? `${what} · ${folder}` : what)));
   }

@@ -176,16 +176,22 @@ export function segmented(label, choices, value, onchange, testid = null) {
 }
 
 /**
- * Open a modal dialog; actions: [{label, kind, value, testid}]; body: element or text. Resolves to the value of the
+ * Open a modal dialog; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body: element
+ * or text. Resolves to the value of the
  * chosen action, or null if the dialog was closed.
  */
 export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false, undecided = false } = {}) {
   return new Promise((resolve) => {
     let chosen = null;
-    const close = (value) => { chosen = value; box.close(); };
+    const close = (value, checks = false) => {
+      if (checks && [...content.querySelectorAll("input")].some((field) => !field.reportValidity())) return;
+      chosen = value;
+      box.close();
+    };
     const content = h("div.dialog-body", typeof body === "string" ? h("p", body) : body);
     const foot = h("div.dialog-foot",
-      actions.map(({ label, value, ...more }) => button(label, { ...more, onclick: () => close(value) })));
+      actions.map(({ label, value, checks, ...more }) =>
+        button(label, { ...more, onclick: () => close(value, checks) })));
     const head = h("div.dialog-head", h("h2", { id: "dialog-title" }, title),
       iconButton("Close", "close", () => close(null), { small: true }));
     const box = h("dialog.dialog", {

@@ -59,7 +59,7 @@ export class Viewer extends EventTarget {
   }
 
   /** Show a part of the picture, [left, top, right, bottom], and a margin around it, as large as they fit. */
-  fitTo([left, top, right, bottom], margin) {
+  fitTo(/** @type {number[]} */ [left, top, right, bottom], margin) {
     const { w, h } = this._size();
     this.scale = Math.min(w / (right - left + 2 * margin), h / (bottom - top + 2 * margin), LARGEST);
     this.left = w / 2 - (this.scale * (left + right)) / 2;

@@ -1,5 +1,6 @@
 // The wall: the list of pictures as a grid over the whole page, with their points, to accept many and open the worst.
 
+import { several } from "./annotate-words.js";
 import { openIn } from "./strip-filters.js";
 import { button, h, iconButton, press, slider, svg } from "./ui.js";
 
@@ -12,13 +13,15 @@ export const acceptable = (pictures, least) =>
 
 /** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed; onworst(): the
  *  worst is about to be opened; turn(): show the next page, and return the pictures of this one. */
+const keyOf = ({ revision, quality, tag, state }) => [revision, quality, tag, state].join();
+
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
-  const outlines = new Map(); // by name: {key, promise of the drawing}
+  const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last
   const level = slider({
     min: "50", max: "100", value: String(FIRST), "aria-label": "Least quality to accept", testid: "wall-level", oninput: show,
   });
-  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: () => acceptSome(chosen) });
+  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: () => acceptSeen() });
   const page = button("Accept these", {
     testid: "wall-page", shortcut: "Shift+Enter", onclick: () => acceptPage(),
     title: "Accept the points of the pictures that are in view, but for doubtful ones, and go on to the next",
@@ -45,6 +48,17 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   function acceptPage() {
     const pictures = turn();
     return acceptSome(() => acceptable(pictures.map(({ name }) => state.picture(name)), 0));
+  }
+
+  /** Accept the sure ones, but for those that were looked at before a model placed their points anew. */
+  function acceptSeen() {
+    const isNew = (name) => outlines.has(name) && outlines.get(name).key !== keyOf(state.picture(name));
+    const stale = chosen().filter(isNew);
+    if (stale.length) {
+      const what = `${several(stale.length, "picture")} that you looked at`;
+      app.toast(`A newer model has placed the points of ${what}. Look again, then accept them.`);
+    }
+    return acceptSome(() => chosen().filter((name) => !isNew(name)));
   }
 
   /** Accept names() once all points that were just moved are saved. */
@@ -74,9 +88,9 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
 
   /** Draw the points of a picture over its thumbnail. */
   async function outline(picture, face) {
-    const { name, placed, quality, revision, state: progress } = picture;
+    const { name, placed, state: progress } = picture;
     if (!placed && progress !== "proposed") return;
-    const key = [revision, quality, picture.tag, progress].join();
+    const key = keyOf(picture);
     if (outlines.get(name)?.key !== key) outlines.set(name, { key, drawn: draw(name).catch(() => null) });
     const drawn = await outlines.get(name).drawn;
     if (drawn && !face.querySelector(".wall-points")) face.append(drawn.cloneNode(true));
