@@ -107,7 +107,8 @@ def contour_turns(shape: np.ndarray, to: np.ndarray, contours: Contours) -> np.n
     with np.errstate(invalid="ignore"):
         turns = after * before.conj()  # of complex unit vectors
     turns[np.isnan(turns)] = 1.0
-    return np.stack([turns.real, -turns.imag, turns.imag, turns.real], axis=-1).reshape(*turns.shape, 2, 2)
+    cos, sin = np.real(turns), np.imag(turns)
+    return np.stack([cos, -sin, sin, cos], axis=-1).reshape(*turns.shape, 2, 2)
 
 
 def along_and_across(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:

@@ -107,6 +107,16 @@ class TestFit:
         assert seen["n_found"] == expected.n_found == 1
         assert (seen["width"], seen["height"]) == (120, 160)
 
+    def test_says_where_further_objects_are(self, fitted):
+        result = fitted.result
+        assert fitted.as_json()["objects"] == []  # there is only one
+        other = replace(result.found, landmarks=result.landmarks + 500.0)
+        seen = replace(fitted, result=replace(result, found=replace(result.found, others=(other,)))).as_json()
+        first, second = seen["objects"]
+        assert seen["n_found"] == 2
+        assert first == pytest.approx([*result.landmarks.min(axis=0), *result.landmarks.max(axis=0)], abs=0.06)
+        assert np.subtract(second, first) == pytest.approx(500.0, abs=0.11)
+
     def test_is_json_whatever_happens(self, fits, fitted):
         lost = fit(fits, start=(-20.0, -20.0, 60.0, 40.0), method="grey-plain")
         for one in (fitted, lost, fit(fits, "dark.png")):

@@ -284,6 +284,27 @@ def test_a_fit_of_low_quality_is_shown_in_amber_and_compared_by_quality(fit_tab,
     fit_tab.locator("[data-testid=compare-right].nearer").wait_for()
 
 
+def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
+    asked, boxes = [], [[10.0, 20.0, 90.0, 120.0], [30.0, 20.0, 110.0, 130.0]]
+
+    def answer(route):
+        asked.append((route.request.post_data_json or {}).get("start") if "/fits" in route.request.url else None)
+        answered = route.fetch().json()
+        if asked[-1] is None:  # of a search, whose answer is changed to one of two objects
+            answered.get("fit", answered).update(n_found=2, objects=boxes)
+        route.fulfill(json=answered)
+
+    for address in ("**/api/fits", "**/api/uploads?*"):
+        fit_tab.route(address, answer)
+    dropped(fit_tab, lit_file)
+    fit_tab.get_by_text("1 more object in the picture").wait_for()
+    following = fit_tab.get_by_role("button", name="Next object")
+    for box in (boxes[1], boxes[0]):
+        following.click()
+        wait_until(fit_tab, lambda box=box: asked[-1] == {"box": box})
+    assert following.is_visible()
+
+
 def test_two_methods_are_compared(fit_tab, artefacts):
     fit_tab.locator("[data-testid=tab-compare]").click()
     wait_for(

@@ -94,7 +94,7 @@ export function verdictOf(fit) {
     return { kind: "warn", title: `${title}, search uncertain`, advice, isSure };
   }
   const more = (fit.n_found ?? 1) - 1;
-  const others = more > 0 ? `${several(more, "more object")} in the picture. To choose another, draw a box around it:` : "";
+  const others = more > 0 ? `${several(more, "more object")} in the picture. Fit them in turn, or draw a box around one:` : "";
   if (isSure) return { kind: isUnknown ? "warn" : "good", title, advice: others, isSure };
   return { kind: "warn", title, advice: "Check the points. If they are wrong, draw a box around the object:", isSure };
 }

@@ -86,10 +86,11 @@ export class SetupPanel {
 
 /** The result of a fit, and remedies if it failed or has low confidence. */
 export class ResultPanel {
-  /** onstart(value): start from a "box" or the "mean" shape. */
-  constructor({ onstart }) {
+  /** onstart(value): start from a "box" or the "mean" shape; onnext(): fit the picture's next object. */
+  constructor({ onstart, onnext }) {
     this._status = h("div.column.tight.fit-status", { role: "status", "aria-live": "polite", testid: "fit-status" });
-    this._remedies = h("div.row.tight.fit-remedies", { hidden: true },
+    this._next = button("Next object", { icon: "right", small: true, onclick: onnext });
+    this._remedies = h("div.row.tight.fit-remedies", { hidden: true }, this._next,
       button("Draw a box", { icon: "box", small: true, onclick: () => onstart("box") }),
       button("Drag the mean shape", { icon: "target", small: true, onclick: () => onstart("mean") }));
     this._facts = h("dl.fit-facts");
@@ -104,7 +105,8 @@ export class ResultPanel {
     this._facts.replaceChildren();
   }
 
-  show(fit) {
+  /** several: whether the picture shows several objects. */
+  show(fit, several = false) {
     this.element.hidden = false;
     const { kind, title, advice } = verdictOf(fit);
     const lines = [
@@ -114,7 +116,8 @@ export class ResultPanel {
       advice && h("p.small.muted", advice),
     ];
     this._status.replaceChildren(...lines.filter(Boolean));
-    this._remedies.hidden = !advice;
+    this._remedies.hidden = !advice && !several;
+    this._next.hidden = !several;
     this._facts.replaceChildren(...entries(factsOf(fit)));
   }
 }

@@ -37,6 +37,7 @@ class FitTab {
     this.method = this.state.project.default_method;
     this.fit = null;
     this.lastDropMs = null;
+    this._objects = []; // boxes of several in the picture, that of the fit first
     this._run = 0; // number of the newest run, to drop answers of older ones
     this.view = new FitView({ gone: (fit) => this._forgotten(fit), ambient: this.state.project.default_ambient });
     this.box = new BoxTool(this.view.viewer, () => this.run());
@@ -48,7 +49,7 @@ class FitTab {
       this._setStart(value);
       this._focus();
     };
-    this.result = new ResultPanel({ onstart: remedy });
+    this.result = new ResultPanel({ onstart: remedy, onnext: () => this._nextObject() });
     this.setup = new SetupPanel({
       app, onback: () => this.sources.backToFolder(), onopen: () => this._file.click(),
       onstart: (value) => this._setStart(value), onclick: () => this._startTool() && this._focus(),
@@ -92,12 +93,12 @@ class FitTab {
 
   // Fitting.
 
-  /** Fit the shown picture from the chosen start. Resolves once the fit is painted. */
-  async run() {
+  /** Fit the shown picture from a start, or the chosen one. Resolves once the fit is painted. */
+  async run(given = null) {
     const source = this.sources.current;
     if (!source || !this.state.project.model) return null;
     const tool = this._startTool();
-    const start = tool?.start ?? null;
+    const start = given ?? tool?.start ?? null;
     if (tool && !start) {
       this.result.showMessage("info", "Draw a box around the object first.");
       return null;
@@ -118,6 +119,12 @@ class FitTab {
     }
   }
 
+  /** Fit the next of the objects that a search has found in the picture. */
+  _nextObject() {
+    this._objects.push(this._objects.shift());
+    this.run({ box: this._objects[0] });
+  }
+
   /** Let a dropped file be fitted with its upload. */
   _early(source) {
     this.lastDropMs = null;
@@ -131,6 +138,7 @@ class FitTab {
 
   _take(fit) {
     this.fit = fit;
+    if (fit?.objects?.length) this._objects = [...fit.objects];
     this.view.setFit(fit);
     this.view.invariant.mark({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });
     this.iterations.show(fit?.iterations ?? []);
@@ -169,6 +177,7 @@ class FitTab {
     const source = this.sources.current;
     if (this._seen !== source) {
       this._seen = source;
+      this._objects = [];
       this._run += 1;
       this._busy(false);
       this.view.setSource(source);
@@ -254,7 +263,7 @@ class FitTab {
 
   _result() {
     if (this.fit) {
-      this.result.show(this.fit);
+      this.result.show(this.fit, this._objects.length > 1);
       return;
     }
     const { model } = this.state.project;
