@@ -35,8 +35,8 @@ LOOK_SECONDS = 3.0
 QUIET_SECONDS = 0.2
 """Files that are added together arrive in shorter intervals."""
 
-STOP_SECONDS = 10.0
-"""How long the end of the thread is waited for."""
+STOP_SECONDS = 60.0
+"""How long the end of the thread is waited for. What it does at the moment takes seconds on a busy machine."""
 
 TRIED = 4
 """Number of pictures in which faces are looked for before the points of the face model are offered."""

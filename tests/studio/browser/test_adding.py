@@ -244,6 +244,7 @@ def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, fol
     wait_for(page, "() => window.liaamStudio.annotate?.name() === 'portrait-03.png'")
     assert "exchanged" in page.locator("[data-testid=why-next]").inner_text()
     assert sorted(annotate(page, "wrong()")) == [33, 39]
+    wait_for(page, "() => window.liaamStudio.annotate.points()?.length === 58")
     x, y = annotate(page, "viewer.toScreen(window.liaamStudio.annotate.points()[33])")
     assert any(page.evaluate(RED, [x, y]))  # a ring around the point
     shoot(page, artefacts, "42-slip")

@@ -291,7 +291,8 @@ def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
         asked.append((route.request.post_data_json or {}).get("start") if "/fits" in route.request.url else None)
         answered = route.fetch().json()
         if asked[-1] is None:  # of a search, whose answer is changed to one of two objects
-            answered.get("fit", answered).update(n_found=2, objects=boxes)
+            found = {"score": 1.0, "doubtful": False}
+            answered.get("fit", answered).update(n_found=2, objects=boxes, found=found, quality=0.9)
         route.fulfill(json=answered)
 
     for address in ("**/api/fits", "**/api/uploads?*"):
