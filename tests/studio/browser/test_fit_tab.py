@@ -285,7 +285,7 @@ def test_a_fit_of_low_quality_is_shown_in_amber_and_compared_by_quality(fit_tab,
 
 
 def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
-    asked, boxes = [], [[10.0, 20.0, 90.0, 120.0], [30.0, 20.0, 110.0, 130.0]]
+    asked, done, boxes = [], [], [[10.0, 20.0, 90.0, 120.0], [30.0, 20.0, 110.0, 130.0]]
 
     def answer(route):
         asked.append((route.request.post_data_json or {}).get("start") if "/fits" in route.request.url else None)
@@ -294,6 +294,7 @@ def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
             found = {"score": 1.0, "doubtful": False}
             answered.get("fit", answered).update(n_found=2, objects=boxes, found=found, quality=0.9)
         route.fulfill(json=answered)
+        done.append(route)
 
     for address in ("**/api/fits", "**/api/uploads?*"):
         fit_tab.route(address, answer)
@@ -302,7 +303,7 @@ def test_the_objects_of_a_picture_are_fitted_in_turn(fit_tab, lit_file):
     following = fit_tab.get_by_role("button", name="Next object")
     for box in (boxes[1], boxes[0]):
         following.click()
-        wait_until(fit_tab, lambda box=box: asked[-1] == {"box": box})
+        wait_until(fit_tab, lambda box=box: asked[-1] == {"box": box} and len(done) == len(asked))
     assert following.is_visible()
 
 
