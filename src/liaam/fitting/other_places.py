@@ -27,10 +27,11 @@ BRIEF = 12
 """Largest number of steps per level of fits to other detections. Right fits take fewer; wrong ones, and most are, take
 up to ``max_iterations``. Photographs without a face take two thirds of the time, and nothing is lost."""
 
-PROMISING, WORTH = 3, 0.1
-"""Largest number of these detections that are fitted at the sharpest level, which takes most of the time, and their
-least odds at the level before, as a fraction of the best. All of 121 fits that end elsewhere than they began end as
-with every detection; with two, 7 end elsewhere again."""
+PROMISING = 3
+"""Number of these detections that are fitted at the sharpest level, which takes most of the time: those of the highest
+odds at the level before. All of 121 fits that end elsewhere than they began end as with every detection; with two, 7
+end elsewhere again. With only those of a tenth of the best odds, right fits under flashes are doubtful, because quality
+falls at the sharpest level where the object is not."""
 
 Start = tuple[Target, Detection | None]
 """A start, and the detection that it is from."""
@@ -70,10 +71,7 @@ def likeliest(
         there = target._replace(start=place.landmarks + low)
         blurred.append(_blurred(fitter, known, (there, found and replace(place, others=found.others)), brief))
     blurred.sort(key=lambda each: odds(each.shape, each.quality), reverse=True)
-    worth = WORTH * max((odds(each.shape, each.quality) for each in blurred), default=0.0)
-    promising = [each for each in blurred[:PROMISING] if odds(each.shape, each.quality) >= worth]
-
-    tried = [(first, start), *((_sharpened(fitter, each, brief), each.start) for each in promising)]
+    tried = [(first, start), *((_sharpened(fitter, each, brief), each.start) for each in blurred[:PROMISING])]
     unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
     while True:
         i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
@@ -83,7 +81,7 @@ def likeliest(
         unfinished.remove(i)
         tried[i] = fitter._fit_from(start[0]), start
     seen = [(each.landmarks, each.quality) for each, _ in tried]
-    seen += [(each.shape, each.quality) for each in blurred[len(promising) :]]
+    seen += [(each.shape, each.quality) for each in blurred[PROMISING:]]
     others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
     own = prior(best.landmarks, best.quality)
     shared = own / (own + others) if own > 0 else 1.0
