@@ -97,7 +97,11 @@ def contour_axes(shapes: np.ndarray, contours: Contours) -> np.ndarray:
     ``shapes`` and ``contours`` are those of :func:`contour_directions`.
     """
     along = contour_directions(shapes, contours)
-    along = np.where(np.isnan(along), [1.0, 0.0], along)
+    return _axes(np.where(np.isnan(along), [1.0, 0.0], along))
+
+
+def _axes(along: np.ndarray) -> np.ndarray:
+    """Unit vectors along and across directions (..., n, 2), in this order, (..., n, 2, 2)."""
     return np.stack([along, along[..., ::-1] * [-1.0, 1.0]], axis=-2)
 
 
@@ -130,7 +134,7 @@ def within_intervals(errors: np.ndarray, covariances: np.ndarray, directions: np
         Unit vectors; NaN where there is none.
     """
     found = along_and_across(errors, directions)
-    axes = np.stack([directions, directions[..., ::-1] * [-1.0, 1.0]], axis=-2)
+    axes = _axes(directions)
     with np.errstate(invalid="ignore"):
         variances = np.einsum("...ia,...ab,...ib->...i", axes, covariances, axes)
         inside = np.square(found) <= 1.96**2 * variances

@@ -267,9 +267,13 @@ class FitResult:
         Further objects count if they are at least half as large, and at least 0.3 times the image's shorter side
         unless no large object was certain.
         """
-        if self.found is None:
-            return None
-        return 1 + sum(are_beside(other.landmarks, self.landmarks) for other in self.found.others)
+        return None if self.found is None else 1 + len(self.beside)
+
+    @property
+    def beside(self) -> tuple[Detection, ...]:
+        """The further objects that :attr:`n_found` counts; none if the start was given."""
+        others = () if self.found is None else self.found.others
+        return tuple(other for other in others if are_beside(other.landmarks, self.landmarks))
 
     @property
     def start(self) -> np.ndarray:

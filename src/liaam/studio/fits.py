@@ -19,7 +19,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none, point_error
-from liaam.fitting.detection import Detection, are_beside
+from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
@@ -137,10 +137,9 @@ class Fit:
 
 def boxes_of(result: FitResult) -> list[list[float]]:
     """Return the boxes (left, top, right, bottom) of several objects that a search has found, that of the fit first."""
-    if (result.n_found or 1) == 1 or not np.isfinite(result.landmarks).all():
+    if not result.beside or not np.isfinite(result.landmarks).all():
         return []
-    others = result.found.others if result.found is not None else ()
-    shapes = [result.landmarks, *(each.landmarks for each in others if are_beside(each.landmarks, result.landmarks))]
+    shapes = [result.landmarks, *(each.landmarks for each in result.beside)]
     return [numbers(np.concatenate([shape.min(axis=0), shape.max(axis=0)]), 1) for shape in shapes]
 
 

@@ -284,7 +284,8 @@ export class AnnotateTab {
       },
       /** "file", "proposal", "layout", "none", or "template" while it is edited; null while a picture opens. */
       source: () => (this.editing ? "template" : (this.marking.state?.source ?? null)), name: () => this.name,
-      wrong: () => this.wrong, selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible], bar: () => this.ruler.bar,
+      wrong: () => this.wrong,
+      selection: () => [...this.doc.selection], invisible: () => [...this.marking.invisible], bar: () => this.ruler.bar,
       undoSteps: () => this.doc.history?.past.length ?? 0, isDirty: () => this.saver.dirty.length > 0,
       /** The loupe: {xy under its centre, centre on the screen, scale}, or null. */
       loupe: () => this.tool.loupe && { xy: this.tool.loupe, ...loupeOver(this.viewer, this.tool.pointer) },

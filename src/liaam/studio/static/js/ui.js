@@ -177,8 +177,7 @@ export function segmented(label, choices, value, onchange, testid = null) {
 
 /**
  * Open a modal dialog; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body: element
- * or text. Resolves to the value of the
- * chosen action, or null if the dialog was closed.
+ * or text. Resolves to the value of the chosen action, or null if the dialog was closed.
  */
 export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false, undecided = false } = {}) {
   return new Promise((resolve) => {
