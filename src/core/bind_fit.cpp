@@ -10,7 +10,6 @@ namespace {
 // A model and a method, prepared for many images.
 struct Prepared {
     std::vector<LevelSpec> levels;
-    Shapes shapes;
     Encoding encoding = Encoding::soft;
     double theta_1 = 0.0;
     bool has_invariant = false;
@@ -21,21 +20,23 @@ struct Prepared {
 std::unique_ptr<Prepared> prepare(const nb::dict& given) {
     auto prepared = std::make_unique<Prepared>();
     Fields fields(given, prepared->kept);
-    prepared->shapes = {fields.rows<double>("basis"), fields.numbers<double>("mean")};
+    const Doubles mean = fields.numbers<double>("mean");
     prepared->encoding = static_cast<Encoding>(fields.value<int>("encoding"));
     prepared->theta_1 = fields.value<double>("theta_1");
     prepared->has_invariant = fields.value<bool>("has_invariant");
     prepared->keeps_samples = fields.value<bool>("keeps_samples");
     for (nb::handle each : nb::cast<nb::list>(given["levels"])) {
-        const auto [objective, blur, density] = nb::cast<std::tuple<nb::object, double, double>>(each);
+        const auto own = nb::cast<nb::dict>(each);
+        Fields level(own, prepared->kept);
+        const nb::object objective = own["objective"];
         const auto& held = nb::cast<const HeldObjective&>(objective);
-        require(held.objective.n_p() == prepared->shapes.basis.n_rows, "a level has other shape modes");
-        prepared->levels.push_back({&held.objective, blur, density});
+        const Shapes shapes{level.rows<double>("basis"), mean};
+        require(held.objective.n_p() == shapes.basis.n_rows, "a level has other shape modes");
+        require(shapes.basis.n_columns == mean.size() && mean.size() >= 6, "the shape model is damaged");
+        prepared->levels.push_back({&held.objective, level.value<double>("blur"), level.value<double>("density"), shapes});
         prepared->kept.push_back(objective);
     }
     require(!prepared->levels.empty(), "there are no levels");
-    require(prepared->shapes.basis.n_columns == prepared->shapes.mean.size() && prepared->shapes.mean.size() >= 6,
-            "the shape model is damaged");
     return prepared;
 }
 
@@ -53,12 +54,13 @@ Target target_of(const Prepared& prepared, const nb::dict& given, std::vector<nb
     target.first_log = fields.value<double>("first_log");
     target.last_log = fields.value<double>("last_log");
     target.point_precision = fields.rows<double>("point_precision");
-    const std::size_t n_p = prepared.shapes.basis.n_rows;
-    require(start.size() == prepared.shapes.mean.size(), "the start has another number of landmarks");
+    const Shapes& shapes = prepared.levels.back().shapes;
+    require(start.size() == shapes.mean.size(), "the start has another number of landmarks");
     require(std::all_of(start.begin(), start.end(), [](double each) { return std::abs(each) < 1e7; }),
             "the start is not finite, or far away");
-    require(points.empty() || (points.size() == start.size() && target.point_precision.n_rows == n_p &&
-                               target.point_precision.n_columns == n_p),
+    const Rows<const double>& precision = target.point_precision;
+    require(points.empty() || (points.size() == start.size() && precision.n_rows >= shapes.basis.n_rows &&
+                               precision.n_columns == precision.n_rows),
             "the mapped points differ in size");
     require(target.log_noise.size() >= 2 && target.last_log > target.first_log, "the table of noise is damaged");
     return target;
@@ -75,7 +77,7 @@ std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& pictur
     std::vector<LevelResult> results;
     {
         const Unlocked unlocked;
-        results = fit_levels(prepared.levels, prepared.shapes, picture, target, own, EncodingConstants{}, room(),
+        results = fit_levels(prepared.levels, picture, target, own, EncodingConstants{}, room(),
                              std::ref(signals));
     }
     signals.rethrow();

@@ -150,26 +150,35 @@ bool is_sane(Doubles shape, Doubles start) {
     return thresholds::kLeastGrowth < growth && growth < thresholds::kMostGrowth;
 }
 
+// The precision of the n parameters of a level: the first modes, and the similarity, which comes last.
+Rows<const double> precision_of(Rows<const double> all, std::size_t n, Matrix& room) {
+    const auto at = [&](std::size_t i) { return i + 4 < n ? i : i + all.n_rows - n; };
+    room.resize(n, n);
+    for (std::size_t i = 0; i < n; ++i)
+        for (std::size_t j = 0; j < n; ++j) room[i][j] = all[at(i)][at(j)];
+    return room.view();
+}
+
 // One fit, level by level.
 class Fit {
   public:
-    Fit(const std::vector<LevelSpec>& levels, const Shapes& shapes, const Picture& picture, const Target& target,
+    Fit(const std::vector<LevelSpec>& levels, const Picture& picture, const Target& target,
         const EncodingConstants& constants, FitRoom& room)
-        : levels_(levels), shapes_(shapes), picture_(picture), target_(target), constants_(constants), room_(room) {
+        : levels_(levels), picture_(picture), target_(target), constants_(constants), room_(room) {
         average_around_start();
     }
 
     // Encodes the surroundings of a shape for a level, and returns the state that the level starts from.
     State prepare(const LevelSpec& level, const std::vector<double>& shape, double margin, LevelResult& result) {
-        result.pose = align(shapes_.mean, shape);
+        result.pose = align(level.shapes.mean, shape);
         encode_around(level, shape, margin, result);
         const Similarity to_model = inverse(result.pose);
         if (!target_.points.empty()) {
-            room_.points = shapes_.parameters(map(to_model, target_.points));
-            image_.point_precision = target_.point_precision;
+            room_.points = level.shapes.parameters(map(to_model, target_.points));
+            image_.point_precision = precision_of(target_.point_precision, level.shapes.basis.n_rows, room_.point_precision);
             image_.points = room_.points;
         }
-        return {shapes_.parameters(map(to_model, shape)), {target_.theta_1, target_.theta_1},
+        return {level.shapes.parameters(map(to_model, shape)), {target_.theta_1, target_.theta_1},
                 std::vector<double>(level.objective->m(), 0.0)};
     }
 
@@ -178,7 +187,7 @@ class Fit {
   private:
     // The image averaged once for all levels, as fine as the sharpest needs.
     void average_around_start() {
-        const double scale = scale_of(align(shapes_.mean, target_.start));
+        const double scale = scale_of(align(levels_.front().shapes.mean, target_.start));
         double finest = std::numeric_limits<double>::infinity(), coarsest = 0.0;
         for (const LevelSpec& level : levels_) {
             const double size = block_size(picture_.encoding, scale, level.blur);
@@ -236,7 +245,6 @@ class Fit {
     }
 
     const std::vector<LevelSpec>& levels_;
-    const Shapes& shapes_;
     const Picture& picture_;
     const Target& target_;
     const EncodingConstants& constants_;
@@ -307,10 +315,10 @@ Similarity inverse(const Similarity& s) {
     return back;
 }
 
-std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Shapes& shapes, const Picture& picture,
+std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Picture& picture,
                                     const Target& target, const Options& options, const EncodingConstants& constants,
                                     FitRoom& room, const Interrupted& interrupted) {
-    Fit fit(levels, shapes, picture, target, constants, room);
+    Fit fit(levels, picture, target, constants, room);
     Workspace& work = room.work;
     std::vector<LevelResult> results;
     std::vector<double> shape = target.start;
@@ -323,7 +331,9 @@ std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const 
         start.angles = results.empty() ? first_angles(*level.objective, target, own, fit.image(), start, work)
                                        : results.back().fit.state.angles;
         result.fit = solve_level(*level.objective, fit.image(), start, own, level.blur, last, work, interrupted);
-        shape = map(result.pose, shapes.shape(result.fit.state.p));
+        const auto before = map(result.pose, level.shapes.shape(start.p));
+        const auto after = map(result.pose, level.shapes.shape(result.fit.state.p));
+        for (std::size_t i = 0; i < shape.size(); ++i) shape[i] += after[i] - before[i];  // what no mode here shows stays
         results.push_back(std::move(result));
         if (!is_sane(shape, target.start)) break;
         margin = kNear;

@@ -38,6 +38,7 @@ struct LevelSpec {
     const Objective* objective = nullptr;
     double blur = 0.0;     // of the encoded image, model pixels
     double density = 1.0;  // fraction of the frame's pixels that are used
+    Shapes shapes;         // with the first modes, as many as are seen under the blur
 };
 
 // What a fit starts from, and what is known of the image.
@@ -49,7 +50,7 @@ struct Target {
     bool has_invariant = false;    // theta_2 and lambda have a joint optimum
     Floats log_noise;              // of one pixel; see LevelImage
     double first_log = 0.0, last_log = 1.0;
-    Rows<const double> point_precision;  // of p by the points of another landmarker, or empty
+    Rows<const double> point_precision;  // of all p by the points of another landmarker, or empty
     std::vector<double> points;          // (2 n): landmarks mapped from these points, or empty
 };
 
@@ -75,10 +76,11 @@ struct FitRoom {
     Channels channels;
     std::vector<float> noise;
     std::vector<double> points;
+    Matrix point_precision;
 };
 
 // Fits the levels in order; fewer if the fit diverges.
-std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Shapes& shapes, const Picture& picture,
+std::vector<LevelResult> fit_levels(const std::vector<LevelSpec>& levels, const Picture& picture,
                                     const Target& target, const Options& options, const EncodingConstants& constants,
                                     FitRoom& room, const Interrupted& interrupted);
 

@@ -192,8 +192,9 @@ void fit_once(Rng& rng) {
     options.scoring = integer(rng, -1, 3);
     options.keeps_samples = true;
     static FitRoom room;
-    const std::vector<LevelSpec> levels{{&coarse.objective, 2.0, 1.0}, {&coarse.objective, odd(rng, 0.0) == 0.0 ? 0.0 : 1.0, 0.5}};
-    const auto results = fit_levels(levels, shapes, photo.picture, target, options, EncodingConstants{}, room, [] { return false; });
+    const std::vector<LevelSpec> levels{{&coarse.objective, 2.0, 1.0, shapes},
+                                        {&coarse.objective, odd(rng, 0.0) == 0.0 ? 0.0 : 1.0, 0.5, shapes}};
+    const auto results = fit_levels(levels, photo.picture, target, options, EncodingConstants{}, room, [] { return false; });
     check(!results.empty() && results.size() <= 2, "a fit has one or two levels");
     for (const LevelResult& result : results) {
         check(result.fit.trace.path.size() == result.fit.trace.costs.size() * coarse.n_p(), "the path has other lengths");

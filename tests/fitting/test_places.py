@@ -46,7 +46,7 @@ def place(calibrated, lit_scene, monkeypatch):
             return fit if call.ends is None or len(call.briefly) == 1 else replace(fit, quality=call.ends)
 
         monkeypatch.setattr(Fitter, "_fit_from", fit_from)
-        monkeypatch.setattr(other_places, "_sharpened", lambda own, each, brief: fit_from(own, each.start[0], brief))
+        monkeypatch.setattr(other_places, "fit_sharpest", lambda own, each, brief: fit_from(own, each.target, brief))
         result = fitter.fit(image)
         return next(i for i, shape in enumerate(shapes) if shape is result.landmarks), result
 

@@ -70,12 +70,9 @@ def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(calibrat
     again = next(new for old, new in zip(*both, strict=True) if new.quality > old.quality)
     assert again.to_dict()["starts_tried"] == again.n_starts > 1
     alone = Fitter(calibrated, restarts=False).fit(lit_scene.image, again.start)
-    np.testing.assert_allclose(alone.landmarks, again.landmarks, atol=1e-6)
-    assert (alone.status, alone.n_iterations, len(alone.history)) == (
-        again.status,
-        again.n_iterations,
-        len(again.history),
-    )
+    # Restarts go on from the blurred levels, so that the sharpest one averages the image around another shape.
+    np.testing.assert_allclose(alone.landmarks, again.landmarks, atol=0.05)
+    assert alone.status == again.status
 
 
 @pytest.mark.parametrize(
@@ -104,20 +101,22 @@ def test_a_fit_that_ran_off_is_not_kept(calibrated, lit_scene, monkeypatch):
     target, _ = ours.target(lit_scene.image, start)
     first = Fitter(calibrated, restarts=False).fit(lit_scene.image, start)
     off = replace(first, quality=1.0, landmarks=10 * first.landmarks)
-    monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: off)
+    monkeypatch.setattr(fitter, "fit_sharpest", lambda *_: off)
     kept = ours._fit_again(target, first)
     assert kept.quality == first.quality
     assert kept.n_starts > 1
 
 
-def test_a_typical_fit_ends_the_search(calibrated, lit_scene, monkeypatch):
-    ours, calls = Fitter(calibrated), []
+def test_only_the_best_of_the_other_starts_is_fitted_at_the_sharpest_level(calibrated, lit_scene, monkeypatch):
+    ours, fitted = Fitter(calibrated), []
     target, _ = ours.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[0]))
-    first = Fitter(calibrated, restarts=False).fit(lit_scene.image, target.start)
+    first = replace(Fitter(calibrated, restarts=False).fit(lit_scene.image, target.start), quality=0.1)
     good = replace(first, quality=0.99, landmarks=target.start)
-    monkeypatch.setattr(Fitter, "_fit_from", lambda _self, _target: calls.append(1) or good)
+    monkeypatch.setattr(fitter, "other_starts", lambda *_: [target.start, lit_scene.landmarks])
+    monkeypatch.setattr(fitter, "fit_sharpest", lambda _own, fit, _options: fitted.append(fit) or good)
     assert ours._fit_again(target, first).quality == 0.99
-    assert len(calls) == 1
+    (best,) = fitted
+    np.testing.assert_array_equal(best.target.start, lit_scene.landmarks)
 
 
 def test_trackers_search_instead(calibrated):

@@ -12,7 +12,7 @@ from liaam.fitting.level_image import MARGIN, NEAR
 from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
 from liaam.fitting.objective import Objective, make_objectives
-from liaam.fitting.other_places import likeliest
+from liaam.fitting.other_places import fit_blurred, fit_sharpest, likeliest
 from liaam.fitting.picture import load_picture, path_of
 from liaam.fitting.restarts import other_starts
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, likeliness, trace, with_prior
@@ -22,7 +22,7 @@ from liaam.fitting.start import mapped_points, part_of_start, region_of, start_s
 from liaam.fitting.status import status_of
 from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
 from liaam.model import AAM, Level, Reliability, View
-from liaam.model.shape import ShapeModel
+from liaam.model.shape import ShapeModel, own_parameters
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
@@ -241,7 +241,7 @@ class Fitter:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
         prior, known, region = 1.0, self._known_for(result), region_of(init, target.image)
         if known is not None and region is not None and (init is None or self.restarts):
-            result, prior, (target, found) = likeliest(self, known, result, (target, found), region)
+            result, prior, (target, found) = likeliest(self, result, (target, found), region)
         if self.restarts and self._falls_short(with_prior(result, prior)):
             result = self._fit_again(target, result)
         result, model, known = with_prior(result, prior), self.model, self.reliability
@@ -268,7 +268,7 @@ class Fitter:
         if not (CompiledLevels.can_fit(levels) and CompiledLevels.can_take(target, options)):
             return solve_levels(levels, target, options)
         if (first, last) not in self._prepared:
-            self._prepared[first, last] = CompiledLevels(levels, self.shapes)
+            self._prepared[first, last] = CompiledLevels(levels)
         return self._prepared[first, last].fit(target, options)
 
     @cached_property
@@ -296,15 +296,14 @@ class Fitter:
         return known is not None and result.quality < least
 
     def _fit_again(self, target: Target, first: FitResult) -> FitResult:
-        """Return the best fit by quality, of the first and those from other starts; stop at a typical quality."""
-        known, best, n_starts = self.reliability, first, first.n_starts
-        for start in other_starts(self.objectives[0], self._levels[0].blur, target, self.options):
-            other, n_starts = self._fit_from(target._replace(start=start)), n_starts + 1
-            if other.quality > best.quality and is_sane(other.landmarks, target.start):
-                best = other
-            if known is not None and best.quality >= known.typical:
-                break
-        return replace(best, n_starts=n_starts)
+        """Return the better fit by quality, of the first and the best from other starts."""
+        starts = other_starts(self.objectives[0], self._levels[0].blur, target, self.options)
+        if not starts:
+            return first
+        fits = [fit_blurred(self, target._replace(start=start), self.options) for start in starts]
+        best = fit_sharpest(self, max(fits, key=lambda each: each.quality), self.options)
+        better = best.quality > first.quality and is_sane(best.landmarks, target.start)
+        return replace(best if better else first, n_starts=first.n_starts + len(fits))
 
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Detection | None]:
         """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""
@@ -362,9 +361,10 @@ class Fitter:
     def result_of(self, target: Target, stages: Sequence[FittedLevel]) -> FitResult:
         """Make the result of a fit from its levels: compute status, quality and covariances."""
         stage, known, history = stages[-1], self.reliability, trace(stages)
-        solution, p, lam = stage.solution, stage.solution.p, stage.solution.lam
+        solution, lam, p = stage.solution, stage.solution.lam, np.zeros(len(self.shapes.basis))
+        p[own_parameters(len(solution.p), len(p))] = solution.p
         theta_model, theta = solution.angles if self._method.has_angles else (np.nan, np.nan)
-        spread = covariance(stage, self.options.shape_prior / solution.prior_scale, target.pull)
+        spread = covariance(stage, self.objectives[-1], self.options.shape_prior / solution.prior_scale, target.pull)
         spread = spread if known is None else known.variance_factor * spread
         seen, unit = quality_features(stage), stage.objective.noise_variance(solution)
         status = status_of(target.image, history, stage, self.model, self.shapes)

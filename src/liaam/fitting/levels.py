@@ -28,7 +28,7 @@ from liaam.fitting.objective import Objective, State
 from liaam.fitting.reference_loop import THRESHOLDS
 from liaam.fitting.solver import SolverOptions
 from liaam.model.sampling import Light
-from liaam.model.shape import ShapeModel, Similarity, align, diagonal_of
+from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
 from liaam.photometry.encoding import ENCODINGS, Encoding, Means, light_of_floats, light_table, log_floor
 
@@ -51,6 +51,9 @@ class FittedLevel:
         Image pixels to pixels of the encoded patch.
     patch_size : (int, int)
         Its height and width.
+    beyond : (n, 2) float64
+        What the level's modes, fewer than those of the sharpest level, cannot show of its start, image pixels. It stays
+        as it is.
     """
 
     objective: Objective
@@ -58,18 +61,23 @@ class FittedLevel:
     solution: Any
     to_patch: Similarity
     patch_size: tuple[int, int]
+    beyond: np.ndarray | float = 0.0
+
+    def begun_at(self, shape: np.ndarray) -> "FittedLevel":
+        """Return the level with what it cannot show of the shape (n, 2) that it began at."""
+        return replace(self, beyond=shape - self.pose(self.objective.warp.shape(self.solution.path[0])))
 
     @property
     def path(self) -> list[tuple[float, np.ndarray, float]]:
         """Cost, shape (n, 2) and theta_2 at the start and after every accepted step."""
         solution = self.solution
-        shapes = self.pose(self.objective.warp.shape(solution.path))
+        shapes = self.pose(self.objective.warp.shape(solution.path)) + self.beyond
         return list(zip(solution.costs.tolist(), shapes, solution.angle_history[:, 1].tolist(), strict=True))
 
     @cached_property
     def reached(self) -> np.ndarray:
         """Shape of the solution, (n, 2) float64, image pixels."""
-        return self.pose(self.objective.warp.shape(self.solution.p))
+        return self.pose(self.objective.warp.shape(self.solution.p)) + self.beyond
 
 
 class LinearImage:
@@ -145,6 +153,11 @@ class Target(NamedTuple):
             return self
         return self._replace(noise=noise_around(self.image, self.start))
 
+    def on_model(self, objective: Objective) -> "Target":
+        """Return a target that starts from the nearest shape of the model (eq 2)."""
+        warp, pose = objective.warp, align(objective.warp.rest, self.start)
+        return self._replace(start=pose(warp.shape(warp.parameters(pose.inverse()(self.start)))))
+
     def averaged(self, levels: Sequence[tuple[Objective, float]]) -> "Target":
         """Return a target with the image averaged once for all levels (objectives with their blurs)."""
         objective, blurs = levels[0][0], [blur for _, blur in levels]
@@ -162,16 +175,15 @@ Levels = Sequence[tuple[Objective, float]]
 class CompiledLevels:
     """Levels prepared for the core, which fits an image in one call without the interpreter's lock."""
 
-    def __init__(self, levels: Levels, shapes: ShapeModel, keeps_samples: bool = False) -> None:
+    def __init__(self, levels: Levels, keeps_samples: bool = False) -> None:
         self.objectives = [objective for objective, _ in levels]
         method = self.objectives[0].method
         self.method, self.encoding = method, method.encoding
         self.theta = self.objectives[0].theta_model
         self.compiled = _core.prepare(
             {
-                "levels": [(each.compiled, float(blur), float(each.density)) for each, blur in levels],
-                "basis": np.ascontiguousarray(shapes.basis.reshape(len(shapes.basis), -1), np.float64),
-                "mean": np.ascontiguousarray(shapes.mean, np.float64).ravel(),
+                "levels": [_level_fields(each, blur) for each, blur in levels],
+                "mean": np.ascontiguousarray(self.objectives[0].warp.rest, np.float64).ravel(),
                 "encoding": ENCODINGS.index(method.encoding),
                 "theta_1": float(self.theta),
                 "has_invariant": method.solves_angle,
@@ -192,7 +204,7 @@ class CompiledLevels:
 
     def fit(self, target: Target, options: SolverOptions) -> list[FittedLevel]:
         """Fit an image; fewer levels if the fit diverges."""
-        target = target.measured(self.method)
+        target = target.measured(self.method).on_model(self.objectives[-1])
         noise = NO_NOISE if target.noise is None else _noise_of(target.noise, target.response)
         about = {
             "start": np.ascontiguousarray(target.start, np.float64).ravel(),
@@ -204,11 +216,13 @@ class CompiledLevels:
             "first_log": LOG_RANGE[0],
             "last_log": LOG_RANGE[1],
         }
-        results = self._call(target.linear, about, options.as_dict)
-        return [
-            FittedLevel(objective, similarity_of(each.pose), each.fit, similarity_of(each.to_patch), each.patch_size)
-            for objective, each in zip(self.objectives, results, strict=False)
-        ]
+        levels, shape = [], target.start
+        for objective, each in zip(self.objectives, self._call(target.linear, about, options.as_dict), strict=False):
+            own = similarity_of(each.pose), each.fit, similarity_of(each.to_patch), each.patch_size
+            level = FittedLevel(objective, *own)
+            levels.append(level if objective is self.objectives[-1] else level.begun_at(shape))
+            shape = levels[-1].reached
+        return levels
 
     def _call(self, linear: LinearImage, about: dict, options: dict) -> list:
         image, grey = linear.image, self.encoding == "soft" and linear.grey
@@ -218,6 +232,12 @@ class CompiledLevels:
             return self.compiled.fit_light(means.light, means.finite, grey, floor, about, options)
         table = light_table(image.dtype.str, self.encoding, linear.response)
         return self.compiled.fit(image, table, grey, floor, about, options)
+
+
+def _level_fields(objective: Objective, blur: float) -> dict[str, Any]:
+    warp: Any = objective.warp  # of a mesh: that is what the core can fit
+    basis = np.ascontiguousarray(warp.shape_model.basis, np.float64)
+    return {"objective": objective.compiled, "blur": float(blur), "density": float(objective.density), "basis": basis}
 
 
 _NOTHING = np.zeros((0, 0))
@@ -233,14 +253,17 @@ def _noise_of(noise: NoiseModel | float, response: Response) -> np.ndarray:
 
 def solve_levels(levels: Levels, target: Target, options: SolverOptions) -> list[FittedLevel]:
     """Solve the levels from coarse to fine, each from the solution of the one before; fewer if the fit diverges."""
-    target, stages = target.measured(levels[0][0].method).averaged(levels), []
+    target, stages = target.measured(levels[0][0].method).on_model(levels[-1][0]).averaged(levels), []
+    shape = target.start
     for objective, blur in levels:
         last = objective is levels[-1][0]
         own = options if last else spare(options)
         image, state, pose = prepare_level(objective, blur, target, stages, own)
         solution = objective.solve(image, state, own, evaluate_last=last)
-        stages.append(FittedLevel(objective, pose, solution, image.patch.from_image, image.channels.shape[:2]))
-        if not is_sane(stages[-1].reached, target.start):
+        level = FittedLevel(objective, pose, solution, image.patch.from_image, image.channels.shape[:2])
+        stages.append(level if last else level.begun_at(shape))
+        shape = stages[-1].reached
+        if not is_sane(shape, target.start):
             break
     return stages
 
@@ -261,7 +284,8 @@ def prepare_level(
     image = LevelImage.at(pixels, shape, pose, *about)
     if target.pull is not None and target.mapped is not None:
         points = warp.parameters(pose.inverse()(target.mapped))
-        image = replace(image, point_precision=target.pull, points=points)
+        own = own_parameters(len(points), len(target.pull))
+        image = replace(image, point_precision=target.pull[np.ix_(own, own)], points=points)
     state = objective.start(warp.parameters(pose.inverse()(shape)))
     angles = stages[-1].solution.angles if stages else _first_angles(objective, image, state, options, target.theta)
     return image, state._replace(angles=np.array(angles, np.float64)), pose

@@ -314,13 +314,14 @@ def make_objectives(model: AAM, method: Method, thinning: float | None = None) -
     check_holds(model, method)
     if thinning is None:
         thinning = 0.0 if method.encoding == "orientation" else THINNING
-    return tuple(_objective(model, method, level, thinning) for level in model.views[method.view].levels)
+    warp, levels = model.views[method.view].warp, model.views[method.view].levels
+    seen = [replace(warp, shape_model=warp.shape_model.seen_at(level.blur)) for level in levels[:-1]]
+    return tuple(_objective(model, method, *each, thinning) for each in zip([*seen, warp], levels, strict=True))
 
 
-def _objective(model: AAM, method: Method, level: Level, thinning: float) -> Objective:
+def _objective(model: AAM, method: Method, warp: PiecewiseAffineWarp, level: Level, thinning: float) -> Objective:
     """Make the objective of one level, on a thinned set of pixels."""
     appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
-    warp = model.views[method.view].warp
     # Estimating the prior's scale needs weights that account for correlation.
     dof = warp.shape_model.freedom if method.weights == "rows" else np.inf
     # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.

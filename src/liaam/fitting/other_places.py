@@ -17,7 +17,6 @@ from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, w
 from liaam.fitting.search import LARGE
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.uncertainty import quality_features
-from liaam.model import Reliability
 from liaam.model.shape import diagonal_of
 
 if TYPE_CHECKING:
@@ -38,16 +37,16 @@ Start = tuple[Target, Detection | None]
 
 
 class Blurred(NamedTuple):
-    """A fit at all levels but the sharpest: its start, levels, the shape that it reached, and its quality."""
+    """A fit at all levels but the sharpest: its target, levels, the shape that it reached, and its quality."""
 
-    start: Start
+    target: Target
     stages: list[FittedLevel]
     shape: np.ndarray
     quality: float
 
 
 def likeliest(
-    fitter: "Fitter", known: Reliability, first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
+    fitter: "Fitter", first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
 ) -> tuple[FitResult, float, Start]:
     """Return the most likely fit in a region (its corners), the factor on its odds, and its start.
 
@@ -68,10 +67,11 @@ def likeliest(
 
     blurred = []
     for place in fitter.finder.others_in(target.linear.crop(low, high)):
-        there = target._replace(start=place.landmarks + low)
-        blurred.append(_blurred(fitter, known, (there, found and replace(place, others=found.others)), brief))
-    blurred.sort(key=lambda each: odds(each.shape, each.quality), reverse=True)
-    tried = [(first, start), *((_sharpened(fitter, each, brief), each.start) for each in blurred[:PROMISING])]
+        fit = fit_blurred(fitter, target._replace(start=place.landmarks + low), brief)
+        blurred.append((fit, found and replace(place, others=found.others)))
+    blurred.sort(key=lambda each: odds(each[0].shape, each[0].quality), reverse=True)
+    tried = [(first, start)]
+    tried += [(fit_sharpest(fitter, fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
     unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
     while True:
         i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
@@ -81,26 +81,26 @@ def likeliest(
         unfinished.remove(i)
         tried[i] = fitter._fit_from(start[0]), start
     seen = [(each.landmarks, each.quality) for each, _ in tried]
-    seen += [(each.shape, each.quality) for each in blurred[PROMISING:]]
+    seen += [(fit.shape, fit.quality) for fit, _ in blurred[PROMISING:]]
     others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
     own = prior(best.landmarks, best.quality)
     shared = own / (own + others) if own > 0 else 1.0
     return replace(best, n_starts=1 + len(blurred)), min(own, 1.0) * shared, start
 
 
-def _blurred(fitter: "Fitter", known: Reliability, start: Start, options: SolverOptions) -> Blurred:
-    target = start[0]
-    stages = fitter._solved(target, spare(options), last=max(1, len(fitter.objectives) - 1))
+def fit_blurred(fitter: "Fitter", target: Target, options: SolverOptions) -> Blurred:
+    """Fit all levels but the sharpest."""
+    stages, known = fitter._solved(target, spare(options), last=max(1, len(fitter.objectives) - 1)), fitter.reliability
     reached = stages[-1].reached
-    if not is_sane(reached, target.start):
-        return Blurred(start, [], target.start, 0.0)
-    return Blurred(start, stages, reached, known.quality(quality_features(stages[-1])))
+    if known is None or not is_sane(reached, target.start):
+        return Blurred(target, [], target.start, 0.0)
+    return Blurred(target, stages, reached, known.quality(quality_features(stages[-1])))
 
 
-def _sharpened(fitter: "Fitter", fit: Blurred, options: SolverOptions) -> FitResult:
+def fit_sharpest(fitter: "Fitter", fit: Blurred, options: SolverOptions) -> FitResult:
     """Fit the sharpest level, from the shape that the others have reached."""
-    target, n_blurred = fit.start[0], len(fitter.objectives) - 1
+    n_blurred = len(fitter.objectives) - 1
     if not n_blurred or not fit.stages:
-        return fitter._fit_from(target, options)
-    from_there = target._replace(start=fit.shape, margin=NEAR)
-    return fitter.result_of(target, [*fit.stages, *fitter._solved(from_there, options, first=n_blurred)])
+        return fitter._fit_from(fit.target, options)
+    from_there = fit.target._replace(start=fit.shape, margin=NEAR)
+    return fitter.result_of(fit.target, [*fit.stages, *fitter._solved(from_there, options, first=n_blurred)])

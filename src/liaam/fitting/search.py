@@ -7,7 +7,6 @@ orientations there. If one object is wanted, small ones are searched for only if
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import zip_longest
 
 import numpy as np
 
@@ -198,12 +197,9 @@ class Finder:
             The best first, then those that fill the frame. Their shapes are the aligned mean shape, because
             deformations of the reduced model are a bad start.
         """
-        search = _Search(self, linear, LOOKED * most, self.templates)
-        ranks = [search.ranked(0.0)]
-        if self.model.search_filter is not None:
-            ranks.append(_Search(self, linear, LOOKED * most, self.filters).ranked(RESPONSE_WORTH))
-        best = [place for places in zip_longest(*ranks) for place in places if place is not None]
-        mean, places = self.model.shape_model.mean, choose(best, are_apart, most) + search.filling()
+        search = _Search(self, linear, LOOKED * most, self.filters)
+        worth = 0.0 if self.model.search_filter is None else RESPONSE_WORTH
+        mean, places = self.model.shape_model.mean, choose(search.ranked(worth), are_apart, most) + search.filling()
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in choose(places, are_apart)]
 
     def __getstate__(self) -> dict:
@@ -219,7 +215,7 @@ class Finder:
         """The fits of places, prepared for the core."""
         if not CompiledLevels.can_fit(self._levels):
             return None
-        return CompiledLevels(self._levels, self.small.shape_model, keeps_samples=True)
+        return CompiledLevels(self._levels, keeps_samples=True)
 
     def _fitted(self, linear: LinearImage, place: Place, template: Template, field: Field) -> Detection:
         """Fit the reduced model at a place of a field, from a template's shape, and score the result."""

@@ -229,7 +229,7 @@ def shrink(model: AAM) -> AAM:
         eigenvalues=own.eigenvalues,
         usable=np.clip(reduced(own.usable[:, None])[:, 0], 0.0, 1.0),
     )
-    small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2)
+    small = ShapeModel(frame.points, shapes.modes, shapes.eigenvalues * factor**2).seen_at(level.blur * factor)
     view = View(PiecewiseAffineWarp(frame, small), (Level(level.blur * factor, {"orientation": appearance}),))
     return replace(model, views={MESH: view})
 

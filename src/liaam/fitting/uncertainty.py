@@ -6,22 +6,25 @@ from liaam.evaluation import Contours, contour_turns
 from liaam.fitting.levels import FittedLevel
 from liaam.fitting.objective import Objective
 from liaam.model import Reliability
-from liaam.model.shape import ShapeModel, Similarity
+from liaam.model.shape import ShapeModel, Similarity, own_parameters
 
 
-def covariance(stage: FittedLevel, strength: float = 1.0, pull: np.ndarray | None = None) -> np.ndarray:
+def covariance(
+    stage: FittedLevel, whole: Objective | None = None, strength: float = 1.0, pull: np.ndarray | None = None
+) -> np.ndarray:
     """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 5 plus the prior.
 
     :meth:`Objective.noise_variance` scales the Hessian, since the blur and the model's errors correlate neighbouring
     pixels. Unobservable directions have a variance of 1e12. ``strength`` is that of the prior on p, and ``pull``
-    (n_p, n_p) the precision of p by the points of another landmarker.
+    (n_p, n_p) the precision of p by the points of another landmarker. ``whole`` is an objective with all shape modes,
+    of which the stage may have only the first.
     """
-    objective, solution = stage.objective, stage.solution
-    unit = max(objective.noise_variance(solution), 1e-12)
-    precision = solution.expected_hessian / unit
+    objective, solution, whole = stage.objective, stage.solution, whole or stage.objective
+    n_p, own = whole.warp.n_parameters, own_parameters(objective.warp.n_parameters, whole.warp.n_parameters)
+    own, precision = np.r_[own, n_p : whole.n_q], np.zeros((whole.n_q, whole.n_q))
+    precision[np.ix_(own, own)] = solution.expected_hessian / max(objective.noise_variance(solution), 1e-12)
     precision[~np.isfinite(precision)] = 0.0  # of a diverged fit
-    n_p = objective.warp.n_parameters
-    precision[np.arange(n_p), np.arange(n_p)] += strength * objective.prior
+    precision[np.arange(n_p), np.arange(n_p)] += strength * whole.prior
     if pull is not None:
         precision[:n_p, :n_p] += pull
     try:
