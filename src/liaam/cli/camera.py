@@ -23,7 +23,6 @@ from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError
 from liaam.io import read_image
 from liaam.io.atomic import check_output
-from liaam.io.files import existing_file, is_number, read_bytes
 
 if TYPE_CHECKING:
     from liaam.calibration import AngleEstimate, VignettingEstimate
@@ -325,25 +324,12 @@ def check_picture(output: Path) -> Path:
 
 def patches_in(text: str) -> np.ndarray:
     """Return the boxes of a chart's patches, (n, 4) float64, from the centres of its corner patches or from a file."""
-    from liaam.calibration import chart_patches
+    from liaam.calibration.chart import chart_patches
+    from liaam.calibration.columns import read_columns
 
     if names_file(text, (".csv",)):
-        return read_patches(Path(text))
+        return read_columns(text, "patch file", ("x0", "y0", "x1", "y1"))
     return chart_patches(numbers_in(text, 8, "--patches").reshape(4, 2))
-
-
-def read_patches(path: Path) -> np.ndarray:
-    """Read boxes from a CSV file, (n, 4) float64."""
-    data = read_bytes(existing_file(path, CameraError, "patch file"), CameraError, limit=10_000_000)
-    try:
-        rows = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
-        rows = rows[1:] if rows and not any(map(is_number, rows[0].split(","))) else rows
-        boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
-    except ValueError:
-        boxes = np.zeros((0, 0))
-    if boxes.ndim != 2 or boxes.shape[1] != 4:
-        raise CameraError(f"{path} is not a patch file: give one row x0,y0,x1,y1 in pixels per patch")
-    return boxes
 
 
 def finish_angle(estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path) -> "CameraModel":
