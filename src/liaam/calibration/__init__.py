@@ -1,6 +1,6 @@
 """Camera calibration: angle, response, vignetting and noise, from images or from sensor data."""
 
-from liaam.calibration.alignment import STILL, Aligned, align_pictures, homographies_between
+from liaam.calibration.alignment import STILL, Aligned, align_pictures
 from liaam.calibration.chart import chart_patches, theta_from_chart
 from liaam.calibration.comparison import Agreement, Averaged, agreement, averaged
 from liaam.calibration.entropy import entropy_curve, theta_from_image
@@ -32,7 +32,6 @@ __all__ = [
     "calibrate_response",
     "chart_patches",
     "entropy_curve",
-    "homographies_between",
     "noise_from_flat",
     "noise_from_image",
     "noise_from_pair",

@@ -197,7 +197,7 @@ def response_command(
 
     A known response is written to the camera file, for calibrations that follow: liaam camera response linear.
     """
-    from liaam.calibration import calibrate_response, homographies_between
+    from liaam.calibration import align_pictures, calibrate_response
     from liaam.plotting.photometry import figure_of_response, save_figure
 
     check_camera_output(output, images)
@@ -207,8 +207,8 @@ def response_command(
     camera, pictures = read_pictures(images, output, at_least=2)
     ratios = None if exposures is None else numbers_in(exposures, len(images), "--exposures").tolist()
     with progress_bar() as progress:
-        homographies = homographies_between(pictures, camera, names=[p.name for p in images], progress=progress)
-    found = calibrate_response(pictures, exposures=ratios, homographies=homographies, vignetting=vignetting)
+        maps = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress).homographies
+    found = calibrate_response(pictures, exposures=ratios, homographies=maps, vignetting=vignetting)
     say(found.message)
     if not found.observable:
         raise CameraError("nothing was written: these images do not determine the response")
