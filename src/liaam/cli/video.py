@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
@@ -76,7 +76,7 @@ def track(
     """
     from liaam.model import load_model
     from liaam.tracking import Tracker, TrackingOptions
-    from liaam.workers import one_thread
+    from liaam.workers import in_order, one_thread
 
     model_file, videos = model_and_inputs(sources, "track", "VIDEO")
     if len(videos) != 1:
@@ -92,10 +92,10 @@ def track(
         reader = VideoReader(source, start, stop, progress)
         tracker.name = reader.name
         sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
-        for frame, tracked in files.enter_context(closing(frames_of(tracker, reader, init, progress, stopped))):
-            counts.add(tracked)
-            for sink in sinks:
-                sink(frame, tracked, tracker.result)
+        steps = files.enter_context(closing(steps_of(tracker, reader, init, counts, progress, stopped)))
+        # Files are drawn and written in a thread, in order, while the next frames are tracked.
+        for _ in in_order(lambda step: [sink(*step) for sink in sinks], steps, 1):
+            pass
     report(counts, [output, *(path for path in (annotated, shading_free) if path is not None)])
     if stopped():
         raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
@@ -111,8 +111,8 @@ def track(
         raise typer.Exit(1)
 
 
-Sink = Callable[[VideoFrame, "TrackedFrame", "FitResult | None"], None]
-"""Takes a frame, its tracking result and its fit."""
+Step = tuple[VideoFrame, "TrackedFrame", "FitResult | None"]
+"""A frame, its tracking result and its fit."""
 
 
 @dataclass
@@ -136,6 +136,11 @@ class Counts:
     def n_tracked(self) -> int:
         """Number of frames with landmarks."""
         return self.n - len(self.lost)
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        return self.n / max(monotonic() - self.began, 1e-9)
 
     def add(self, frame: "TrackedFrame") -> None:
         """Count a frame."""
@@ -180,15 +185,14 @@ def check_outputs(output: Path, annotated: Path | None, shading_free: Path | Non
     for path in videos:
         check_video_name(path)
     if len({real_path(path) for path in paths}) < len(paths):
-        raise LiaamError(f"{paths[0]}: two outputs have the same name; give different names")
+        raise LiaamError(f"{output}: two outputs have the same name; give different names")
     if isinstance(source, Path) and real_path(source) in {real_path(path) for path in paths}:
         raise LiaamError(f"{source} is the input video; give the output another name")
-    for path in videos:
-        if path.exists() and not is_video(path):
-            raise LiaamError(f"{path} exists and is not a video; give another name to keep it")
     check_track_name(output)
-    if output.exists() and not is_track(output):
-        raise LiaamError(f"{output} exists and is not a track; give another name with -o to keep it")
+    for path in paths:
+        what, is_one = ("track", is_track) if path is output else ("video", is_video)
+        if path.exists() and not is_one(path):
+            raise LiaamError(f"{path} exists and is not a {what}; give another name to keep it")
 
 
 def open_sinks(
@@ -200,21 +204,18 @@ def open_sinks(
     reader: VideoReader,
     ellipses: bool,
     counts: Counts,
-) -> list[Sink]:
-    """Open the requested outputs; `files` closes them. Videos are drawn and written in background threads."""
-    from liaam.tracking.aside import aside
+) -> list[Callable[..., None]]:
+    """Open the requested outputs; `files` closes them."""
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
     remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # may raise: before files are created
     track_file = files.enter_context(track_writer(output, tracker.model.n_points))
-    sinks: list[Sink] = [lambda _, tracked, __: track_file.write(tracked)]
+    sinks: list[Callable[..., None]] = [lambda _, tracked, __: track_file.write(tracked)]
     if annotated is not None:
-        writer = files.enter_context(video_writer(annotated, reader.rate))
-        sinks.append(files.enter_context(aside(partial(draw, writer, tracker.model, ellipses))))
+        sinks.append(partial(draw, files.enter_context(video_writer(annotated, reader.rate)), tracker.model, ellipses))
     if shading_free is not None and remover is not None:
-        writer = files.enter_context(video_writer(shading_free, reader.rate))
-        sinks.append(files.enter_context(aside(partial(unshade, writer, remover, counts))))
+        sinks.append(partial(unshade, files.enter_context(video_writer(shading_free, reader.rate)), remover, counts))
     return sinks
 
 
@@ -260,33 +261,25 @@ def caption_of(tracked: "TrackedFrame") -> str:
     return "   ".join(parts)
 
 
-def frames_of(
-    tracker: "Tracker", reader: VideoReader, init: str | None, progress: Progress, stopped: Callable[[], bool]
-) -> Generator[tuple[VideoFrame, "TrackedFrame"], None, None]:
+def steps_of(
+    tracker: "Tracker",
+    reader: VideoReader,
+    init: str | None,
+    counts: Counts,
+    progress: Progress,
+    stopped: Callable[[], bool],
+) -> Generator[Step, None, None]:
     """Track a video or a camera frame by frame, from the start ``init`` if there is one."""
-    pace = Pace()
     with reader:
         for n, frame in enumerate(reader, 1):
             if n == 1 and init is not None:
                 tracker.init = read_start(init, Path(reader.name), frame.image.shape[1::-1])
             tracked = tracker.update(frame.image, frame.time, frame.index)
-            yield frame, tracked
-            progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
+            counts.add(tracked)
+            yield frame, tracked, tracker.result
+            progress(n, reader.n_frames or n, f"{counts.rate:.1f} frames/s, {tracked.status}")
             if stopped():
                 return
-
-
-class Pace:
-    """Recent rate in frames per second."""
-
-    def __init__(self) -> None:
-        self._seen: deque = deque([(monotonic(), 0)], maxlen=60)
-
-    def __call__(self, n: int) -> float:
-        """Update with the number of frames done and return the rate."""
-        self._seen.append((monotonic(), n))
-        (before, fewer), (now, more) = self._seen[0], self._seen[-1]
-        return (more - fewer) / max(now - before, 1e-9)
 
 
 @contextmanager
@@ -313,13 +306,12 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
 
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Print a summary of the track."""
-    seconds = max(monotonic() - counts.began, 1e-9)
     table = table_of("frames", "with landmarks", "lost", "found again", "corrected", "quality", "frames/s")
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
     quality = f"{np.median(known):.2f}" if known else "–"
     numbers = counts.n, counts.n_tracked, len(counts.lost), again, counts.statuses["corrected"]
-    table.add_row(*map(str, numbers), quality, f"{counts.n / seconds:.1f}")
+    table.add_row(*map(str, numbers), quality, f"{counts.rate:.1f}")
     show_table(table)
     for path in outputs:
         say(f"written to {path}")
