@@ -8,7 +8,6 @@ blocks estimates its standard errors.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -205,13 +204,6 @@ def _variance(blocks: np.ndarray, low: int, high: int = 2 * SIDE - 2) -> np.ndar
     return blocks["energy"][:, low : high + 1].sum(axis=1) / (count * median)
 
 
-@lru_cache(maxsize=1)
-def _polynomials() -> np.ndarray:
-    """Orthonormal polynomials on a block, (SIDE^2, SIDE^2): columns x^i y^j, i slowest, orthonormalised."""
-    line, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, SIDE), SIDE, increasing=True))
-    return np.kron(line, line)
-
-
 def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) -> np.ndarray:
     """Blocks of one image, or of the difference of two images of one scene, scaled to have the noise of one.
 
@@ -225,14 +217,21 @@ def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) ->
         usable &= other_finite
     usable &= ((level >= DARK) & (level <= SATURATED)).all(axis=2)
     if second is not None:
-        gain = np.sqrt(_flicker(linear, other_linear, usable))
+        before, after = (light.mean(axis=2)[usable] for light in (linear, other_linear))
+        flicker = float(np.median(after / np.maximum(before, 1e-6))) if usable.any() else 1.0
+        if abs(flicker - 1) > FLICKER:
+            fault = f"the pair's images differ in brightness by {abs(flicker - 1):.0%}"
+            raise CameraError(f"{fault}: take both with one exposure under one light")
+        gain = np.sqrt(flicker)
         signal = (linear * gain - other_linear / gain) / np.sqrt(2)
         linear = (linear + other_linear) / 2
     positive = np.maximum(stored, 1e-4)
     step = 1.0 / np.iinfo(first.dtype).max if first.dtype.kind == "u" else 0.0
     rounding = np.square(step * log_slope(positive, response) * to_linear(positive, response)).mean(axis=2) / 12
+    # Orthonormal polynomials on a block: columns x^i y^j, i slowest, orthonormalised.
+    line, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, SIDE), SIDE, increasing=True))
     degree = np.add.outer(np.arange(SIDE), np.arange(SIDE)).ravel()
-    energy = np.square(signal @ _polynomials()) @ (degree[:, None] == np.arange(2 * SIDE - 1)).astype(float)
+    energy = np.square(signal @ np.kron(line, line)) @ (degree[:, None] == np.arange(2 * SIDE - 1)).astype(float)
     blocks = np.empty(usable.shape, _BLOCK)
     blocks["level"], blocks["rounding"], blocks["energy"] = linear.mean(axis=2), rounding, energy
     blocks["place"], blocks["weight"] = np.arange(len(stored))[:, None], 1.0
@@ -250,19 +249,6 @@ def _values(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarr
     finite = np.asarray(np.isfinite(cut).all(axis=2))
     stored = np.clip(np.where(finite[..., None], stored_values(cut, np.float64), 0.0), -1.0, 4.0)
     return stored, np.asarray(to_linear(stored, response), dtype=np.float64), finite
-
-
-def _flicker(first: np.ndarray, second: np.ndarray, usable: np.ndarray) -> float:
-    """Ratio of the second image's brightness to the first's, from the usable blocks of (n, 3, SIDE^2)."""
-    if not usable.any():
-        return 1.0
-    gain = float(np.median(second.mean(axis=2)[usable] / np.maximum(first.mean(axis=2)[usable], 1e-6)))
-    if abs(gain - 1) > FLICKER:
-        raise CameraError(
-            f"the pair's images differ in brightness by {abs(gain - 1):.0%}: take both with one exposure under one "
-            "light"
-        )
-    return gain
 
 
 def _regions(picture: np.ndarray, boxes: np.ndarray | None, number: int) -> list[np.ndarray]:
@@ -333,7 +319,11 @@ def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> N
     steps = (used["level"] * line[0] + line[1]) / np.maximum(12 * used["rounding"], 1e-300)
     if np.median(steps) < ROUNDED**2:
         return _below_rounding(used)
-    not_white = _not_white(used, low, single)
+    coarse = _variance(used, COARSE, FINE - 1) if single else _variance(used, low, COARSE - 1)
+    ratio, not_white = float(np.median(coarse) / max(np.median(_variance(used, FINE)), 1e-300)), ""
+    if ratio >= COLOURED:
+        cause = "it contains texture, or JPEG or demosaicking" if single else "JPEG or demosaicking"
+        not_white = f"; it is {np.sqrt(ratio):.1f} times as strong in coarse as in fine structure: {cause} smoothed it"
     darkest, brightest = np.percentile(used["level"], [5, 95])
     if brightest < NARROW * darkest:
         return _of_one_brightness(used, low, not_white)
@@ -416,16 +406,6 @@ def _spread(blocks: np.ndarray, low: int, line: np.ndarray, single: bool) -> np.
     alike = np.argsort(np.argsort(blocks["level"])) * CLASSES // len(blocks)
     excess = np.square(disagreement(blocks)) - np.diag(without(alike, disagreement))
     return chance + without(alike, again) + np.diag(np.maximum(excess, 0.0))
-
-
-def _not_white(blocks: np.ndarray, low: int, single: bool) -> str:
-    """Warning for a message if the noise is not white, else an empty string."""
-    coarse = _variance(blocks, COARSE, FINE - 1) if single else _variance(blocks, low, COARSE - 1)
-    ratio = float(np.median(coarse) / max(np.median(_variance(blocks, FINE)), 1e-300))
-    if ratio < COLOURED:
-        return ""
-    cause = "it contains texture, or JPEG or demosaicking smoothed it" if single else "JPEG or demosaicking smoothed it"
-    return f"; it is {np.sqrt(ratio):.1f} times as strong in coarse as in fine structure: {cause}"
 
 
 def _deviations(model: NoiseModel, levels: list[float]) -> str:

@@ -383,22 +383,17 @@ def _error(scatter: _Scatter, theta: float) -> float:
     """
     from scipy.stats import f  # heavy: imported when first needed
 
-    by_place, places = _jackknife(scatter, theta, scatter.surfaces.clusters)
-    by_colour, colours = _jackknife(scatter, theta, _colours(scatter, theta))
+    s = scatter.surfaces
+    weights = s.exposed.astype(np.float64)
+    values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
+    low, high = np.percentile(values, (1, 99))
+    bins = np.clip((values - low) / max(high - low, 1e-9) * COLOURS, 0, COLOURS - 1).astype(int)
+    (by_place, places), (by_colour, colours) = (_jackknife(scatter, theta, groups) for groups in (s.clusters, bins))
     if not np.isfinite([by_place, by_colour]).all():
         return float("inf")
     use_colours = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
     error, degrees = (by_colour, colours) if use_colours else (by_place, places)
     return in_normal_units(error, degrees)
-
-
-def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
-    """Index of each surface's bin of invariant values, (n,) int."""
-    s = scatter.surfaces
-    weights = s.exposed.astype(np.float64)
-    values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
-    low, high = np.percentile(values, (1, 99))
-    return np.clip((values - low) / max(high - low, 1e-9) * COLOURS, 0, COLOURS - 1).astype(int)
 
 
 def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[float, float]:

@@ -216,17 +216,15 @@ def _even_in_mired(cold: float, hot: float) -> np.ndarray:
     return 1e6 / np.linspace(*mired, max(8, round((mired[0] - mired[1]) / MIRED_STEP) + 1))
 
 
-def _surfaces(nm: np.ndarray) -> np.ndarray:
-    """Reflectances (k, n): a neutral one, then eight hues of moderate saturation."""
-    # One low frequency: frequency-limited reflectances after Stiles, Wyszecki and Ohta (JOSA 1977).
-    phases = np.arange(8)[:, None] / 8
-    return np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
-
-
 def _responses(nm: np.ndarray, curves: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Responses (k, m, 3) of the camera to each surface under each light, integrated by the trapezoidal rule."""
-    weighted = curves * _trapezoid_weights(nm)[:, None]
-    return np.einsum("kn,mn,nc->kmc", _surfaces(nm), power, weighted, optimize=True)
+    """Responses (k, m, 3) of the camera to a neutral surface, then to eight hues, under each light (trapezoidal rule).
+
+    The hues are of moderate saturation and one low frequency: frequency-limited reflectances after Stiles, Wyszecki and
+    Ohta (JOSA 1977).
+    """
+    phases = np.arange(8)[:, None] / 8
+    surfaces = np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
+    return np.einsum("kn,mn,nc->kmc", surfaces, power, curves * _trapezoid_weights(nm)[:, None], optimize=True)
 
 
 def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:

@@ -87,7 +87,6 @@ def scene(
     """Estimate the angle from two or more images of one scene under lights of different colour."""
     from liaam.calibration import STILL, align_pictures, theta_from_scene
 
-    check_camera_output(output, images)
     camera, pictures = read_pictures(images, output, at_least=2)
     with progress_bar() as progress:
         aligned = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress)
@@ -119,7 +118,6 @@ def chart(
     """Estimate the angle from images of a colour chart under lights of different colour, without alignment."""
     from liaam.calibration import theta_from_chart
 
-    check_camera_output(output, images)
     quads = [patches_in(text) for text in patches]
     camera, pictures = read_pictures(images, output, at_least=2)
     if len(quads) not in (1, len(images)):
@@ -138,7 +136,6 @@ def image(
     """Estimate the angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
     from liaam.calibration import theta_from_image
 
-    check_camera_output(output, [picture])
     camera, (pixels,) = read_pictures([picture], output)
     estimate = theta_from_image(pixels, camera.response)
     camera = finish_angle(estimate, camera, f"image, {picture.name}", output)
@@ -251,7 +248,6 @@ def vignetting_command(
     """Estimate vignetting from one image of an evenly lit white wall or paper."""
     from liaam.calibration import vignetting_from_flat_field
 
-    check_camera_output(output, [picture])
     camera, (pixels,) = read_pictures([picture], output)
     found = vignetting_from_flat_field(pixels, camera.response)
     say(corner_sentence(found))
@@ -280,7 +276,6 @@ def noise_command(
     """Estimate noise from plain surfaces (--flat), two images of one scene under one light, or one image."""
     from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair
 
-    check_camera_output(output, images)
     camera, pictures = read_pictures(images, output)
     if flat:
         boxes = np.rint([numbers_in(text, 4, "--flat") for text in flat]).astype(int)
@@ -298,7 +293,8 @@ def noise_command(
 
 
 def read_pictures(paths: Sequence[Path], output: Path, at_least: int = 1) -> tuple["CameraModel", list[np.ndarray]]:
-    """Read images, and what the camera file to write knows already."""
+    """Check the output, read images, and what the camera file to write knows already."""
+    check_camera_output(output, paths)
     if len(paths) < at_least:
         raise CameraError(f"too few images ({len(paths)}): give {at_least} or more, under different lights")
     return camera_in_file(paths, output), [read_image(path) for path in paths]
