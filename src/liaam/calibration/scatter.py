@@ -251,8 +251,28 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
             f"only {n} surfaces are well exposed in two images; at least {FEWEST} are needed: give images that are "
             "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
-    surfaces = surfaces.only(enough)
-    return _report(*_estimated(surfaces, free_balance))
+    scatter, theta = _estimated(surfaces.only(enough), free_balance)
+    error, (change, signal) = _error(scatter, theta), _light_change(scatter, theta)
+    times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
+    if free_balance and signal < WEAKEST_VARIATION:
+        reason = (
+            f"the lights' colours hardly vary from place to place ({times}), which a free white balance needs; give "
+            "images with one white balance, or under light of uneven colour"
+        )
+    elif signal < WEAKEST_SIGNAL:
+        reason = (
+            f"the lights' colours hardly differ ({times}); give images under lights of different colour, such as "
+            "lamp light and daylight"
+        )
+    elif not error < WIDEST_ERROR:
+        reason = (
+            f"its 95 % interval is ±{np.rad2deg(1.96 * error):.0f} degrees although the lights differ ({times}): {n} "
+            "blocks or patches have too few colours; give images of more colours, well exposed"
+        )
+    else:
+        seen = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
+        return AngleEstimate(theta, error, seen, change, n).with_warning()
+    return AngleEstimate(theta, float("inf"), f"the angle cannot be estimated: {reason}", change, n)
 
 
 def _estimated(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
@@ -348,31 +368,6 @@ def _unit_rows(thetas: np.ndarray) -> np.ndarray:
     """Rows L(theta) of unit length, (k, 3) float64."""
     rows = np.stack([np.cos(thetas), np.sin(thetas), -np.cos(thetas) - np.sin(thetas)], axis=1)
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
-
-
-def _report(scatter: _Scatter, theta: float) -> AngleEstimate:
-    """Make the estimate with its standard error, and test whether the change of light makes it observable."""
-    error, (change, signal), n = _error(scatter, theta), _light_change(scatter, theta), len(scatter.degrees)
-    times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
-    if scatter.free_balance and signal < WEAKEST_VARIATION:
-        reason = (
-            f"the lights' colours hardly vary from place to place ({times}), which a free white balance needs; give "
-            "images with one white balance, or under light of uneven colour"
-        )
-    elif signal < WEAKEST_SIGNAL:
-        reason = (
-            f"the lights' colours hardly differ ({times}); give images under lights of different colour, such as "
-            "lamp light and daylight"
-        )
-    elif not error < WIDEST_ERROR:
-        reason = (
-            f"its 95 % interval is ±{np.rad2deg(1.96 * error):.0f} degrees although the lights differ ({times}): {n} "
-            "blocks or patches have too few colours; give images of more colours, well exposed"
-        )
-    else:
-        seen = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
-        return AngleEstimate(theta, error, seen, change, n).with_warning()
-    return AngleEstimate(theta, float("inf"), f"the angle cannot be estimated: {reason}", change, n)
 
 
 def _error(scatter: _Scatter, theta: float) -> float:

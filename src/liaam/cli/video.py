@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +18,7 @@ from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_t
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.evaluation import ranges_of
 from liaam.fitting.starts import read_start
-from liaam.io import VideoFrame, VideoReader, VideoWriter, video_writer
+from liaam.io import VideoFrame, VideoReader, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path
 from liaam.io.video import is_video
@@ -28,7 +27,6 @@ from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
-    from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
     from liaam.tracking.shading import ShadingRemover
 
@@ -88,14 +86,13 @@ def track(
     camera = camera_for([], given_camera, model.camera)
     tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
     counts = Counts()
-    with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
+    with stop_on_interrupt() as stopped, one_thread(), progress_bar() as progress:
         reader = VideoReader(source, start, stop, progress)
         tracker.name = reader.name
-        sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
-        steps = files.enter_context(closing(steps_of(tracker, reader, init, counts, progress, stopped)))
-        # Files are drawn and written in a thread, in order, while the next frames are tracked.
-        for _ in in_order(lambda step: [sink(*step) for sink in sinks], steps, 1):
-            pass
+        files = outputs(tracker, output, annotated, shading_free, reader, ellipses, counts)
+        with files as write, closing(steps_of(tracker, reader, init, counts, progress, stopped)) as steps:
+            for _ in in_order(write, steps, 1):  # in a thread, while the next frames are tracked
+                pass
     report(counts, [output, *(path for path in (annotated, shading_free) if path is not None)])
     if stopped():
         raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
@@ -195,8 +192,8 @@ def check_outputs(output: Path, annotated: Path | None, shading_free: Path | Non
             raise LiaamError(f"{path} exists and is not a {what}; give another name to keep it")
 
 
-def open_sinks(
-    files: ExitStack,
+@contextmanager
+def outputs(
     tracker: "Tracker",
     output: Path,
     annotated: Path | None,
@@ -204,53 +201,56 @@ def open_sinks(
     reader: VideoReader,
     ellipses: bool,
     counts: Counts,
-) -> list[Callable[..., None]]:
-    """Open the requested outputs; `files` closes them."""
+) -> Iterator[Callable[[Step], None]]:
+    """Open the requested outputs, and yield the function that writes a frame to them."""
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
     remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # may raise: before files are created
-    track_file = files.enter_context(track_writer(output, tracker.model.n_points))
-    sinks: list[Callable[..., None]] = [lambda _, tracked, __: track_file.write(tracked)]
-    if annotated is not None:
-        sinks.append(partial(draw, files.enter_context(video_writer(annotated, reader.rate)), tracker.model, ellipses))
-    if shading_free is not None and remover is not None:
-        sinks.append(partial(unshade, files.enter_context(video_writer(shading_free, reader.rate)), remover, counts))
-    return sinks
+    with ExitStack() as files:
+        track_file = files.enter_context(track_writer(output, tracker.model.n_points))
+        drawn, fresh = (
+            None if path is None else files.enter_context(video_writer(path, reader.rate))
+            for path in (annotated, shading_free)
+        )
+
+        def write(step: Step) -> None:
+            frame, tracked, result = step
+            track_file.write(tracked)
+            if drawn is not None:
+                from liaam.plotting import video
+
+                landmarks, spread = (tracked.landmarks, tracked.covariances) if tracked.ok else (None, None)
+                spread = spread if ellipses else None
+                picture = video.annotated(frame.image, landmarks, tracker.model, caption_of(tracked), spread)
+                drawn.write(picture, frame.time)
+            if fresh is not None and remover is not None:
+                fresh.write(unshaded(remover, counts, frame, tracked, result), frame.time)
+
+        yield write
 
 
-def draw(
-    writer: VideoWriter, model: "AAM", ellipses: bool, frame: VideoFrame, tracked: "TrackedFrame", _: object
-) -> None:
-    """Write a frame with its landmarks."""
-    from liaam.plotting.video import annotated
-
-    landmarks = tracked.landmarks if tracked.ok else None
-    covariances = tracked.covariances if ellipses and tracked.ok else None
-    writer.write(annotated(frame.image, landmarks, model, caption_of(tracked), covariances), frame.time)
-
-
-def unshade(
-    writer: VideoWriter,
+def unshaded(
     remover: "ShadingRemover",
     counts: Counts,
     frame: VideoFrame,
     tracked: "TrackedFrame",
     result: "FitResult | None",
-) -> None:
-    """Write a frame without shading. A grey frame, or one without the object, stays as is."""
+) -> np.ndarray:
+    """Return a frame without shading. A grey frame, or one without the object, stays as is."""
     from liaam.tracking import TrackStatus
 
     if tracked.status is not TrackStatus.TRACKED:
         remover.reset()
-    fresh = frame.image
-    if result is not None:
-        try:
-            fresh = remover.remove(frame.image, result, tracked.landmarks)
-            counts.n_unshaded += 1
-        except MethodError:  # a grey frame
-            counts.n_grey += 1
-    writer.write(fresh, frame.time)
+    if result is None:
+        return frame.image
+    try:
+        fresh = remover.remove(frame.image, result, tracked.landmarks)
+    except MethodError:  # a grey frame
+        counts.n_grey += 1
+        return frame.image
+    counts.n_unshaded += 1
+    return fresh
 
 
 def caption_of(tracked: "TrackedFrame") -> str:
