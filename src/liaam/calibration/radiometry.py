@@ -66,7 +66,7 @@ class VignettingEstimate:
     corner, corner_error : float
         Relative light in the corners and its standard error; NaN if not observable.
     message : str
-        Why it is observable, or the missing data and the remedy.
+        The light in the corners and why it is known, or the missing data and the remedy.
     """
 
     coefficients: tuple[float, ...] = ()
@@ -373,4 +373,5 @@ def _vignetting_estimate(falloff: np.ndarray, covariance: np.ndarray, message: s
         fault = "less than a tenth of the light would remain in the corners"
         return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
     corner, corner_error = 1.0 + float(falloff.sum()), float(np.sqrt(covariance.sum()))
+    message = f"the corners receive {corner:.1%} ± {corner_error:.1%} of the light. {message}"
     return VignettingEstimate(tuple(falloff.tolist()), corner, corner_error, message)

@@ -25,7 +25,7 @@ from liaam.io import read_image
 from liaam.io.atomic import check_output
 
 if TYPE_CHECKING:
-    from liaam.calibration import AngleEstimate, VignettingEstimate
+    from liaam.calibration import AngleEstimate
     from liaam.photometry import CameraModel, Response
 
 group = typer.Typer(
@@ -211,7 +211,7 @@ def response_command(
         raise CameraError("nothing was written: these images do not determine the response")
     lens = found.vignetting
     if vignetting:
-        say(corner_sentence(lens))
+        say(lens.message)
     known = lens.coefficients if lens.observable else camera.vignetting
     camera = with_response(replace(camera, vignetting=known), found.response)
     write_camera(camera, output, f"response, {names_of(images)}: {found.message}")
@@ -250,19 +250,11 @@ def vignetting_command(
 
     camera, (pixels,) = read_pictures([picture], output)
     found = vignetting_from_flat_field(pixels, camera.response)
-    say(corner_sentence(found))
+    say(found.message)
     if not found.observable:
         raise CameraError("nothing was written: this image does not determine the vignetting")
-    write_camera(
-        replace(camera, vignetting=found.coefficients), output, f"vignetting, {picture.name}: {corner_sentence(found)}"
-    )
-
-
-def corner_sentence(lens: "VignettingEstimate") -> str:
-    """Describe a vignetting estimate in a sentence."""
-    if not lens.observable:
-        return lens.message
-    return f"the corners receive {lens.corner:.1%} ± {lens.corner_error:.1%} of the light. {lens.message}"
+    camera = replace(camera, vignetting=found.coefficients)
+    write_camera(camera, output, f"vignetting, {picture.name}: {found.message}")
 
 
 @group.command("noise")
