@@ -247,11 +247,11 @@ _CELLS = (b",", b";", b"\t", b"\n", b'"', b"\xef\xbb\xbf", b"#")
 
 def check_patches(data: bytes) -> None:
     """Read boxes of patches."""
-    from liaam.cli.camera import read_patches
+    from liaam.cli.camera import patches_in
 
     path = Path("x.csv")
     path.write_bytes(data)
-    assert read_patches(path).shape[1] == 4
+    assert patches_in(str(path)).shape[1] == 4
 
 
 @cache

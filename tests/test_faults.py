@@ -238,6 +238,11 @@ def lines_of(path):
     return path.read_text().splitlines()
 
 
+def kept(row):
+    """Give a row as a job does: its status and text."""
+    return row["status"], json.dumps({**row, "seconds": 0.0})
+
+
 def without_seconds(text):
     return {key: value for key, value in json.loads(text).items() if key != "seconds"}
 
@@ -246,7 +251,7 @@ def without_seconds(text):
 def known_rows(half_done, monkeypatch):
     """Rows are looked up instead of fitted: what is tested is the journal."""
     rows = {row["path"]: row for row in half_done.rows}
-    monkeypatch.setattr(Job, "row", lambda _job, path: {**rows[path], "seconds": 0.0})
+    monkeypatch.setattr(Job, "row", lambda _job, path: kept(rows[path]))
 
 
 def outcome(world, half_done, folder, files):
@@ -337,7 +342,7 @@ def test_a_journal_of_other_pictures_gives_none_of_its_rows(world, half_done, kn
         (tmp_path / "r.jsonl.parts" / name).write_bytes(content)
     rows = {str(pictures / Path(row["path"]).name): row for row in half_done.rows}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Job, "row", lambda _job, path: {**rows[path], "path": path, "seconds": 0.0})
+        patch.setattr(Job, "row", lambda _job, path: kept({**rows[path], "path": path}))
         assert batch_of(world, output, pictures).fitted == 5
     assert {row["path"] for row in map(json.loads, lines_of(output))} == set(rows)
 

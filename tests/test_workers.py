@@ -1,13 +1,16 @@
 """Work in threads and processes: bounded, and safe to start."""
 
+import signal
 import subprocess
 import sys
+import threading
+import time
 from concurrent.futures import Future
 from itertools import count, islice
 
 import pytest
 
-from liaam.workers import flow
+from liaam.workers import flow, in_order
 
 
 def at_once(number):
@@ -58,3 +61,32 @@ def test_no_more_is_taken_than_there_is_room_for():
     for number, future in islice(flow(at_once, numbers, lambda: 4), 10):
         assert future.result() == -number
         assert len(taken) <= number + 5 + 4
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals of POSIX")
+def test_an_interrupt_waits_for_the_work_at_hand_and_leaves_the_rest():
+    """What the work writes to is closed after it: nothing may be under way then."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
+    under_way, sent, ended, main = threading.Event(), threading.Event(), [], threading.main_thread().ident or 0
+
+    def work(number):
+        under_way.set()
+        sent.wait(60)
+        time.sleep(0.3)
+        ended.append((number, threading.get_ident()))
+
+    def interrupt():
+        under_way.wait(60)
+        time.sleep(0.1)  # a signal that comes just before somebody waits is heard after
+        signal.pthread_kill(main, signal.SIGINT)
+        sent.set()
+
+    threading.Thread(target=interrupt).start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            list(in_order(work, range(3), 1))
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert [number for number, _ in ended] == [0] and ended[0][1] != main
+    time.sleep(0.7)
+    assert len(ended) == 1

@@ -717,7 +717,7 @@ def journal_of(world, output):
         journal.restart({"liaam": __version__, "model": sha256(job.model_file).hexdigest(), **job.settings.describe()})
         journal.list([str(world.pictures / "face2.png"), str(world.pictures / "face4.png")], job.start_file)
         first = journal.begin(str(world.pictures / "face2.png"))
-        journal.keep(first, job.kept_row(first))
+        journal.keep(first, job.row(first))
 
 
 @pytest.mark.parametrize(

@@ -100,13 +100,9 @@ def test_few_colours_tell_too_little_and_it_is_said():
     assert not found.observable or found.interval[0] <= TRUTH <= found.interval[1]
 
 
-@pytest.mark.parametrize(
-    ("options", "fault"),
-    [({"block": 0}, "blocks of 0"), ({"block": 90}, "blocks of 90"), ({"masks": [np.ones((3, 3), bool)]}, "masks")],
-)
-def test_options_that_make_no_sense_are_refused(options, fault):
-    with pytest.raises(CameraError, match=fault):
-        theta_from_scene(scene(1, 1.0), **options)
+def test_masks_of_another_size_are_refused():
+    with pytest.raises(CameraError, match="masks"):
+        theta_from_scene(scene(1, 1.0), masks=[np.ones((3, 3), bool)])
 
 
 def test_a_tenth_of_the_picture_that_moved_does_no_harm():

@@ -1,8 +1,8 @@
 """Fit a model to many images, on all cores or a cluster, resumable, with one table row per image.
 
-A journal beside the output (:mod:`~liaam.batch.journal`) holds the list of images and the finished rows. Threads
-(:mod:`~liaam.batch.pools`) or the workers of a cluster (:mod:`~liaam.batch.cluster`) fit the images. At the end the
-table is written (:mod:`~liaam.batch.tables`).
+A journal beside the output (:mod:`~liaam.batch.journal`) holds the list of images and the finished rows. Threads, or
+the workers of a cluster (:mod:`~liaam.batch.cluster`), fit the images. At the end the table is written
+(:mod:`~liaam.batch.tables`).
 """
 
 from liaam.batch.pictures import find_pictures, listed_pictures

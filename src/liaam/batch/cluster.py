@@ -12,8 +12,7 @@ from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
 from liaam import __version__
-from liaam.batch.pools import Pool
-from liaam.batch.work import Job, KeptRow
+from liaam.batch.work import Job, KeptRow, Pool
 from liaam.errors import LiaamError
 from liaam.workers import AHEAD, one_thread
 
@@ -39,7 +38,7 @@ class _Ready(WorkerPlugin):
 
 def _fit(name: str, path: str) -> KeptRow:
     ready: Any = get_worker().plugins[name]
-    return ready.job.kept_row(path)
+    return ready.job.row(path)
 
 
 @contextmanager
@@ -48,9 +47,8 @@ def on_cluster(job: Job, address: str) -> Iterator[Pool]:
     with _connected(address) as client, _prepared(client, job) as name:
         executor, threads = client.get_executor(pure=False), cast(Any, client.nthreads)
         try:
-            yield Pool(
-                partial(executor.submit, _fit, name), lambda: AHEAD * max(1, sum(threads().values())), (KilledWorker,)
-            )
+            room = lambda: AHEAD * max(1, sum(threads().values()))  # noqa: E731
+            yield partial(executor.submit, _fit, name), room, (KilledWorker,)
         except CancelledError:
             raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume") from None
         except LiaamError:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
-from liaam.io.files import json_object
+from liaam.io.files import json_object, make_folder
 
 PAGE = 1000
 """Number of images read from the journal at a time."""
@@ -59,17 +59,7 @@ class Journal:
         self.folder = folder
         self._in_progress: set[str] = set()
         self._file = folder / "journal.sqlite"
-        if folder.exists() and not folder.is_dir():
-            raise LiaamError(
-                f"{folder} is a file, but the batch needs a folder of this name; move the file, or give another name "
-                "with -o"
-            )
-        try:
-            folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise LiaamError(
-                f"{folder} cannot be written ({error.strerror or error}): check the permissions and the free space"
-            ) from error
+        make_folder(folder)
         with self._explained():
             self._base = sqlite3.connect(self._file, timeout=0.0, isolation_level=None)
             try:

@@ -13,8 +13,6 @@ from liaam.errors import ImageError
 from liaam.io.files import existing_file
 from liaam.io.images import PICTURE_SUFFIXES
 
-SUFFIXES = PICTURE_SUFFIXES
-
 
 def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], object] | None = None) -> Iterator[str]:
     """Iterate over the paths of images.
@@ -50,8 +48,8 @@ def find_pictures(*sources: str | os.PathLike[str], on_closed: Callable[[str], o
         first = next(found, None)
         if first is None:
             raise ImageError(
-                f"{source}: no images ({', '.join(SUFFIXES[:9])} …); give a folder of images, or a quoted pattern such "
-                "as 'images/**'"
+                f"{source}: no images ({', '.join(PICTURE_SUFFIXES[:9])} …); give a folder of images, or a quoted "
+                "pattern such as 'images/**'"
             )
         yield first
         yield from found
@@ -127,4 +125,4 @@ def _is_folder(entry: "os.DirEntry[str]") -> bool:
 
 
 def _is_picture(name: str) -> bool:
-    return not name.startswith(".") and name.lower().endswith(SUFFIXES)
+    return not name.startswith(".") and name.lower().endswith(PICTURE_SUFFIXES)

@@ -5,8 +5,9 @@ import json
 import os
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -15,16 +16,15 @@ from typing import Any
 from liaam import __version__
 from liaam.batch.journal import Journal
 from liaam.batch.pictures import find_pictures
-from liaam.batch.pools import Pool, on_threads
 from liaam.batch.tables import ParsedRow, Table, check_format, row_of, write_table
-from liaam.batch.work import Job, KeptRow, Settings, apart
+from liaam.batch.work import Job, KeptRow, Pool, Settings
 from liaam.errors import LiaamError, installing
 from liaam.io import Contour, write_text_atomically
 from liaam.io.atomic import check_output
 from liaam.model import load_model
 from liaam.models import model_file
 from liaam.progress import Progress
-from liaam.workers import all_cores, flow
+from liaam.workers import all_cores, flow, limited_threads, one_thread
 
 DEATHS = 2
 """An image is given up, with an error in its row, if so many processes died while it was in progress."""
@@ -221,7 +221,7 @@ class _Batch:
         n_rows = 0
         for text in journal.rows():
             n_rows += 1
-            for each in apart(text):
+            for each in text.split("\n"):
                 row = row_of(each, self.job.model.n_points, self.job.settings.covariance)
                 if row is None:
                     raise journal.damage("a row cannot be read")
@@ -229,12 +229,17 @@ class _Batch:
         if n_rows != journal.total:
             raise journal.damage(f"{journal.total - n_rows} rows are missing")
 
-    def _pool(self) -> AbstractContextManager[Pool]:
+    @contextmanager
+    def _pool(self) -> Iterator[Pool]:
         if self.scheduler is None:
-            return on_threads(self.job, self.jobs)
+            # Fits release the interpreter's lock. At the end, running ones are waited for.
+            with one_thread(), limited_threads(self.jobs) as pool:
+                yield partial(pool.submit, self.job.row), lambda: self.jobs, ()
+            return
         from liaam.batch.cluster import on_cluster  # needs an optional library
 
-        return on_cluster(self.job, self.scheduler)
+        with on_cluster(self.job, self.scheduler) as pool:
+            yield pool
 
     def _fitted(self, journal: Journal) -> Generator[tuple[str, KeptRow], None, None]:
         """Fit the images that have no row, in any order.
@@ -246,16 +251,16 @@ class _Batch:
             del suspects[path]
             yield path, self.job.row_of_death(path)
         again = []
-        with self._pool() as pool:
-            for path, future in flow(pool.submit, map(journal.begin, journal.todo()), pool.room):
+        with self._pool() as (submit, room, died):
+            for path, future in flow(submit, map(journal.begin, journal.todo()), room):
                 try:
                     yield path, future.result()
-                except pool.died:
+                except died:
                     again.append(path)
             for path in [*suspects, *again]:  # the row of one is kept before the next begins
                 try:
-                    yield path, pool.submit(journal.begin(path)).result()
-                except pool.died:
+                    yield path, submit(journal.begin(path)).result()
+                except died:
                     yield path, self.job.row_of_death(path)
 
     def _fit(self, journal: Journal) -> Summary:

@@ -4,7 +4,8 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,22 +21,21 @@ from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.starts import check_start, read_start, start_file
 from liaam.io import Landmarks, is_raw, read_image
-from liaam.io.files import json_object
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
 
 BESIDE = "beside"
 """Start from the landmark file beside each image."""
 
-MORE = "more"
-"""Entry of the row of an image with the rows of its further objects."""
-
 ERROR = "error"
 """Status of an image that could not be fitted, in addition to those of :class:`liaam.fitting.FitStatus`."""
 
 Row = dict[str, Any]
 KeptRow = tuple[str, str]
-"""Status, and the row as JSON text, so that resumed and uninterrupted batches have identical rows."""
+"""Status, and a line of JSON for each object, so that resumed and uninterrupted batches have identical rows."""
+
+Pool = tuple[Callable[[str], "Future[KeptRow]"], Callable[[], int], tuple[type[Exception], ...]]
+"""How to fit an image by its path, how many may be in progress now, and what a future raises if a process died."""
 
 
 @dataclass(frozen=True)
@@ -147,43 +147,41 @@ class Job:
         except LiaamError:  # the row will report it
             return None
 
-    def kept_row(self, path: str) -> KeptRow:
-        """Fit one image and return its status and the text of its row."""
-        return kept(self.row(path))
-
     def row_of_death(self, path: str) -> KeptRow:
         """Return the row of an image during whose fit a process died more than once."""
         message = f"{path}: the process died while fitting it (killed or out of memory); check it, or make it smaller"
-        return kept(self.complete(failed_row(path, message), None))
+        return self._kept([failed_row(path, message)], None)
 
-    def row(self, path: str) -> Row:
+    def row(self, path: str) -> KeptRow:
         """Fit one image. Report errors in its row, so that the batch continues."""
         begin = perf_counter()
         try:
-            row = self._fit(path)
+            rows = self._fit(path)
         except LiaamError as fault:
-            row = failed_row(path, self._as_named(str(fault), path))
+            rows = [failed_row(path, self._as_named(str(fault), path))]
         except Exception as fault:
-            row = failed_row(path, f"unexpected {type(fault).__name__} ({fault}); please report it with the image")
-        return self.complete(row, round(perf_counter() - begin, 4))
+            message = f"unexpected {type(fault).__name__} ({fault}); please report it with the image"
+            rows = [failed_row(path, message)]
+        return self._kept(rows, round(perf_counter() - begin, 4))
 
-    def complete(self, row: Row, seconds: float | None) -> Row:
-        """Add the time to a row, and drop the covariance unless it is wanted, as of all further objects."""
-        kept = row if self.settings.covariance else {key: row[key] for key in row if key != "covariance"}
-        more = [self.complete(other, seconds) for other in row.get(MORE, ())]
-        return {**kept, **({MORE: more} if more else {}), "seconds": seconds}
+    def _kept(self, rows: list[Row], seconds: float | None) -> KeptRow:
+        """Return the rows of an image as text, with the time, and without covariances unless they are wanted."""
+        for row in rows:
+            row["seconds"] = seconds
+            if not self.settings.covariance:
+                del row["covariance"]
+        return rows[0]["status"], "\n".join(json.dumps(row, allow_nan=False) for row in rows)
 
-    def _fit(self, path: str) -> Row:
+    def _fit(self, path: str) -> list[Row]:
         picture = Path(self.folder, path)
         pixels, start = read_image(picture), self._start(path)
         if start is not None:
             start = read_start(start, picture, pixels.shape[1::-1])
         fitter = self.fitter(is_raw(picture))
         if not self.settings.every:
-            return self._row_of(fitter.fit(pixels, start, picture.name), path, pixels, start)
+            return [self._row_of(fitter.fit(pixels, start, picture.name), path, pixels, start)]
         fits = fitter.fit_all(pixels, picture.name)
-        row, *more = (self._row_of(fit, path, pixels, None) | {"object": i} for i, fit in enumerate(fits, 1))
-        return {**row, MORE: more} if more else row
+        return [self._row_of(fit, path, pixels, None) | {"object": i} for i, fit in enumerate(fits, 1)]
 
     @staticmethod
     def _row_of(result: FitResult, path: str, pixels: np.ndarray, start: Any) -> Row:
@@ -218,20 +216,6 @@ class Job:
         named.pop(os.sep, None)  # it is in all paths
         places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))
         return re.sub(places, lambda found: named[found.group()], message)
-
-
-def kept(row: Row) -> KeptRow:
-    """Return the status and the JSON text of a row."""
-    return row["status"], json.dumps(row, allow_nan=False)
-
-
-def apart(text: str) -> list[str]:
-    """Return the text of the row of an image, and those of its further objects."""
-    row = json_object(text) if f'"{MORE}"' in text else None
-    if row is None or not isinstance(row.get(MORE), list):
-        return [text]
-    more = row.pop(MORE)
-    return [json.dumps(each, allow_nan=False) for each in (row, *more)]
 
 
 def failed_row(path: str, message: str) -> Row:

@@ -1,9 +1,9 @@
 """Camera calibration: angle, response, vignetting and noise, from images or from sensor data."""
 
-from liaam.calibration.alignment import STILL, Aligned, align_pictures, homographies_between
+from liaam.calibration.alignment import STILL, Aligned, align_pictures
 from liaam.calibration.chart import chart_patches, theta_from_chart
 from liaam.calibration.comparison import Agreement, Averaged, agreement, averaged
-from liaam.calibration.entropy import EntropyEstimate, entropy_curve, theta_from_image
+from liaam.calibration.entropy import entropy_curve, theta_from_image
 from liaam.calibration.estimate import PHYSICAL, AngleEstimate
 from liaam.calibration.fits import theta_from_fits
 from liaam.calibration.noise import NoiseEstimate, noise_from_flat, noise_from_image, noise_from_pair
@@ -14,12 +14,7 @@ from liaam.calibration.radiometry import (
     vignetting_from_flat_field,
 )
 from liaam.calibration.scatter import theta_from_scene
-from liaam.calibration.spectral import (
-    SpectralEstimate,
-    read_sensitivities,
-    theta_from_peaks,
-    theta_from_sensitivities,
-)
+from liaam.calibration.spectral import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
 __all__ = [
     "PHYSICAL",
@@ -28,10 +23,8 @@ __all__ = [
     "Aligned",
     "AngleEstimate",
     "Averaged",
-    "EntropyEstimate",
     "NoiseEstimate",
     "RadiometricEstimate",
-    "SpectralEstimate",
     "VignettingEstimate",
     "agreement",
     "align_pictures",
@@ -39,7 +32,6 @@ __all__ = [
     "calibrate_response",
     "chart_patches",
     "entropy_curve",
-    "homographies_between",
     "noise_from_flat",
     "noise_from_image",
     "noise_from_pair",

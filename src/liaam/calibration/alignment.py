@@ -10,7 +10,7 @@ from liaam.evaluation import rms_error
 from liaam.model.warp import apply_homography, picture_corners
 from liaam.photometry import CameraModel
 from liaam.progress import Progress
-from liaam.registration import Registration, register
+from liaam.registration import register
 
 STILL = 0.25
 """Movement of the corners, pixels, up to which an image counts as aligned and is not resampled."""
@@ -27,11 +27,14 @@ class Aligned:
         Valid pixels of each image.
     moved : tuple of float
         Root mean square movement of each image's corners, pixels.
+    homographies : tuple of (3, 3) float64
+        Maps from the pixels of each image to those of the first.
     """
 
     pictures: tuple[np.ndarray, ...]
     masks: tuple[np.ndarray, ...]
     moved: tuple[float, ...]
+    homographies: tuple[np.ndarray, ...]
 
 
 def align_pictures(
@@ -63,46 +66,22 @@ def align_pictures(
         If an image cannot be aligned; the message names it.
     """
     first, camera = pictures[0], camera or CameraModel()
+    names = names or [f"image {i + 1}" for i in range(len(pictures))]
     corners = picture_corners(*first.shape[:2])
-    aligned, masks, moved = [first], [np.ones(first.shape[:2], dtype=bool)], [0.0]
-    for picture, found in zip(pictures[1:], _register_all(pictures, camera, names, progress), strict=True):
-        moved.append(rms_error(apply_homography(found.homography, corners), corners))
-        if moved[-1] <= STILL and picture.shape == first.shape:
-            sampled, mask = picture, masks[0]
-        else:
-            sampled, mask = found.warp(picture)
-        aligned.append(sampled)
-        masks.append(mask)
-    return Aligned(tuple(aligned), tuple(masks), tuple(moved))
-
-
-def homographies_between(
-    pictures: Sequence[np.ndarray],
-    camera: CameraModel | None = None,
-    *,
-    names: Sequence[str] | None = None,
-    progress: Progress | None = None,
-) -> list[np.ndarray]:
-    """Estimate homographies from the pixels of each image to those of the first, (3, 3) float64 each.
-
-    Parameters and errors are those of :func:`align_pictures`.
-    """
-    found = _register_all(pictures, camera or CameraModel(), names, progress)
-    return [np.eye(3), *(np.linalg.inv(one.homography) for one in found)]
-
-
-def _register_all(
-    pictures: Sequence[np.ndarray], camera: CameraModel, names: Sequence[str] | None, progress: Progress | None
-) -> list[Registration]:
-    """Register the first image with each of the others."""
-    names, found = names or [f"image {i + 1}" for i in range(len(pictures))], []
+    aligned, masks, moved, maps = [first], [np.ones(first.shape[:2], dtype=bool)], [0.0], [np.eye(3)]
     for i, (picture, name) in enumerate(zip(pictures[1:], names[1:], strict=True)):
         if progress:
             progress(i, len(pictures) - 1, name)
-        found.append(register(pictures[0], picture, response=camera.response, theta=camera.theta))
-        if not found[-1].status.ok:
+        found = register(first, picture, response=camera.response, theta=camera.theta)
+        if not found.status.ok:
             raise CameraError(
-                f"{name} could not be aligned with {names[0]} ({found[-1].message}); take the images from a tripod "
+                f"{name} could not be aligned with {names[0]} ({found.message}); take the images from a tripod "
                 "and skip the alignment, or choose images that differ less"
             )
-    return found
+        moved.append(rms_error(apply_homography(found.homography, corners), corners))
+        is_still = moved[-1] <= STILL and picture.shape == first.shape
+        sampled, mask = (picture, masks[0]) if is_still else found.warp(picture)
+        aligned.append(sampled)
+        masks.append(mask)
+        maps.append(np.linalg.inv(found.homography))
+    return Aligned(tuple(aligned), tuple(masks), tuple(moved), tuple(maps))

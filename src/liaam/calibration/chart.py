@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from liaam.calibration.estimate import AngleEstimate
-from liaam.calibration.scatter import as_pictures, deviation_of, observe, theta_of_least_scatter
+from liaam.calibration.scatter import as_pictures, observe, theta_of_least_scatter
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
 
@@ -38,17 +38,14 @@ def theta_from_chart(
     CameraError
         If a patch lies outside its image, the numbers of patches differ, or too few are well exposed in two images.
     """
-    pictures = as_pictures(images)
-    camera = camera or CameraModel()
+    pictures, camera = as_pictures(images), camera or CameraModel()
     if len(patches) != len(pictures) or len({len(p) for p in patches}) != 1:
         raise CameraError(f"{len(pictures)} images need as many lists of patches, with the same patches in each")
     regions = [
         patch_labels(quads, picture.shape[:2], f"image {i + 1}")
         for i, (picture, quads) in enumerate(zip(pictures, patches, strict=True))
     ]
-    deviations = [deviation_of(picture, camera) for picture in pictures]
-    surfaces = observe(pictures, regions, len(patches[0]), camera, deviations)
-    return theta_of_least_scatter(surfaces, free_balance=free_balance)
+    return theta_of_least_scatter(observe(pictures, regions, len(patches[0]), camera), free_balance=free_balance)
 
 
 def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: float = 0.5) -> np.ndarray:

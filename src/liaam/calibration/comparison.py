@@ -103,7 +103,8 @@ def averaged(
             raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, the images {width}×{height}")
         labels = np.where(mask, labels, -1)
     m = len(pictures)
-    surfaces = observe(pictures, [labels] * m, down * across, camera, [0.0] * m, full=block * block, dark=dark)
+    full = block * block
+    surfaces = observe(pictures, [labels] * m, down * across, camera, full=full, dark=dark, noisy=False)
 
     def maps(values: np.ndarray) -> np.ndarray:
         return np.where(surfaces.exposed, values, np.nan).T.reshape(m, down, across)

@@ -10,7 +10,6 @@ the spread, and the width is a quarter of Scott's, which is optimal for one Gaus
 scenes nine tenths of the angles are then correct, otherwise one third to three quarters.
 """
 
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -53,31 +52,7 @@ LEAST_BLUER = 0.2
 LINE = 0.4
 
 
-@dataclass(frozen=True, eq=False)
-class EntropyEstimate(AngleEstimate):
-    """Angle of least entropy; not observable if the minimum fails a test.
-
-    Attributes
-    ----------
-    kind : {"quadratic", "shannon"}
-        The entropy that was minimised.
-    thetas : (k,) float64
-        Angles, radians in [0, pi).
-    entropies : (k,) float64
-        Entropy of the projection at each angle, bits.
-    spread : float
-        Root mean square deviation of the minimum over bootstrap replicates, radians.
-    """
-
-    kind: Entropy
-    thetas: np.ndarray
-    entropies: np.ndarray
-    spread: float
-
-
-def theta_from_image(
-    image: np.ndarray, response: Response = "srgb", kind: Entropy = "quadratic", *, seed: int = 0
-) -> EntropyEstimate:
+def theta_from_image(image: np.ndarray, response: Response = "srgb") -> AngleEstimate:
     """Estimate the angle from one image with shadows, and test whether it is reliable.
 
     There is always a minimum. It is accepted if the angle is that of a camera (90 to 135 degrees), the two entropies
@@ -91,13 +66,11 @@ def theta_from_image(
         Stored values; dark and saturated pixels are ignored.
     response : Response
         Map from stored values to linear light.
-    kind : {"quadratic", "shannon"}
-    seed : int
-        Seed of the bootstrap.
 
     Returns
     -------
-    EntropyEstimate
+    AngleEstimate
+        The angle of the least quadratic entropy; not observable if the minimum fails a test.
 
     Raises
     ------
@@ -106,17 +79,14 @@ def theta_from_image(
     ImageError
         If the array is not an image.
     """
-    _check_kind(kind)
     log_rgb, blocks = _usable_pixels(image, response)
-    names: tuple[Entropy, ...] = get_args(Entropy)
-    projections = _Projections.of(log_rgb, blocks, KEPT)
-    histograms = [projections.at(theta) for theta in THETAS]
-    curves = {name: _curve(name, [h.sum(axis=0, keepdims=True) for h in histograms])[0] for name in names}
-    theta = _lowest(THETAS, curves[kind])
-    other = _lowest(THETAS, curves[next(name for name in names if name != kind)])
-    disagreement, margin = abs(axis_difference(other, theta)), _margin(curves[kind], theta)
-    spread = root_mean_square([axis_difference(angle, theta) for angle in _bootstrap(kind, histograms, seed)])
-    change, redness, aspect = _light(log_rgb, theta, projections.scott)
+    histograms, width = _histograms(log_rgb, blocks, KEPT)
+    whole = [counts.sum(axis=0, keepdims=True) for counts in histograms]
+    entropies, others = (_curve(kind, whole)[0] for kind in ("quadratic", "shannon"))
+    theta = _lowest(THETAS, entropies)
+    disagreement, margin = abs(axis_difference(_lowest(THETAS, others), theta)), _margin(entropies, theta)
+    spread = root_mean_square([axis_difference(angle, theta) for angle in _bootstrap(histograms)])
+    change, redness, aspect = _light(log_rgb, theta, width)
     tests = (
         (not PHYSICAL[0] <= theta <= PHYSICAL[1], "the angle is outside the range of cameras (90° to 135°)"),
         (disagreement > WIDEST_SPREAD, f"the other entropy differs by {np.rad2deg(disagreement):.0f}°"),
@@ -137,7 +107,7 @@ def theta_from_image(
             f"the entropy is least at {np.rad2deg(theta):.0f}°, which is not reliable: {'; '.join(faults)}. Give "
             "an image of many colours with cast shadows, or better two images under different lights"
         )
-    return EntropyEstimate(theta, error, message, change, len(log_rgb), kind, THETAS.copy(), curves[kind], spread)
+    return AngleEstimate(theta, error, message, change, len(log_rgb))
 
 
 def entropy_curve(
@@ -163,10 +133,10 @@ def entropy_curve(
     CameraError
         If there are fewer than 100 values, some are not finite, or they have one colour only.
     """
-    _check_kind(kind)
+    if kind not in get_args(Entropy):
+        raise CameraError(f"entropy {kind!r} is unknown: give one of {', '.join(get_args(Entropy))}")
     log_rgb = np.asarray(log_rgb, dtype=np.float32).reshape(-1, 3)
-    projections = _Projections.of(log_rgb, np.zeros(len(log_rgb), dtype=np.int64), keep)
-    return THETAS.copy(), _curve(kind, [projections.at(theta) for theta in THETAS])[0]
+    return THETAS.copy(), _curve(kind, _histograms(log_rgb, np.zeros(len(log_rgb), dtype=np.int64), keep)[0])[0]
 
 
 def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarray]:
@@ -186,51 +156,37 @@ def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, n
     return encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
 
 
-@dataclass(frozen=True, eq=False)
-class _Projections:
-    """Histograms of log-chromaticities along any direction, one per block."""
+def _histograms(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> tuple[list[np.ndarray], float]:
+    """Counts (blocks, cells) float32 of log-RGB (n, 3) in blocks (n,) along L(theta), for each of the angles.
 
-    chroma: np.ndarray
-    """(n, 2) float32: coordinates in the plane orthogonal to intensity, about their median."""
-    blocks: np.ndarray
-    """(n,) int64."""
-    scott: float
-    """Width of a bin by Scott's rule, for the median spread over directions."""
-    cell: float
-    cells: int
-    """Width and number of a histogram's cells; outliers fall into the outermost."""
-    keep: float
-    """Central fraction of the values that is used."""
+    Only the central fraction ``keep`` of the values is counted. The second result is the width of a bin by Scott's
+    rule, for the median spread over directions.
+    """
+    if len(log_rgb) < FEWEST_VALUES or not np.isfinite(log_rgb).all():
+        raise CameraError(f"entropy needs {FEWEST_VALUES} or more pixels, all finite; there are {len(log_rgb)}")
+    if not 0.5 <= keep <= 1:
+        raise CameraError(f"keep is {keep}: give the fraction of values to use, 0.5 to 1")
+    chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
+    chroma -= np.median(chroma, axis=0)
+    spread = float(np.median([np.std(chroma @ _direction(theta)) for theta in THETAS[::15]]))
+    if spread < LEAST_COLOUR:
+        raise CameraError(
+            "the image has one colour only: an angle needs surfaces of several colours, in light and shadow"
+        )
+    scott = 3.5 * spread * len(chroma) ** (-1 / 3)
+    reach = 1.5 * float(np.quantile(np.abs(chroma).max(axis=1), 0.999))
+    cell = max(FINENESS * scott / SUBDIVISION, 2 * reach / WIDEST_HISTOGRAM)
+    cells, n_blocks = int(2 * reach / cell) + 2, int(blocks.max()) + 1
 
-    @staticmethod
-    def of(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> "_Projections":
-        """Set up histograms for log-RGB values (n, 3) in blocks (n,)."""
-        if len(log_rgb) < FEWEST_VALUES or not np.isfinite(log_rgb).all():
-            raise CameraError(f"entropy needs {FEWEST_VALUES} or more pixels, all finite; there are {len(log_rgb)}")
-        if not 0.5 <= keep <= 1:
-            raise CameraError(f"keep is {keep}: give the fraction of values to use, 0.5 to 1")
-        chroma = log_rgb @ CHROMATICITY.T.astype(np.float32)
-        chroma -= np.median(chroma, axis=0)
-        spread = float(np.median([np.std(chroma @ _direction(theta)) for theta in THETAS[::15]]))
-        if spread < LEAST_COLOUR:
-            raise CameraError(
-                "the image has one colour only: an angle needs surfaces of several colours, in light and shadow"
-            )
-        scott = 3.5 * spread * len(chroma) ** (-1 / 3)
-        reach = 1.5 * float(np.quantile(np.abs(chroma).max(axis=1), 0.999))
-        cell = max(FINENESS * scott / SUBDIVISION, 2 * reach / WIDEST_HISTOGRAM)
-        return _Projections(chroma, blocks.astype(np.int64), scott, cell, int(2 * reach / cell) + 2, keep)
-
-    def at(self, theta: float) -> np.ndarray:
-        """Counts (blocks, cells) float32 along L(theta), without the outermost values."""
-        place = (self.chroma @ _direction(theta)) / self.cell + 0.5 * self.cells
-        place = np.clip(place, 0, self.cells - 1).astype(np.int64)
-        place += self.blocks * self.cells
-        n_blocks = int(self.blocks.max()) + 1
-        counts = np.bincount(place, minlength=n_blocks * self.cells).reshape(n_blocks, self.cells)
-        share = np.cumsum(counts.sum(axis=0)) / len(self.chroma)
-        first, last = np.searchsorted(share, [0.5 - 0.5 * self.keep, 0.5 + 0.5 * self.keep - 1e-9])
+    def along(theta: float) -> np.ndarray:
+        place = (chroma @ _direction(theta)) / cell + 0.5 * cells
+        place = np.clip(place, 0, cells - 1).astype(np.int64) + blocks * cells  # outliers fall into the outermost
+        counts = np.bincount(place, minlength=n_blocks * cells).reshape(n_blocks, cells)
+        share = np.cumsum(counts.sum(axis=0)) / len(chroma)
+        first, last = np.searchsorted(share, [0.5 - 0.5 * keep, 0.5 + 0.5 * keep - 1e-9])
         return counts[:, first : last + 1].astype(np.float32)
+
+    return [along(theta) for theta in THETAS], scott
 
 
 def _direction(theta: float) -> np.ndarray:
@@ -239,11 +195,10 @@ def _direction(theta: float) -> np.ndarray:
     return (along / np.linalg.norm(along)).astype(np.float32)
 
 
-def _curve(kind: Entropy, histograms: list[np.ndarray]) -> np.ndarray:
+def _curve(kind: str, histograms: list[np.ndarray]) -> np.ndarray:
     """Entropies (b, k), bits, of k histograms (b, cells_k)."""
-    entropy = _shannon if kind == "shannon" else _quadratic
     fractions = (counts / counts.sum(axis=1, keepdims=True) for counts in histograms)
-    return np.stack([entropy(each) for each in fractions], axis=1).astype(np.float64)
+    return np.stack([_ENTROPIES[kind](each) for each in fractions], axis=1).astype(np.float64)
 
 
 def _shannon(fractions: np.ndarray) -> np.ndarray:
@@ -266,6 +221,9 @@ def _quadratic(fractions: np.ndarray) -> np.ndarray:
     return -np.log2((around * fractions).sum(axis=1) * SUBDIVISION)
 
 
+_ENTROPIES = {"quadratic": _quadratic, "shannon": _shannon}
+
+
 def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
     """Angle of least entropy, radians in [0, pi), refined by a parabola through its neighbours."""
     i = int(entropies.argmin())
@@ -275,12 +233,11 @@ def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
     return float((thetas[i] + shift * (thetas[1] - thetas[0])) % np.pi)
 
 
-def _bootstrap(kind: Entropy, histograms: list[np.ndarray], seed: int) -> list[float]:
+def _bootstrap(histograms: list[np.ndarray]) -> list[float]:
     """Angles of least entropy of bootstrap replicates, with blocks drawn from those of the image."""
-    n_blocks = len(histograms[0])
-    drawn = np.random.default_rng(seed).multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=REPLICATES)
-    drawn = drawn.astype(np.float32)
-    curves = _curve(kind, [drawn @ counts for counts in histograms[::2]])
+    n = len(histograms[0])
+    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=REPLICATES).astype(np.float32)
+    curves = _curve("quadratic", [drawn @ counts for counts in histograms[::2]])
     return [_lowest(THETAS[::2], curve) for curve in curves]
 
 
@@ -315,8 +272,3 @@ def _light(log_rgb: np.ndarray, theta: float, width: float) -> tuple[float, floa
     change = float(np.sqrt(2.0 * sizes[0]) * abs(towards_blue[0] - towards_blue[2]))
     redness = float(-(blueness * brightness).mean() / max(np.sqrt(sizes[0] * sizes[1]), 1e-12))
     return change, redness, float(across / along)
-
-
-def _check_kind(kind: str) -> None:
-    if kind not in get_args(Entropy):
-        raise CameraError(f"entropy {kind!r} is unknown: give one of {', '.join(get_args(Entropy))}")

@@ -7,8 +7,7 @@ blocks estimates its standard errors.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -105,7 +104,11 @@ def noise_from_flat(
     ]
     if not regions:
         raise CameraError("there is no image or no box to estimate the noise from: give at least one of each")
-    return _estimate(_joined([_blocks(region, None, response) for region in regions]), response)
+    parts = [_blocks(region, None, response) for region in regions]
+    # A place is one of all regions.
+    blocks, own = np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    blocks["place"] += own * (blocks["place"].max(initial=0) + 1)
+    return _estimate(blocks, response)
 
 
 def noise_from_pair(first: np.ndarray, second: np.ndarray, response: Response = "srgb") -> NoiseEstimate:
@@ -142,8 +145,8 @@ def noise_from_pair(first: np.ndarray, second: np.ndarray, response: Response = 
         raise CameraError("the pair's images are identical: give two that were taken one after the other")
     blocks = _blocks(first, second, response)
     estimate = _estimate(blocks, response)
-    expected = estimate.noise.variance(blocks.level) + blocks.rounding
-    moved = float(np.mean(blocks.variance(TREND + 1) > 2.5 * expected))
+    expected = estimate.noise.variance(blocks["level"]) + blocks["rounding"]
+    moved = float(np.mean(_variance(blocks, TREND + 1) > 2.5 * expected))
     if not estimate.observable or moved <= MOVED:
         return estimate
     fault = f"; but {moved:.0%} of the blocks differ by more than that: use a tripod, a still scene and a steady light"
@@ -182,49 +185,26 @@ def noise_from_image(image: np.ndarray, response: Response = "srgb") -> NoiseEst
     return _estimate(_blocks(as_colour(image), None, response), response, single=True)
 
 
-@dataclass(frozen=True)
-class _Blocks:
-    """Brightness and variation of blocks of one channel each."""
-
-    level: np.ndarray
-    """(n,) float64: mean linear light."""
-    rounding: np.ndarray
-    """(n,) float64: variance that the rounding of stored values adds to linear light."""
-    energy: np.ndarray
-    """(n, 2 SIDE - 1) float64: sum of squared polynomial coefficients of each degree."""
-    place: np.ndarray
-    """(n,) int: index of the block in its image, the same for its three channels."""
-    weight: np.ndarray
-    """(n,) float64: weights, at most 1."""
-
-    def __len__(self) -> int:
-        return len(self.level)
-
-    def __getitem__(self, chosen: np.ndarray) -> "_Blocks":
-        return _Blocks(*(getattr(self, column.name)[chosen] for column in fields(self)))
-
-    def variance(self, low: int, high: int = 2 * SIDE - 2) -> np.ndarray:
-        """Variance (n,) from the coefficients of degrees low to high; its *median* is unbiased for white noise."""
-        count = sum(min(d + 1, 2 * SIDE - 1 - d) for d in range(low, high + 1))
-        median = (1.0 - 2.0 / (9.0 * count)) ** 3  # of chi squared over its degrees of freedom (Wilson, Hilferty 1931)
-        return self.energy[:, low : high + 1].sum(axis=1) / (count * median)
+_BLOCK = np.dtype(
+    [
+        ("level", float),  # mean linear light
+        ("rounding", float),  # variance that the rounding of stored values adds to linear light
+        ("energy", float, 2 * SIDE - 1),  # sum of squared polynomial coefficients of each degree
+        ("place", int),  # index of the block in its image, the same for its three channels
+        ("weight", float),  # at most 1
+    ]
+)
+"""Brightness and variation of a block of one channel."""
 
 
-@lru_cache(maxsize=1)
-def _polynomials() -> np.ndarray:
-    """Orthonormal polynomials on a block, (SIDE^2, SIDE^2): columns x^i y^j, i slowest, orthonormalised."""
-    line, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, SIDE), SIDE, increasing=True))
-    return np.kron(line, line)
+def _variance(blocks: np.ndarray, low: int, high: int = 2 * SIDE - 2) -> np.ndarray:
+    """Variance (n,) from the coefficients of degrees low to high; its *median* is unbiased for white noise."""
+    count = sum(min(d + 1, 2 * SIDE - 1 - d) for d in range(low, high + 1))
+    median = (1.0 - 2.0 / (9.0 * count)) ** 3  # of chi squared over its degrees of freedom (Wilson, Hilferty 1931)
+    return blocks["energy"][:, low : high + 1].sum(axis=1) / (count * median)
 
 
-def _cut(image: np.ndarray) -> np.ndarray:
-    """Cut an image (h, w, 3) into disjoint blocks (n, 3, SIDE^2), subsampled evenly if there are many."""
-    windows = np.lib.stride_tricks.sliding_window_view(image, (SIDE, SIDE), axis=(0, 1))
-    every = SIDE * int(np.ceil(np.sqrt(windows.shape[0] * windows.shape[1] / (ENOUGH_BLOCKS * SIDE**2))))
-    return windows[::every, ::every].reshape(-1, 3, SIDE**2)
-
-
-def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) -> _Blocks:
+def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) -> np.ndarray:
     """Blocks of one image, or of the difference of two images of one scene, scaled to have the noise of one.
 
     Dark and saturated blocks are excluded; for a pair by the mean, which is independent of the difference.
@@ -237,37 +217,38 @@ def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) ->
         usable &= other_finite
     usable &= ((level >= DARK) & (level <= SATURATED)).all(axis=2)
     if second is not None:
-        gain = np.sqrt(_flicker(linear, other_linear, usable))
+        before, after = (light.mean(axis=2)[usable] for light in (linear, other_linear))
+        flicker = float(np.median(after / np.maximum(before, 1e-6))) if usable.any() else 1.0
+        if abs(flicker - 1) > FLICKER:
+            fault = f"the pair's images differ in brightness by {abs(flicker - 1):.0%}"
+            raise CameraError(f"{fault}: take both with one exposure under one light")
+        gain = np.sqrt(flicker)
         signal = (linear * gain - other_linear / gain) / np.sqrt(2)
         linear = (linear + other_linear) / 2
     positive = np.maximum(stored, 1e-4)
     step = 1.0 / np.iinfo(first.dtype).max if first.dtype.kind == "u" else 0.0
     rounding = np.square(step * log_slope(positive, response) * to_linear(positive, response)).mean(axis=2) / 12
+    # Orthonormal polynomials on a block: columns x^i y^j, i slowest, orthonormalised.
+    line, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, SIDE), SIDE, increasing=True))
     degree = np.add.outer(np.arange(SIDE), np.arange(SIDE)).ravel()
-    energy = np.square(signal @ _polynomials()) @ (degree[:, None] == np.arange(2 * SIDE - 1)).astype(float)
-    place = np.broadcast_to(np.arange(len(stored))[:, None], usable.shape)
-    return _Blocks(linear.mean(axis=2), rounding, energy, place, np.ones(usable.shape))[usable]
+    energy = np.square(signal @ np.kron(line, line)) @ (degree[:, None] == np.arange(2 * SIDE - 1)).astype(float)
+    blocks = np.empty(usable.shape, _BLOCK)
+    blocks["level"], blocks["rounding"], blocks["energy"] = linear.mean(axis=2), rounding, energy
+    blocks["place"], blocks["weight"] = np.arange(len(stored))[:, None], 1.0
+    return blocks[usable]
 
 
 def _values(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stored values and linear light of an image's blocks (n, 3, SIDE^2), and which are finite throughout (n, 3)."""
-    cut = _cut(image)
+    """Stored values and linear light of blocks (n, 3, SIDE^2) of an image, and which are finite throughout (n, 3).
+
+    The blocks are disjoint, and if there are many, a subset that is spread evenly.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(image, (SIDE, SIDE), axis=(0, 1))
+    every = SIDE * int(np.ceil(np.sqrt(windows.shape[0] * windows.shape[1] / (ENOUGH_BLOCKS * SIDE**2))))
+    cut = windows[::every, ::every].reshape(-1, 3, SIDE**2)
     finite = np.asarray(np.isfinite(cut).all(axis=2))
     stored = np.clip(np.where(finite[..., None], stored_values(cut, np.float64), 0.0), -1.0, 4.0)
     return stored, np.asarray(to_linear(stored, response), dtype=np.float64), finite
-
-
-def _flicker(first: np.ndarray, second: np.ndarray, usable: np.ndarray) -> float:
-    """Ratio of the second image's brightness to the first's, from the usable blocks of (n, 3, SIDE^2)."""
-    if not usable.any():
-        return 1.0
-    gain = float(np.median(second.mean(axis=2)[usable] / np.maximum(first.mean(axis=2)[usable], 1e-6)))
-    if abs(gain - 1) > FLICKER:
-        raise CameraError(
-            f"the pair's images differ in brightness by {abs(gain - 1):.0%}: take both with one exposure under one "
-            "light"
-        )
-    return gain
 
 
 def _regions(picture: np.ndarray, boxes: np.ndarray | None, number: int) -> list[np.ndarray]:
@@ -291,74 +272,59 @@ def _size(picture: np.ndarray) -> str:
     return f"{picture.shape[1]}×{picture.shape[0]} pixels of {picture.dtype}"
 
 
-def _joined(parts: list[_Blocks]) -> _Blocks:
-    """Concatenate the blocks of several regions."""
-    starts = np.cumsum([0] + [int(part.place.max(initial=0)) + 1 for part in parts])
-    moved = [replace(part, place=part.place + start) for part, start in zip(parts, starts, strict=False)]
-    return _Blocks(*(np.concatenate([getattr(part, column.name) for part in moved]) for column in fields(_Blocks)))
-
-
-def _weakest(blocks: _Blocks) -> _Blocks:
+def _weakest(blocks: np.ndarray) -> np.ndarray:
     """Blocks of the least texture in each class of brightness."""
     fraction = max(WEAKEST, min(1.0, FEWEST / len(blocks)))
-    texture = blocks.energy[:, TREND + 1 : COARSE].sum(axis=1)
-    classes = np.array_split(np.argsort(blocks.level), int(np.clip(len(blocks) // BIN, 1, BINS)))
+    texture = blocks["energy"][:, TREND + 1 : COARSE].sum(axis=1)
+    classes = np.array_split(np.argsort(blocks["level"]), int(np.clip(len(blocks) // BIN, 1, BINS)))
     best = [class_[np.argsort(texture[class_])[: int(np.ceil(fraction * len(class_)))]] for class_ in classes]
     return blocks[np.concatenate(best)]
 
 
-def _line(
-    blocks: _Blocks,
-    low: int,
-    high: int = 2 * SIDE - 2,
-    start: np.ndarray | None = None,
-    free: bool = False,
-    rounds: int = 40,
-) -> np.ndarray:
+def _line(blocks: np.ndarray, low: int, high: int = 2 * SIDE - 2, start: np.ndarray | None = None) -> np.ndarray:
     """Fit slope and offset, (2,) float64, to the variance of blocks in the degrees low to high.
 
     Iteratively reweighted least squares minimise the sum of relative deviations, so up to half of the blocks may be
-    outliers. Both numbers are non-negative unless `free`, which standard errors need.
+    outliers. Both numbers are non-negative, unless the fit continues from a start for standard errors.
     """
-    variance = blocks.variance(low, high)
-    wanted = variance - blocks.rounding
-    design = np.column_stack([blocks.level, np.ones(len(blocks))])
-    line = np.array([max(np.median(wanted / blocks.level), 0.0), 0.0]) if start is None else start
+    variance = _variance(blocks, low, high)
+    wanted = variance - blocks["rounding"]
+    design = np.column_stack([blocks["level"], np.ones(len(blocks))])
+    line = np.array([max(np.median(wanted / blocks["level"]), 0.0), 0.0]) if start is None else start
     least = max(1e-3 * float(np.median(variance)), 1e-16)
-    for _ in range(rounds):
-        expected = np.maximum(design @ line + blocks.rounding, least)
+    for _ in range(40 if start is None else 12):
+        expected = np.maximum(design @ line + blocks["rounding"], least)
         deviation = np.abs(wanted - design @ line) / expected
-        weight = blocks.weight / (np.square(expected) * np.maximum(deviation, BEND))
+        weight = blocks["weight"] / (np.square(expected) * np.maximum(deviation, BEND))
         normal, right = (design.T * weight) @ design, (design.T * weight) @ wanted
         line = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
-        if not free and line.min() < 0:
+        if start is None and line.min() < 0:
             kept = int(line[0] < 0)  # fit one number with the other at 0
             line = np.zeros(2)
             line[kept] = max(right[kept] / normal[kept, kept], 0.0)
     return line
 
 
-def _jackknife(blocks: _Blocks, groups: np.ndarray, estimate: Callable[[_Blocks], np.ndarray]) -> np.ndarray:
-    """Jackknife covariance (k, k) of an estimate over groups (n,) of blocks."""
-    return jackknife(np.array([estimate(blocks[groups != number]) for number in np.unique(groups)]))
-
-
-def _estimate(blocks: _Blocks, response: Response, single: bool = False) -> NoiseEstimate:
+def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> NoiseEstimate:
     """Fit the line to blocks, and test whether the noise is observable."""
     white = float(to_linear(np.array(1.0), response))
-    noisy = _enough(blocks)[blocks.energy[:, TREND + 1 :].sum(axis=1) > CONSTANT]
+    noisy = _enough(blocks)[blocks["energy"][:, TREND + 1 :].sum(axis=1) > CONSTANT]
     if len(noisy) < FEWEST:
         return _below_rounding(blocks)
     low = FINE if single else TREND + 1
     used, line = _fitted(_weakest(noisy) if single else noisy, low, single)
-    reach = 3 * np.sqrt(used.level * line[0] + line[1])
-    used = _enough(used[(used.level > reach) & (used.level < white - reach)])  # clipping hides noise
+    reach = 3 * np.sqrt(used["level"] * line[0] + line[1])
+    used = _enough(used[(used["level"] > reach) & (used["level"] < white - reach)])  # clipping hides noise
     used, line = _fitted(used, low, single)
-    steps = (used.level * line[0] + line[1]) / np.maximum(12 * used.rounding, 1e-300)
+    steps = (used["level"] * line[0] + line[1]) / np.maximum(12 * used["rounding"], 1e-300)
     if np.median(steps) < ROUNDED**2:
         return _below_rounding(used)
-    not_white = _not_white(used, low, single)
-    darkest, brightest = np.percentile(used.level, [5, 95])
+    coarse = _variance(used, COARSE, FINE - 1) if single else _variance(used, low, COARSE - 1)
+    ratio, not_white = float(np.median(coarse) / max(np.median(_variance(used, FINE)), 1e-300)), ""
+    if ratio >= COLOURED:
+        cause = "it contains texture, or JPEG or demosaicking" if single else "JPEG or demosaicking"
+        not_white = f"; it is {np.sqrt(ratio):.1f} times as strong in coarse as in fine structure: {cause} smoothed it"
+    darkest, brightest = np.percentile(used["level"], [5, 95])
     if brightest < NARROW * darkest:
         return _of_one_brightness(used, low, not_white)
     spread = _spread(used, low, line, single)
@@ -374,29 +340,29 @@ def _estimate(blocks: _Blocks, response: Response, single: bool = False) -> Nois
     return NoiseEstimate(model, slope_error, offset_error, not vague, message + not_white, len(used))
 
 
-def _of_one_brightness(blocks: _Blocks, low: int, not_white: str) -> NoiseEstimate:
+def _of_one_brightness(blocks: np.ndarray, low: int, not_white: str) -> NoiseEstimate:
     """Attribute all noise to photons, which dominate at ordinary exposures."""
-    slope = float(np.median((blocks.variance(low) - blocks.rounding) / blocks.level))
+    slope = float(np.median((_variance(blocks, low) - blocks["rounding"]) / blocks["level"]))
     model = NoiseModel(max(slope, 0.0), 0.0)
     message = (
-        f"{_deviations(model, [float(np.median(blocks.level))])}; one brightness does not separate photon "
+        f"{_deviations(model, [float(np.median(blocks['level']))])}; one brightness does not separate photon "
         f"noise from noise in the dark, so photon noise is assumed: add darker or brighter surfaces{not_white}"
     )
     return NoiseEstimate(model, message=message, n=len(blocks))
 
 
-def _fitted(blocks: _Blocks, low: int, single: bool) -> tuple[_Blocks, np.ndarray]:
+def _fitted(blocks: np.ndarray, low: int, single: bool) -> tuple[np.ndarray, np.ndarray]:
     """Blocks and their line. In a single image, blocks whose texture exceeds the noise get less weight."""
-    line = _line(blocks, low)
+    line, blocks = _line(blocks, low), blocks.copy()
     for _ in range(3 * single):
-        noise = np.maximum(blocks.level * line[0] + line[1] + blocks.rounding, CONSTANT)
-        texture = np.maximum(blocks.variance(TREND + 1, COARSE - 1), CONSTANT)
-        blocks = replace(blocks, weight=np.square(np.minimum(1.0, noise / texture)))
+        noise = np.maximum(blocks["level"] * line[0] + line[1] + blocks["rounding"], CONSTANT)
+        texture = np.maximum(_variance(blocks, TREND + 1, COARSE - 1), CONSTANT)
+        blocks["weight"] = np.square(np.minimum(1.0, noise / texture))
         line = _line(blocks, low)
     return blocks, line
 
 
-def _enough(blocks: _Blocks) -> _Blocks:
+def _enough(blocks: np.ndarray) -> np.ndarray:
     if len(blocks) >= FEWEST:
         return blocks
     raise CameraError(
@@ -405,9 +371,9 @@ def _enough(blocks: _Blocks) -> _Blocks:
     )
 
 
-def _below_rounding(blocks: _Blocks) -> NoiseEstimate:
+def _below_rounding(blocks: np.ndarray) -> NoiseEstimate:
     """Report that rounding hides the noise, with the largest noise that it can hide."""
-    hidden = ROUNDED**2 * 12 * float(np.median(blocks.rounding))
+    hidden = ROUNDED**2 * 12 * float(np.median(blocks["rounding"]))
     message = (
         "there is no noise beyond the rounding of stored values: its standard deviation is at most about "
         f"{np.sqrt(hidden):.2g}, or JPEG smoothed it; give images of 16 bits, or RAW files"
@@ -417,7 +383,7 @@ def _below_rounding(blocks: _Blocks) -> NoiseEstimate:
     return NoiseEstimate(NoiseModel(0.0, hidden), message=message, n=len(blocks))
 
 
-def _spread(blocks: _Blocks, low: int, line: np.ndarray, single: bool) -> np.ndarray:
+def _spread(blocks: np.ndarray, low: int, line: np.ndarray, single: bool) -> np.ndarray:
     """Covariance (2, 2) of slope and offset.
 
     The channels of a block are left out together. For a single image so are blocks of similar brightness, which share
@@ -425,29 +391,21 @@ def _spread(blocks: _Blocks, low: int, line: np.ndarray, single: bool) -> np.nda
     intervals contain the true offset in 85 to 100 % of cases, without these two terms in 54 to 60 %.
     """
 
-    def again(part: _Blocks) -> np.ndarray:
-        return _line(part, low, start=line, free=True, rounds=12)
+    def again(part: np.ndarray) -> np.ndarray:
+        return _line(part, low, start=line)
 
-    chance = _jackknife(blocks, np.unique(blocks.place, return_inverse=True)[1] % GROUPS, again)
+    def disagreement(part: np.ndarray) -> np.ndarray:
+        return again(part) - _line(part, COARSE, FINE - 1, start=line)
+
+    def without(groups: np.ndarray, estimate: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        return jackknife(np.array([estimate(blocks[groups != number]) for number in np.unique(groups)]))
+
+    chance = without(np.unique(blocks["place"], return_inverse=True)[1] % GROUPS, again)
     if not single:
         return chance
-
-    def disagreement(part: _Blocks) -> np.ndarray:
-        return again(part) - _line(part, COARSE, FINE - 1, start=line, free=True, rounds=12)
-
-    alike = np.argsort(np.argsort(blocks.level)) * CLASSES // len(blocks)
-    excess = np.square(disagreement(blocks)) - np.diag(_jackknife(blocks, alike, disagreement))
-    return chance + _jackknife(blocks, alike, again) + np.diag(np.maximum(excess, 0.0))
-
-
-def _not_white(blocks: _Blocks, low: int, single: bool) -> str:
-    """Warning for a message if the noise is not white, else an empty string."""
-    coarse = blocks.variance(COARSE, FINE - 1) if single else blocks.variance(low, COARSE - 1)
-    ratio = float(np.median(coarse) / max(np.median(blocks.variance(FINE)), 1e-300))
-    if ratio < COLOURED:
-        return ""
-    cause = "it contains texture, or JPEG or demosaicking smoothed it" if single else "JPEG or demosaicking smoothed it"
-    return f"; it is {np.sqrt(ratio):.1f} times as strong in coarse as in fine structure: {cause}"
+    alike = np.argsort(np.argsort(blocks["level"])) * CLASSES // len(blocks)
+    excess = np.square(disagreement(blocks)) - np.diag(without(alike, disagreement))
+    return chance + without(alike, again) + np.diag(np.maximum(excess, 0.0))
 
 
 def _deviations(model: NoiseModel, levels: list[float]) -> str:

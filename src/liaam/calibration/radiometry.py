@@ -52,7 +52,7 @@ POINTS = 33  # Number of points of the resulting curve
 WIDEST_RESPONSE, WIDEST_CORNER, LOOSEST = 0.1, 0.05, 0.5
 # Root mean square residual in log light, not explained by noise, above which an image is not a flat field
 UNEVEN = 0.05
-WHITE_WALL = "use an image of an evenly lit white wall, out of focus."
+_NO_WALL, WHITE_WALL = "Vignetting cannot be estimated:", "use an image of an evenly lit white wall, out of focus."
 
 
 @dataclass(frozen=True)
@@ -63,28 +63,21 @@ class VignettingEstimate:
     ----------
     coefficients : tuple of float
         Coefficients of r^2, r^4, ... as in ``CameraModel.vignetting``; empty if not observable.
-    standard_errors : tuple of float
-        Standard errors of the coefficients, which are strongly correlated.
     corner, corner_error : float
         Relative light in the corners and its standard error; NaN if not observable.
-    observable : bool
-        Whether the data determine the vignetting.
     message : str
-        Why it is observable, or the missing data and the remedy.
-    rms : float
-        Root mean square residual in log light; NaN if nothing was fitted.
-    n : int
-        Number of blocks used.
+        The light in the corners and why it is known, or the missing data and the remedy.
     """
 
     coefficients: tuple[float, ...] = ()
-    standard_errors: tuple[float, ...] = ()
     corner: float = float("nan")
     corner_error: float = float("nan")
-    observable: bool = False
     message: str = ""
-    rms: float = float("nan")
-    n: int = 0
+
+    @property
+    def observable(self) -> bool:
+        """Whether the data determine the vignetting."""
+        return bool(self.coefficients)
 
 
 @dataclass(frozen=True)
@@ -105,8 +98,6 @@ class RadiometricEstimate:
     power_known : bool
         Whether ratios of exposures, or the response, were given. Otherwise response, vignetting and exposures are known
         up to a common power, f^g, V^g, e^g, and g is assumed. The invariant angle does not depend on g.
-    power_error : float
-        Relative standard error of the power.
     rms : float
         Root mean square residual in log exposure.
     observable : bool
@@ -115,8 +106,6 @@ class RadiometricEstimate:
         Why it is observable, or the missing data and the remedy.
     stored_range : (float, float)
         Range of stored values that two images contain. Outside, the curve is that of the prior.
-    n : int
-        Number of blocks in two or more images.
     """
 
     response: Response
@@ -125,12 +114,10 @@ class RadiometricEstimate:
     log_exposures: tuple[float, ...] = ()
     log_exposure_errors: tuple[float, ...] = ()
     power_known: bool = False
-    power_error: float = RANGE_SPREAD
     rms: float = float("nan")
     observable: bool = False
     message: str = ""
     stored_range: tuple[float, float] = (float("nan"), float("nan"))
-    n: int = 0
 
 
 def calibrate_response(
@@ -211,8 +198,7 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
 
     measured = observe(checked_pictures([image], fewest=1), [np.eye(3)], least=1)
     if measured.n < FEWEST:
-        message = f"Vignetting cannot be estimated: too few blocks are uniform and well exposed; {WHITE_WALL}"
-        return VignettingEstimate(message=message, n=measured.n)
+        return VignettingEstimate(message=f"{_NO_WALL} too few blocks are uniform and well exposed; {WHITE_WALL}")
     curve, radius2 = ResponseTable.of(response), measured.radius2[0]
     log_light = curve.log_light(measured.stored[0])
     deviation = measured.deviation[0] * curve.slope(measured.stored[0])
@@ -231,9 +217,9 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=robust_weights(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
         fault = f"the surface is not uniform (its light varies by {100 * rms:.0f} %)"
-        return VignettingEstimate(message=f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n=measured.n)
+        return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
     message = f"From {measured.n} blocks of an evenly lit surface; light falling off to all sides has the same effect."
-    return _vignetting_estimate(found.x[:TERMS], covariance, message, rms, measured.n)
+    return _vignetting_estimate(found.x[:TERMS], covariance, message)
 
 
 def _log_ratios(exposures: Sequence[float] | None, count: int) -> np.ndarray | None:
@@ -325,11 +311,11 @@ def _held(measured: Blocks) -> tuple[float, float]:
 def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimate:
     problem, measured = fit.problem, fit.problem.measured
     curve, logs, falloff = problem.curve(fit.z), problem.logs(fit.z), problem.split(fit.z)[-1]
-    lens = VignettingEstimate(message=lens_fault, n=measured.n)
+    lens = VignettingEstimate(message=lens_fault)
     if problem.terms:
         covariance = fit.covariance[-problem.terms :, -problem.terms :]
         message = f"The distances of surfaces from the centre differ by up to {_radii(measured):.2f} in r^2."
-        lens = _vignetting_estimate(falloff, covariance, message, fit.rms, measured.n)
+        lens = _vignetting_estimate(falloff, covariance, message)
     response, response_errors = problem.response, ()
     if response is None:
         stored = evenly_along(POINTS)
@@ -343,12 +329,10 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         log_exposures=tuple(logs.tolist()),
         log_exposure_errors=tuple(fit.log_errors.tolist()),
         power_known=problem.power_known and not fault,
-        power_error=0.0 if problem.power_known and not fault else RANGE_SPREAD,
         rms=fit.rms,
         observable=not fault,
         message=fault or _sentences(fit),
         stored_range=_held(measured),
-        n=measured.n,
     )
 
 
@@ -377,27 +361,17 @@ def _nothing(measured: Blocks, logs: np.ndarray | None, response: Response | Non
     unknown = (0.0, *[float("nan")] * (len(measured.stored) - 1))
     return RadiometricEstimate(
         response="srgb" if response is None else response,
-        vignetting=VignettingEstimate(message=fault, n=measured.n),
+        vignetting=VignettingEstimate(message=fault),
         log_exposures=unknown if logs is None else tuple(logs.tolist()),
         log_exposure_errors=unknown if logs is None else (0.0,) * len(logs),
         message=fault,
-        n=measured.n,
     )
 
 
-def _vignetting_estimate(
-    falloff: np.ndarray, covariance: np.ndarray, message: str, rms: float, n: int
-) -> VignettingEstimate:
+def _vignetting_estimate(falloff: np.ndarray, covariance: np.ndarray, message: str) -> VignettingEstimate:
     if least_share(falloff) <= LEAST_SHARE:
         fault = "less than a tenth of the light would remain in the corners"
-        return VignettingEstimate(message=f"Vignetting cannot be estimated: {fault}; {WHITE_WALL}", n=n)
-    return VignettingEstimate(
-        coefficients=tuple(falloff.tolist()),
-        standard_errors=tuple(np.sqrt(np.diag(covariance)).tolist()),
-        corner=1.0 + float(falloff.sum()),
-        corner_error=float(np.sqrt(covariance.sum())),
-        observable=True,
-        message=message,
-        rms=rms,
-        n=n,
-    )
+        return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
+    corner, corner_error = 1.0 + float(falloff.sum()), float(np.sqrt(covariance.sum()))
+    message = f"the corners receive {corner:.1%} ± {corner_error:.1%} of the light. {message}"
+    return VignettingEstimate(tuple(falloff.tolist()), corner, corner_error, message)

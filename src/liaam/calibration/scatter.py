@@ -63,7 +63,6 @@ def theta_from_scene(
     images: Sequence[np.ndarray],
     camera: CameraModel | None = None,
     *,
-    block: int | None = None,
     free_balance: bool = False,
     masks: Sequence[np.ndarray] | None = None,
 ) -> AngleEstimate:
@@ -75,8 +74,6 @@ def theta_from_scene(
         Two or more images of equal size in which a pixel shows the same surface.
     camera : CameraModel, optional
         Camera with response, vignetting and optional noise; sRGB by default.
-    block : int, optional
-        Side of the blocks to average, pixels; chosen from the noise by default.
     free_balance : bool
         Whether the white balance differs between the images; then only spatial variation of the light is used.
     masks : sequence of (h, w) bool, optional
@@ -99,11 +96,10 @@ def theta_from_scene(
     if masks is not None and [np.shape(mask) for mask in masks] != [(height, width)] * len(pictures):
         raise CameraError(f"masks: give one of {width}×{height} pixels for each of the {len(pictures)} images")
     camera = camera or CameraModel()
-    deviations = [deviation_of(picture, camera) for picture in pictures]
-    block = _block_size(pictures, deviations, camera) if block is None else block
+    block = _block_size(pictures, camera)
     labels, (down, across) = block_labels(height, width, block)
     regions = [labels if mask is None else np.where(mask, labels, -1) for mask in masks or [None] * len(pictures)]
-    surfaces = observe(pictures, regions, down * across, camera, deviations, full=block * block)
+    surfaces = observe(pictures, regions, down * across, camera, full=block * block)
     y, x = np.divmod(np.arange(down * across), across)
     clusters = (y * CLUSTERS // down) * CLUSTERS + x * CLUSTERS // across
     surfaces = replace(surfaces, clusters=clusters)
@@ -158,57 +154,44 @@ def observe(
     regions: Sequence[np.ndarray],
     n: int,
     camera: CameraModel,
-    deviations: Sequence[float | None],
+    *,
     full: int = 0,
     dark: float = DARK,
+    noisy: bool = True,
 ) -> Surfaces:
     """Measure the mean light of n labelled regions (h, w) in each image; each is a separate cluster.
 
-    Labels are -1 outside regions. Deviations are those of the noise of stored values in [0, 1], or None to use the
-    camera's noise model. Regions with fewer than half of ``full`` pixels, and those whose mean stored value is below
-    ``dark`` in any channel, are unusable.
+    Labels are -1 outside regions. Regions with fewer than half of ``full`` pixels, and those whose mean stored value is
+    below ``dark`` in any channel, are unusable. The bias by noise is subtracted if ``noisy``.
     """
-    seen = [
-        _observe_one(picture, labels.ravel(), n, camera, deviation, full, dark)
-        for picture, labels, deviation in zip(pictures, regions, deviations, strict=True)
-    ]
+    seen = []
+    for picture, region in zip(pictures, regions, strict=True):
+        deviation, labels = _deviation_of(picture, camera) if noisy else 0.0, region.ravel()
+        used = labels >= 0
+        if picture.dtype.kind == "f":
+            used &= np.isfinite(picture).all(axis=2).ravel()
+        labels, stored = labels[used], stored_values(picture.reshape(-1, 3)[used], np.float64)
+        light, noise = _light_and_variance(stored, camera, deviation)
+        if camera.vignetting:
+            share = camera.falloff(*picture.shape[:2]).reshape(-1)[used][:, None]
+            light, noise = light / share, noise / np.square(share)
+        count = np.bincount(labels, minlength=n).astype(np.float64)
+        level, light, noise = (
+            np.stack([np.bincount(labels, weights=each, minlength=n) for each in values.T], axis=1)
+            / np.maximum(count, 1)[:, None]
+            for values in (stored, light, noise)
+        )
+        # Threshold the mean: a threshold on noisy pixels would bias the rest.
+        slack = 2.0 * (deviation or 0.0)
+        clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
+        usable = (count > 0.5 * full) & ~clipped & (light > 0).all(axis=1)
+        usable &= (level >= dark + slack).all(axis=1) & (level <= SATURATED - slack).all(axis=1)
+        light = np.where(usable[:, None], light, 1.0)
+        variance = noise / np.maximum(count, 1)[:, None] / np.square(light)
+        relative = np.where(usable[:, None], variance, 1.0)
+        seen.append((np.log(light) + 0.5 * relative, relative, usable))
     logs, variances, exposed = (np.stack(part, axis=1) for part in zip(*seen, strict=True))
     return Surfaces(logs, variances, exposed, np.arange(n))
-
-
-def _observe_one(
-    picture: np.ndarray,
-    labels: np.ndarray,
-    n: int,
-    camera: CameraModel,
-    deviation: float | None,
-    full: int,
-    dark: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Log of the regions' mean light (n, 3), its variance (n, 3), and whether they are well exposed (n,)."""
-    used = labels >= 0
-    if picture.dtype.kind == "f":
-        used &= np.isfinite(picture).all(axis=2).ravel()
-    labels, stored = labels[used], stored_values(picture.reshape(-1, 3)[used], np.float64)
-    light, noise = _light_and_variance(stored, camera, deviation)
-    if camera.vignetting:
-        share = camera.falloff(*picture.shape[:2]).reshape(-1)[used][:, None]
-        light, noise = light / share, noise / np.square(share)
-    count = np.bincount(labels, minlength=n).astype(np.float64)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        sums = np.stack([np.bincount(labels, weights=values[:, c], minlength=n) for c in range(3)], axis=1)
-        return sums / np.maximum(count, 1)[:, None]
-
-    level, light, noise = mean(stored), mean(light), mean(noise) / np.maximum(count, 1)[:, None]
-    # Threshold the mean: a threshold on noisy pixels would bias the rest.
-    slack = 2.0 * (0.0 if deviation is None else deviation)
-    clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
-    usable = (count > 0.5 * full) & ~clipped & (light > 0).all(axis=1)
-    usable &= (level >= dark + slack).all(axis=1) & (level <= SATURATED - slack).all(axis=1)
-    light = np.where(usable[:, None], light, 1.0)
-    relative = np.where(usable[:, None], noise / np.square(light), 1.0)
-    return np.log(light) + 0.5 * relative, relative, usable
 
 
 def _light_and_variance(
@@ -226,19 +209,19 @@ def _light_and_variance(
     return 2.0 * light - 0.5 * around, np.square(deviation * slope)
 
 
-def deviation_of(picture: np.ndarray, camera: CameraModel) -> float | None:
+def _deviation_of(picture: np.ndarray, camera: CameraModel) -> float | None:
     """Standard deviation of an image's noise in stored values; None if the camera has a noise model."""
     return None if camera.noise is not None else noise_deviation(picture)
 
 
-def _block_size(pictures: Sequence[np.ndarray], deviations: Sequence[float | None], camera: CameraModel) -> int:
+def _block_size(pictures: Sequence[np.ndarray], camera: CameraModel) -> int:
     """Side of blocks for which the noise of a moderately dark block's logarithm is :data:`BLOCK_NOISE`."""
     height, width = pictures[0].shape[:2]
     noisiest = 0.0
-    for picture, deviation in zip(pictures, deviations, strict=True):
+    for picture in pictures:
         values = stored_values(picture[:: max(1, height // 200), :: max(1, width // 200)], np.float64)
         level = float(np.percentile(values.min(axis=-1), 30))
-        light, variance = _light_and_variance(np.array([max(level, DARK)]), camera, deviation)
+        light, variance = _light_and_variance(np.array([max(level, DARK)]), camera, _deviation_of(picture, camera))
         noisiest = max(noisiest, float(np.sqrt(variance[0]) / max(float(light[0]), 1e-6)))
     most = max(1, min(height, width) // 24)
     least = min(max(3, int(np.ceil(np.sqrt(height * width / MOST_BLOCKS)))), most)
@@ -268,8 +251,28 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
             f"only {n} surfaces are well exposed in two images; at least {FEWEST} are needed: give images that are "
             "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
-    surfaces = surfaces.only(enough)
-    return _report(*_estimated(surfaces, free_balance))
+    scatter, theta = _estimated(surfaces.only(enough), free_balance)
+    error, (change, signal) = _error(scatter, theta), _light_change(scatter, theta)
+    times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
+    if free_balance and signal < WEAKEST_VARIATION:
+        reason = (
+            f"the lights' colours hardly vary from place to place ({times}), which a free white balance needs; give "
+            "images with one white balance, or under light of uneven colour"
+        )
+    elif signal < WEAKEST_SIGNAL:
+        reason = (
+            f"the lights' colours hardly differ ({times}); give images under lights of different colour, such as "
+            "lamp light and daylight"
+        )
+    elif not error < WIDEST_ERROR:
+        reason = (
+            f"its 95 % interval is ±{np.rad2deg(1.96 * error):.0f} degrees although the lights differ ({times}): {n} "
+            "blocks or patches have too few colours; give images of more colours, well exposed"
+        )
+    else:
+        seen = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
+        return AngleEstimate(theta, error, seen, change, n).with_warning()
+    return AngleEstimate(theta, float("inf"), f"the angle cannot be estimated: {reason}", change, n)
 
 
 def _estimated(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
@@ -367,31 +370,6 @@ def _unit_rows(thetas: np.ndarray) -> np.ndarray:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def _report(scatter: _Scatter, theta: float) -> AngleEstimate:
-    """Make the estimate with its standard error, and test whether the change of light makes it observable."""
-    error, (change, signal), n = _error(scatter, theta), _light_change(scatter, theta), len(scatter.degrees)
-    times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
-    if scatter.free_balance and signal < WEAKEST_VARIATION:
-        reason = (
-            f"the lights' colours hardly vary from place to place ({times}), which a free white balance needs; give "
-            "images with one white balance, or under light of uneven colour"
-        )
-    elif signal < WEAKEST_SIGNAL:
-        reason = (
-            f"the lights' colours hardly differ ({times}); give images under lights of different colour, such as "
-            "lamp light and daylight"
-        )
-    elif not error < WIDEST_ERROR:
-        reason = (
-            f"its 95 % interval is ±{np.rad2deg(1.96 * error):.0f} degrees although the lights differ ({times}): {n} "
-            "blocks or patches have too few colours; give images of more colours, well exposed"
-        )
-    else:
-        seen = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
-        return AngleEstimate(theta, error, seen, change, n).with_warning()
-    return AngleEstimate(theta, float("inf"), f"the angle cannot be estimated: {reason}", change, n)
-
-
 def _error(scatter: _Scatter, theta: float) -> float:
     """Half the width of the 95 % interval divided by 1.96, radians.
 
@@ -400,22 +378,17 @@ def _error(scatter: _Scatter, theta: float) -> float:
     """
     from scipy.stats import f  # heavy: imported when first needed
 
-    by_place, places = _jackknife(scatter, theta, scatter.surfaces.clusters)
-    by_colour, colours = _jackknife(scatter, theta, _colours(scatter, theta))
+    s = scatter.surfaces
+    weights = s.exposed.astype(np.float64)
+    values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
+    low, high = np.percentile(values, (1, 99))
+    bins = np.clip((values - low) / max(high - low, 1e-9) * COLOURS, 0, COLOURS - 1).astype(int)
+    (by_place, places), (by_colour, colours) = (_jackknife(scatter, theta, groups) for groups in (s.clusters, bins))
     if not np.isfinite([by_place, by_colour]).all():
         return float("inf")
     use_colours = (by_colour / max(by_place, 1e-12)) ** 2 > f.ppf(SURE, colours, places)
     error, degrees = (by_colour, colours) if use_colours else (by_place, places)
     return in_normal_units(error, degrees)
-
-
-def _colours(scatter: _Scatter, theta: float) -> np.ndarray:
-    """Index of each surface's bin of invariant values, (n,) int."""
-    s = scatter.surfaces
-    weights = s.exposed.astype(np.float64)
-    values = (weights * (s.log_rgb @ _unit_rows(np.array([theta]))[0])).sum(axis=1) / weights.sum(axis=1)
-    low, high = np.percentile(values, (1, 99))
-    return np.clip((values - low) / max(high - low, 1e-9) * COLOURS, 0, COLOURS - 1).astype(int)
 
 
 def _jackknife(scatter: _Scatter, theta: float, clusters: np.ndarray) -> tuple[float, float]:

@@ -5,18 +5,15 @@ to intensity (paper, section 2; Finlayson and Hordley, "Color constancy at a pix
 estimates its direction, and L(theta) is orthogonal to it.
 """
 
-import csv
 import os
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
+from liaam.calibration.columns import read_columns
 from liaam.calibration.estimate import AngleEstimate, axis_difference
 from liaam.errors import CameraError, installing
 from liaam.evaluation import root_mean_square
-from liaam.io.files import existing_file, is_number, read_bytes
 from liaam.photometry.invariant import CHROMATICITY, wien_theta
 
 Lights = Literal["both", "planckian", "daylight", "wien"]
@@ -33,27 +30,11 @@ PEAK_OFFSET = 10.0
 VISIBLE = (300.0, 830.0)  # Wavelengths of the daylight table, nm; sensitivities outside are ignored
 FEWEST = 8  # Least number of wavelengths of sensitivity curves
 COARSEST = 25.0  # Largest gap between wavelengths of sensitivity curves, nm
-LARGEST_TABLE = 10_000_000  # Largest size of a table of sensitivities, bytes
 
-_COLUMNS = {
-    "wavelength_nm": "wavelength_nm", "wavelength": "wavelength_nm", "lambda": "wavelength_nm", "nm": "wavelength_nm",
-    "r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B",
+_ALIASES = {
+    "wavelength": "wavelength_nm", "lambda": "wavelength_nm", "nm": "wavelength_nm",
+    "red": "R", "green": "G", "blue": "B",
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class SpectralEstimate(AngleEstimate):
-    """Angle from sensitivities; its standard error is the spread between surfaces and lights.
-
-    Attributes
-    ----------
-    planckian, daylight : float or None
-        Angle of a neutral surface under each series of lights, radians; None if the series was not requested.
-        Radiators by Wien's approximation count as Planckian.
-    """
-
-    planckian: float | None
-    daylight: float | None
 
 
 def theta_from_peaks(peaks_nm: tuple[float, float, float]) -> AngleEstimate:
@@ -101,7 +82,7 @@ def theta_from_sensitivities(
     lights: Lights = "both",
     *,
     kelvin: tuple[float, float] = KELVIN,
-) -> SpectralEstimate:
+) -> AngleEstimate:
     """Compute the angle from sensitivity curves, for a neutral surface under a series of lights.
 
     Parameters
@@ -118,8 +99,9 @@ def theta_from_sensitivities(
 
     Returns
     -------
-    SpectralEstimate
-        ``n`` is the number of surfaces, one neutral and the others coloured, of which the spread was computed.
+    AngleEstimate
+        Its standard error is the spread between surfaces and lights. ``n`` is the number of surfaces, one neutral and
+        the others coloured, of which the spread was computed.
 
     Raises
     ------
@@ -149,15 +131,8 @@ def theta_from_sensitivities(
         f"white has {parts}, {kelvin[0]:.0f} to {kelvin[1]:.0f} K; the error of {np.rad2deg(error):.1f}° is the spread "
         "between surfaces and between lights, since broad sensors do not have a single angle"
     )
-    return SpectralEstimate(
-        theta=theta,
-        standard_error=error,
-        message=message,
-        light_change=float(np.sqrt(2.0) * np.std(warmth, ddof=1)),
-        n=int(responsive.sum()),
-        planckian=alone.get("planckian", alone.get("wien")),
-        daylight=alone.get("daylight"),
-    )
+    change = float(np.sqrt(2.0) * np.std(warmth, ddof=1))
+    return AngleEstimate(theta, error, message, change, int(responsive.sum()))
 
 
 def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]:
@@ -183,13 +158,7 @@ def read_sensitivities(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray]
     CameraError
         If the file is missing, or a line is invalid; the message names the line.
     """
-    path = existing_file(path, CameraError, "table of sensitivities")
-    lines = _table_lines(path)
-    first = [cell.strip().lower() for cell in lines[0][1]]
-    order, body = [0, 1, 2, 3], lines
-    if not is_number(first[0]):
-        order, body = _column_order(first, path), lines[1:]
-    table = np.array([_numbers(cells, order, len(first), f"{path}, line {number}") for number, cells in body])
+    table = read_columns(path, "table of sensitivities", ("wavelength_nm", "R", "G", "B"), _ALIASES)
     if len(table) < FEWEST:
         raise CameraError(f"{path}: {len(table)} wavelengths are too few; give {FEWEST} or more, in nm")
     table = table[np.argsort(table[:, 0])]
@@ -247,17 +216,15 @@ def _even_in_mired(cold: float, hot: float) -> np.ndarray:
     return 1e6 / np.linspace(*mired, max(8, round((mired[0] - mired[1]) / MIRED_STEP) + 1))
 
 
-def _surfaces(nm: np.ndarray) -> np.ndarray:
-    """Reflectances (k, n): a neutral one, then eight hues of moderate saturation."""
-    # One low frequency: frequency-limited reflectances after Stiles, Wyszecki and Ohta (JOSA 1977).
-    phases = np.arange(8)[:, None] / 8
-    return np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
-
-
 def _responses(nm: np.ndarray, curves: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Responses (k, m, 3) of the camera to each surface under each light, integrated by the trapezoidal rule."""
-    weighted = curves * _trapezoid_weights(nm)[:, None]
-    return np.einsum("kn,mn,nc->kmc", _surfaces(nm), power, weighted, optimize=True)
+    """Responses (k, m, 3) of the camera to a neutral surface, then to eight hues, under each light (trapezoidal rule).
+
+    The hues are of moderate saturation and one low frequency: frequency-limited reflectances after Stiles, Wyszecki and
+    Ohta (JOSA 1977).
+    """
+    phases = np.arange(8)[:, None] / 8
+    surfaces = np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
+    return np.einsum("kn,mn,nc->kmc", surfaces, power, curves * _trapezoid_weights(nm)[:, None], optimize=True)
 
 
 def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:
@@ -308,37 +275,3 @@ def _resampled(nm: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarr
     low, high = max(nm[0], VISIBLE[0]), min(nm[-1], VISIBLE[1])
     fine = np.union1d(nm[(nm >= low) & (nm <= high)], np.arange(np.ceil(low), np.floor(high) + 1))
     return fine, np.stack([np.interp(fine, nm, curve) for curve in curves.T], axis=1)
-
-
-def _table_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Line numbers and cells of a table, without empty lines and comments."""
-    try:
-        text = read_bytes(path, CameraError, LARGEST_TABLE).decode("utf-8-sig")
-        kept = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip(" ,;\t") and line[0] != "#"]
-        separator = max(",;\t", key=kept[0][1].count)
-        return [(i, next(csv.reader([line], delimiter=separator))) for i, line in kept]
-    except (UnicodeDecodeError, csv.Error, IndexError) as error:
-        raise CameraError(f"{path}: this is not a table; give a CSV file of wavelength_nm,R,G,B") from error
-
-
-def _column_order(header: list[str], path: Path) -> list[int]:
-    """Indices of the columns wavelength_nm, R, G, B."""
-    names = [_COLUMNS.get(cell) for cell in header]
-    wrong = [wanted for wanted in ("wavelength_nm", "R", "G", "B") if names.count(wanted) != 1]
-    if wrong:
-        raise CameraError(
-            f"{path}: the header line must name the columns wavelength_nm, R, G and B once each, but "
-            f"{', '.join(wrong)} {'is' if len(wrong) == 1 else 'are'} missing or duplicated in: {', '.join(header)}"
-        )
-    return [names.index(wanted) for wanted in ("wavelength_nm", "R", "G", "B")]
-
-
-def _numbers(cells: list[str], order: list[int], width: int, where: str) -> list[float]:
-    """Parse the four numbers of a line, in the order wavelength, R, G, B."""
-    if len(cells) != width or max(order) >= width:
-        raise CameraError(f"{where}: there are {len(cells)} columns instead of {max(width, 4)}; complete the line")
-    values = [cells[i].strip() for i in order]
-    for value in values:
-        if not is_number(value):
-            raise CameraError(f"{where}: {value!r} is not a number; write it with a decimal point")
-    return [float(value) for value in values]

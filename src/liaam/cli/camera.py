@@ -23,10 +23,9 @@ from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError
 from liaam.io import read_image
 from liaam.io.atomic import check_output
-from liaam.io.files import existing_file, is_number, read_bytes
 
 if TYPE_CHECKING:
-    from liaam.calibration import AngleEstimate, VignettingEstimate
+    from liaam.calibration import AngleEstimate
     from liaam.photometry import CameraModel, Response
 
 group = typer.Typer(
@@ -88,7 +87,6 @@ def scene(
     """Estimate the angle from two or more images of one scene under lights of different colour."""
     from liaam.calibration import STILL, align_pictures, theta_from_scene
 
-    check_camera_output(output, images)
     camera, pictures = read_pictures(images, output, at_least=2)
     with progress_bar() as progress:
         aligned = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress)
@@ -120,7 +118,6 @@ def chart(
     """Estimate the angle from images of a colour chart under lights of different colour, without alignment."""
     from liaam.calibration import theta_from_chart
 
-    check_camera_output(output, images)
     quads = [patches_in(text) for text in patches]
     camera, pictures = read_pictures(images, output, at_least=2)
     if len(quads) not in (1, len(images)):
@@ -139,7 +136,6 @@ def image(
     """Estimate the angle from one image with shadows, by entropy minimisation. A last resort, often unreliable."""
     from liaam.calibration import theta_from_image
 
-    check_camera_output(output, [picture])
     camera, (pixels,) = read_pictures([picture], output)
     estimate = theta_from_image(pixels, camera.response)
     camera = finish_angle(estimate, camera, f"image, {picture.name}", output)
@@ -198,7 +194,7 @@ def response_command(
 
     A known response is written to the camera file, for calibrations that follow: liaam camera response linear.
     """
-    from liaam.calibration import calibrate_response, homographies_between
+    from liaam.calibration import align_pictures, calibrate_response
     from liaam.plotting.photometry import figure_of_response, save_figure
 
     check_camera_output(output, images)
@@ -208,14 +204,14 @@ def response_command(
     camera, pictures = read_pictures(images, output, at_least=2)
     ratios = None if exposures is None else numbers_in(exposures, len(images), "--exposures").tolist()
     with progress_bar() as progress:
-        homographies = homographies_between(pictures, camera, names=[p.name for p in images], progress=progress)
-    found = calibrate_response(pictures, exposures=ratios, homographies=homographies, vignetting=vignetting)
+        maps = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress).homographies
+    found = calibrate_response(pictures, exposures=ratios, homographies=maps, vignetting=vignetting)
     say(found.message)
     if not found.observable:
         raise CameraError("nothing was written: these images do not determine the response")
     lens = found.vignetting
     if vignetting:
-        say(corner_sentence(lens))
+        say(lens.message)
     known = lens.coefficients if lens.observable else camera.vignetting
     camera = with_response(replace(camera, vignetting=known), found.response)
     write_camera(camera, output, f"response, {names_of(images)}: {found.message}")
@@ -252,22 +248,13 @@ def vignetting_command(
     """Estimate vignetting from one image of an evenly lit white wall or paper."""
     from liaam.calibration import vignetting_from_flat_field
 
-    check_camera_output(output, [picture])
     camera, (pixels,) = read_pictures([picture], output)
     found = vignetting_from_flat_field(pixels, camera.response)
-    say(corner_sentence(found))
+    say(found.message)
     if not found.observable:
         raise CameraError("nothing was written: this image does not determine the vignetting")
-    write_camera(
-        replace(camera, vignetting=found.coefficients), output, f"vignetting, {picture.name}: {corner_sentence(found)}"
-    )
-
-
-def corner_sentence(lens: "VignettingEstimate") -> str:
-    """Describe a vignetting estimate in a sentence."""
-    if not lens.observable:
-        return lens.message
-    return f"the corners receive {lens.corner:.1%} ± {lens.corner_error:.1%} of the light. {lens.message}"
+    camera = replace(camera, vignetting=found.coefficients)
+    write_camera(camera, output, f"vignetting, {picture.name}: {found.message}")
 
 
 @group.command("noise")
@@ -281,7 +268,6 @@ def noise_command(
     """Estimate noise from plain surfaces (--flat), two images of one scene under one light, or one image."""
     from liaam.calibration import noise_from_flat, noise_from_image, noise_from_pair
 
-    check_camera_output(output, images)
     camera, pictures = read_pictures(images, output)
     if flat:
         boxes = np.rint([numbers_in(text, 4, "--flat") for text in flat]).astype(int)
@@ -299,7 +285,8 @@ def noise_command(
 
 
 def read_pictures(paths: Sequence[Path], output: Path, at_least: int = 1) -> tuple["CameraModel", list[np.ndarray]]:
-    """Read images, and what the camera file to write knows already."""
+    """Check the output, read images, and what the camera file to write knows already."""
+    check_camera_output(output, paths)
     if len(paths) < at_least:
         raise CameraError(f"too few images ({len(paths)}): give {at_least} or more, under different lights")
     return camera_in_file(paths, output), [read_image(path) for path in paths]
@@ -325,25 +312,12 @@ def check_picture(output: Path) -> Path:
 
 def patches_in(text: str) -> np.ndarray:
     """Return the boxes of a chart's patches, (n, 4) float64, from the centres of its corner patches or from a file."""
-    from liaam.calibration import chart_patches
+    from liaam.calibration.chart import chart_patches
+    from liaam.calibration.columns import read_columns
 
     if names_file(text, (".csv",)):
-        return read_patches(Path(text))
+        return read_columns(text, "patch file", ("x0", "y0", "x1", "y1"))
     return chart_patches(numbers_in(text, 8, "--patches").reshape(4, 2))
-
-
-def read_patches(path: Path) -> np.ndarray:
-    """Read boxes from a CSV file, (n, 4) float64."""
-    data = read_bytes(existing_file(path, CameraError, "patch file"), CameraError, limit=10_000_000)
-    try:
-        rows = [line for line in data.decode("utf-8-sig").splitlines() if line.strip()]
-        rows = rows[1:] if rows and not any(map(is_number, rows[0].split(","))) else rows
-        boxes = np.array([[float(part) for part in row.split(",")] for row in rows])
-    except ValueError:
-        boxes = np.zeros((0, 0))
-    if boxes.ndim != 2 or boxes.shape[1] != 4:
-        raise CameraError(f"{path} is not a patch file: give one row x0,y0,x1,y1 in pixels per patch")
-    return boxes
 
 
 def finish_angle(estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path) -> "CameraModel":

@@ -2,11 +2,10 @@
 
 import signal
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +18,7 @@ from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_t
 from liaam.errors import LiaamError, MethodError, VideoError
 from liaam.evaluation import ranges_of
 from liaam.fitting.starts import read_start
-from liaam.io import VideoFrame, VideoReader, VideoWriter, video_writer
+from liaam.io import VideoFrame, VideoReader, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path
 from liaam.io.video import is_video
@@ -28,7 +27,6 @@ from liaam.progress import Progress
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
-    from liaam.model import AAM
     from liaam.tracking import TrackedFrame, Tracker
     from liaam.tracking.shading import ShadingRemover
 
@@ -76,7 +74,7 @@ def track(
     """
     from liaam.model import load_model
     from liaam.tracking import Tracker, TrackingOptions
-    from liaam.workers import one_thread
+    from liaam.workers import in_order, one_thread
 
     model_file, videos = model_and_inputs(sources, "track", "VIDEO")
     if len(videos) != 1:
@@ -88,14 +86,13 @@ def track(
     camera = camera_for([], given_camera, model.camera)
     tracker = Tracker(model, method, camera, TrackingOptions(smooth=smooth))
     counts = Counts()
-    with stop_on_interrupt() as stopped, one_thread(), ExitStack() as files, progress_bar() as progress:
+    with stop_on_interrupt() as stopped, one_thread(), progress_bar() as progress:
         reader = VideoReader(source, start, stop, progress)
         tracker.name = reader.name
-        sinks = open_sinks(files, tracker, output, annotated, shading_free, reader, ellipses, counts)
-        for frame, tracked in files.enter_context(closing(frames_of(tracker, reader, init, progress, stopped))):
-            counts.add(tracked)
-            for sink in sinks:
-                sink(frame, tracked, tracker.result)
+        files = outputs(tracker, output, annotated, shading_free, reader, ellipses, counts)
+        with files as write, closing(steps_of(tracker, reader, init, counts, progress, stopped)) as steps:
+            for _ in in_order(write, steps, 1):  # in a thread, while the next frames are tracked
+                pass
     report(counts, [output, *(path for path in (annotated, shading_free) if path is not None)])
     if stopped():
         raise StoppedError(f"stopped after {count_of(counts.n, 'frame')}; the results so far are written")
@@ -111,8 +108,8 @@ def track(
         raise typer.Exit(1)
 
 
-Sink = Callable[[VideoFrame, "TrackedFrame", "FitResult | None"], None]
-"""Takes a frame, its tracking result and its fit."""
+Step = tuple[VideoFrame, "TrackedFrame", "FitResult | None"]
+"""A frame, its tracking result and its fit."""
 
 
 @dataclass
@@ -136,6 +133,11 @@ class Counts:
     def n_tracked(self) -> int:
         """Number of frames with landmarks."""
         return self.n - len(self.lost)
+
+    @property
+    def rate(self) -> float:
+        """Frames per second."""
+        return self.n / max(monotonic() - self.began, 1e-9)
 
     def add(self, frame: "TrackedFrame") -> None:
         """Count a frame."""
@@ -180,19 +182,18 @@ def check_outputs(output: Path, annotated: Path | None, shading_free: Path | Non
     for path in videos:
         check_video_name(path)
     if len({real_path(path) for path in paths}) < len(paths):
-        raise LiaamError(f"{paths[0]}: two outputs have the same name; give different names")
+        raise LiaamError(f"{output}: two outputs have the same name; give different names")
     if isinstance(source, Path) and real_path(source) in {real_path(path) for path in paths}:
         raise LiaamError(f"{source} is the input video; give the output another name")
-    for path in videos:
-        if path.exists() and not is_video(path):
-            raise LiaamError(f"{path} exists and is not a video; give another name to keep it")
     check_track_name(output)
-    if output.exists() and not is_track(output):
-        raise LiaamError(f"{output} exists and is not a track; give another name with -o to keep it")
+    for path in paths:
+        what, is_one = ("track", is_track) if path is output else ("video", is_video)
+        if path.exists() and not is_one(path):
+            raise LiaamError(f"{path} exists and is not a {what}; give another name to keep it")
 
 
-def open_sinks(
-    files: ExitStack,
+@contextmanager
+def outputs(
     tracker: "Tracker",
     output: Path,
     annotated: Path | None,
@@ -200,56 +201,56 @@ def open_sinks(
     reader: VideoReader,
     ellipses: bool,
     counts: Counts,
-) -> list[Sink]:
-    """Open the requested outputs; `files` closes them. Videos are drawn and written in background threads."""
-    from liaam.tracking.aside import aside
+) -> Iterator[Callable[[Step], None]]:
+    """Open the requested outputs, and yield the function that writes a frame to them."""
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
     remover = None if shading_free is None else ShadingRemover(tracker.fitter)  # may raise: before files are created
-    track_file = files.enter_context(track_writer(output, tracker.model.n_points))
-    sinks: list[Sink] = [lambda _, tracked, __: track_file.write(tracked)]
-    if annotated is not None:
-        writer = files.enter_context(video_writer(annotated, reader.rate))
-        sinks.append(files.enter_context(aside(partial(draw, writer, tracker.model, ellipses))))
-    if shading_free is not None and remover is not None:
-        writer = files.enter_context(video_writer(shading_free, reader.rate))
-        sinks.append(files.enter_context(aside(partial(unshade, writer, remover, counts))))
-    return sinks
+    with ExitStack() as files:
+        track_file = files.enter_context(track_writer(output, tracker.model.n_points))
+        drawn, fresh = (
+            None if path is None else files.enter_context(video_writer(path, reader.rate))
+            for path in (annotated, shading_free)
+        )
+
+        def write(step: Step) -> None:
+            frame, tracked, result = step
+            track_file.write(tracked)
+            if drawn is not None:
+                from liaam.plotting import video
+
+                landmarks, spread = (tracked.landmarks, tracked.covariances) if tracked.ok else (None, None)
+                spread = spread if ellipses else None
+                picture = video.annotated(frame.image, landmarks, tracker.model, caption_of(tracked), spread)
+                drawn.write(picture, frame.time)
+            if fresh is not None and remover is not None:
+                fresh.write(unshaded(remover, counts, frame, tracked, result), frame.time)
+
+        yield write
 
 
-def draw(
-    writer: VideoWriter, model: "AAM", ellipses: bool, frame: VideoFrame, tracked: "TrackedFrame", _: object
-) -> None:
-    """Write a frame with its landmarks."""
-    from liaam.plotting.video import annotated
-
-    landmarks = tracked.landmarks if tracked.ok else None
-    covariances = tracked.covariances if ellipses and tracked.ok else None
-    writer.write(annotated(frame.image, landmarks, model, caption_of(tracked), covariances), frame.time)
-
-
-def unshade(
-    writer: VideoWriter,
+def unshaded(
     remover: "ShadingRemover",
     counts: Counts,
     frame: VideoFrame,
     tracked: "TrackedFrame",
     result: "FitResult | None",
-) -> None:
-    """Write a frame without shading. A grey frame, or one without the object, stays as is."""
+) -> np.ndarray:
+    """Return a frame without shading. A grey frame, or one without the object, stays as is."""
     from liaam.tracking import TrackStatus
 
     if tracked.status is not TrackStatus.TRACKED:
         remover.reset()
-    fresh = frame.image
-    if result is not None:
-        try:
-            fresh = remover.remove(frame.image, result, tracked.landmarks)
-            counts.n_unshaded += 1
-        except MethodError:  # a grey frame
-            counts.n_grey += 1
-    writer.write(fresh, frame.time)
+    if result is None:
+        return frame.image
+    try:
+        fresh = remover.remove(frame.image, result, tracked.landmarks)
+    except MethodError:  # a grey frame
+        counts.n_grey += 1
+        return frame.image
+    counts.n_unshaded += 1
+    return fresh
 
 
 def caption_of(tracked: "TrackedFrame") -> str:
@@ -260,33 +261,25 @@ def caption_of(tracked: "TrackedFrame") -> str:
     return "   ".join(parts)
 
 
-def frames_of(
-    tracker: "Tracker", reader: VideoReader, init: str | None, progress: Progress, stopped: Callable[[], bool]
-) -> Generator[tuple[VideoFrame, "TrackedFrame"], None, None]:
+def steps_of(
+    tracker: "Tracker",
+    reader: VideoReader,
+    init: str | None,
+    counts: Counts,
+    progress: Progress,
+    stopped: Callable[[], bool],
+) -> Generator[Step, None, None]:
     """Track a video or a camera frame by frame, from the start ``init`` if there is one."""
-    pace = Pace()
     with reader:
         for n, frame in enumerate(reader, 1):
             if n == 1 and init is not None:
                 tracker.init = read_start(init, Path(reader.name), frame.image.shape[1::-1])
             tracked = tracker.update(frame.image, frame.time, frame.index)
-            yield frame, tracked
-            progress(n, reader.n_frames or n, f"{pace(n):.1f} frames/s, {tracked.status}")
+            counts.add(tracked)
+            yield frame, tracked, tracker.result
+            progress(n, reader.n_frames or n, f"{counts.rate:.1f} frames/s, {tracked.status}")
             if stopped():
                 return
-
-
-class Pace:
-    """Recent rate in frames per second."""
-
-    def __init__(self) -> None:
-        self._seen: deque = deque([(monotonic(), 0)], maxlen=60)
-
-    def __call__(self, n: int) -> float:
-        """Update with the number of frames done and return the rate."""
-        self._seen.append((monotonic(), n))
-        (before, fewer), (now, more) = self._seen[0], self._seen[-1]
-        return (more - fewer) / max(now - before, 1e-9)
 
 
 @contextmanager
@@ -313,13 +306,12 @@ def stop_on_interrupt() -> Iterator[Callable[[], bool]]:
 
 def report(counts: Counts, outputs: Sequence[Path]) -> None:
     """Print a summary of the track."""
-    seconds = max(monotonic() - counts.began, 1e-9)
     table = table_of("frames", "with landmarks", "lost", "found again", "corrected", "quality", "frames/s")
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
     quality = f"{np.median(known):.2f}" if known else "–"
     numbers = counts.n, counts.n_tracked, len(counts.lost), again, counts.statuses["corrected"]
-    table.add_row(*map(str, numbers), quality, f"{counts.n / seconds:.1f}")
+    table.add_row(*map(str, numbers), quality, f"{counts.rate:.1f}")
     show_table(table)
     for path in outputs:
         say(f"written to {path}")

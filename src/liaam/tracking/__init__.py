@@ -3,7 +3,8 @@
 from typing import TYPE_CHECKING
 
 from liaam.lazy import submodules
-from liaam.tracking.tracker import TrackedFrame, Tracker, TrackingOptions, TrackStatus, track_video
+from liaam.tracking.frames import TrackedFrame, TrackStatus
+from liaam.tracking.tracker import Tracker, TrackingOptions, track_video
 
 __all__ = ["TrackStatus", "TrackedFrame", "Tracker", "TrackingOptions", "track_video"]
 

@@ -11,7 +11,7 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.io import atomic_path
 from liaam.io.atomic import lock
-from liaam.tracking.tracker import TrackedFrame
+from liaam.tracking.frames import TrackedFrame
 
 TRACK_SUFFIXES = (".csv", ".npz")
 """Suffixes (lower case) of track files."""

@@ -9,14 +9,10 @@ A Kalman filter (:mod:`liaam.tracking.kalman`) smooths the fits, with their cova
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.drawing import plot_landmarks
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.evaluation import finite_list, finite_or_none, short_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
@@ -25,12 +21,9 @@ from liaam.io import VideoReader
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
-from liaam.tables import Columns, landmark_columns
 from liaam.tracking import kalman
+from liaam.tracking.frames import TrackedFrame, TrackStatus, lost_frame
 from liaam.tracking.motion import Motion, landmark_covariances, rescaled
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 JUMP = 0.25
 """Maximum mean distance between prediction and fit of the same object, as a fraction of the object's diagonal."""
@@ -51,15 +44,6 @@ Measured on a talking face: 0.6 to 0.8 where the jaw had drifted, at least 0.88 
 
 APART = 0.02
 """Distance of a landmark between both fits, as a fraction of the object's diagonal, above which a track has drifted."""
-
-
-class TrackStatus(StrEnum):
-    """Source of a frame's landmarks."""
-
-    FOUND = "found"
-    TRACKED = "tracked"
-    CORRECTED = "corrected"
-    LOST = "lost"
 
 
 @dataclass(frozen=True)
@@ -94,76 +78,6 @@ class TrackingOptions:
         """Raise if an option is out of range."""
         if min(self.levels, self.iterations, self.longest_wait) < 1 or min(self.patience, self.review) < 0:
             raise MethodError("levels, iterations and longest_wait must be at least 1, patience and review at least 0")
-
-
-@dataclass(frozen=True, eq=False)
-class TrackedFrame:
-    """Tracking result of one frame.
-
-    Attributes
-    ----------
-    index : int
-        Number of the frame, as given or counted from 0.
-    time : float
-        Time in seconds, as given; NaN if not given.
-    status : TrackStatus
-        ``found`` by the search or from the given start, ``tracked`` from the previous frame, ``corrected`` by a fit
-        from the mean shape because the track had drifted, or ``lost``.
-    fit_status : FitStatus or None
-        Status of the last fit; None if there was none.
-    quality : float
-        Quality of that fit, 0 to 1 (see :class:`liaam.FitResult`); NaN if unknown.
-    theta : float
-        Estimated angle of the camera, in radians; NaN for methods that do not estimate it.
-    landmarks : (n, 2) float64
-        Landmarks in image pixels, smoothed over time if requested; NaN if lost.
-    raw : (n, 2) float64
-        Landmarks as fitted.
-    covariances, raw_covariances : (n, 2, 2) float64
-        Covariances of ``landmarks`` and of ``raw``, in square pixels.
-    """
-
-    index: int
-    time: float
-    status: TrackStatus
-    fit_status: FitStatus | None
-    quality: float
-    theta: float
-    landmarks: np.ndarray
-    raw: np.ndarray
-    covariances: np.ndarray
-    raw_covariances: np.ndarray
-
-    __repr__ = short_repr
-
-    @property
-    def ok(self) -> bool:
-        """Whether there are landmarks."""
-        return self.status is not TrackStatus.LOST
-
-    def to_dict(self) -> dict:
-        """Convert the frame to a dictionary that JSON can hold; values that are unknown are None."""
-        return {
-            "index": self.index,
-            "time": finite_or_none(self.time),
-            "status": str(self.status),
-            "fit_status": None if self.fit_status is None else str(self.fit_status),
-            "quality": finite_or_none(self.quality),
-            "theta_deg": finite_or_none(np.rad2deg(self.theta)),
-            "landmarks": finite_list(self.landmarks),
-            "landmark_covariances": finite_list(self.covariances),
-        }
-
-    def to_columns(self, name: str | None = None) -> Columns:
-        """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""
-        labels = {"frame": self.index if name is None else name, "time": self.time}
-        more = {"quality": self.quality, "status": str(self.status)}
-        return landmark_columns(labels, self.landmarks, self.covariances, **more)
-
-    def plot(self, image: np.ndarray, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
-        """Draw the landmarks on the frame's image with Matplotlib; parameters are those of ``FitResult.plot``."""
-        covariances = self.covariances if ellipses else None
-        return plot_landmarks(image, self.landmarks, covariances=covariances, title=str(self.status), ax=ax)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +209,7 @@ class Tracker:
         self.state.count += 1
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
-            return _lost(self.model.n_points, index, time, tried)
+            return lost_frame(self.model.n_points, index, time, tried)
         part = self.model.part_of(tried.landmarks)
         if self.state.track is None and part != self.state.part:
             self._use(part)
@@ -339,24 +253,23 @@ class Tracker:
                 return TrackStatus.CORRECTED, better
         searched = self.state.due <= 0
         if searched:
-            right, found = self._search(pixels, name, first)
+            found = _fit(self.fitter, pixels, None, name, must=first)
             tried = found or tried
-            if right:
+            # Reject a place with a low search score unless the quality of the fit confirms it.
+            if found is not None and _usable(found) and not found.detection_doubtful:
                 self.state.track = None  # the motion before does not apply
-                return TrackStatus.FOUND, tried
+                return TrackStatus.FOUND, found
         self._lose(searched)
         return TrackStatus.LOST, tried
 
     def _follow(self, pixels: np.ndarray, name: str) -> tuple[bool, FitResult | None]:
-        """Fit from the predicted position."""
-        start = self._predicted()
-        fitters = (self._near, self._far) if self.state.lost == 0 else (self._far,)
-        tried = None
-        for fitter in fitters:
-            try:
-                tried = fitter.fit(pixels, start, name)
-            except (StartError, ImageError):  # the object left the frame, or the frame is grey
-                return False, tried
+        """Fit from the predicted position; return whether the last fit is of the object, and that fit."""
+        start, tried = self._predicted(), None
+        for fitter in (self._near, self._far) if self.state.lost == 0 else (self._far,):
+            found = _fit(fitter, pixels, start, name)
+            if found is None:
+                break
+            tried = found
             if _usable(tried) and np.linalg.norm(tried.landmarks - start, axis=1).mean() < JUMP * diagonal_of(start):
                 return True, tried
         return False, tried
@@ -370,9 +283,8 @@ class Tracker:
         if np.isnan(followed.quality):
             return None
         mean = self.model.parts[self.state.part].shape_model.mean
-        try:
-            anew = self.fitter.fit(pixels, align(mean, followed.landmarks)(mean), name)
-        except (StartError, ImageError):
+        anew = _fit(self.fitter, pixels, align(mean, followed.landmarks)(mean), name)
+        if anew is None:
             return None
         apart, size = np.linalg.norm(anew.landmarks - followed.landmarks, axis=1), diagonal_of(followed.landmarks)
         better = _usable(anew) and 1.0 - anew.quality < BETTER * (1.0 - followed.quality)
@@ -392,17 +304,6 @@ class Tracker:
         moved = kalman.predict(track.belief, track.drive)
         self.state.track = replace(track, belief=moved)
         return self._motion.shape(moved.position)
-
-    def _search(self, pixels: np.ndarray, name: str, first: bool) -> tuple[bool, FitResult | None]:
-        """Search for the object in the whole frame."""
-        try:
-            tried = self.fitter.fit(pixels, name=name)
-        except (StartError, ImageError):
-            if first:
-                raise
-            return False, None
-        # Reject a place with a low search score unless the quality of the fit confirms it.
-        return _usable(tried) and not tried.detection_doubtful, tried
 
     def _seen(self, result: FitResult, status: TrackStatus, index: int, time: float) -> TrackedFrame:
         """Update the track with a fit."""
@@ -492,13 +393,16 @@ def sharpest(model: AAM, levels: int) -> AAM:
     return replace(model, views={name: replace(v, levels=v.levels[-levels:]) for name, v in model.views.items()})
 
 
+def _fit(fitter: Fitter, pixels: np.ndarray, start, name: str, *, must: bool = False) -> FitResult | None:
+    """Return a fit; None, unless it ``must`` be, if the start is outside the frame or the frame cannot be fitted."""
+    try:
+        return fitter.fit(pixels, start, name)
+    except (StartError, ImageError):  # the object left the frame, or the frame is grey
+        if must:
+            raise
+        return None
+
+
 def _usable(result: FitResult) -> bool:
     """Return whether to accept a fit: converged, or stopped at the iteration limit without a low quality."""
     return result.status.ok or (result.status is FitStatus.MAX_ITERATIONS and not result.quality < result.least_quality)
-
-
-def _lost(n: int, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
-    status, quality = (None, np.nan) if tried is None else (tried.status, tried.quality)
-    nothing, unknown = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
-    lost = TrackStatus.LOST
-    return TrackedFrame(index, time, lost, status, quality, np.nan, nothing, nothing, unknown, unknown)

@@ -1,0 +1,102 @@
+"""Tracking results of frames."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from liaam.drawing import plot_landmarks
+from liaam.evaluation import finite_list, finite_or_none, short_repr
+from liaam.fitting import FitResult, FitStatus
+from liaam.tables import Columns, landmark_columns
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class TrackStatus(StrEnum):
+    """Source of a frame's landmarks."""
+
+    FOUND = "found"
+    TRACKED = "tracked"
+    CORRECTED = "corrected"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """Tracking result of one frame.
+
+    Attributes
+    ----------
+    index : int
+        Number of the frame, as given or counted from 0.
+    time : float
+        Time in seconds, as given; NaN if not given.
+    status : TrackStatus
+        ``found`` by the search or from the given start, ``tracked`` from the previous frame, ``corrected`` by a fit
+        from the mean shape because the track had drifted, or ``lost``.
+    fit_status : FitStatus or None
+        Status of the last fit; None if there was none.
+    quality : float
+        Quality of that fit, 0 to 1 (see :class:`liaam.FitResult`); NaN if unknown.
+    theta : float
+        Estimated angle of the camera, in radians; NaN for methods that do not estimate it.
+    landmarks : (n, 2) float64
+        Landmarks in image pixels, smoothed over time if requested; NaN if lost.
+    raw : (n, 2) float64
+        Landmarks as fitted.
+    covariances, raw_covariances : (n, 2, 2) float64
+        Covariances of ``landmarks`` and of ``raw``, in square pixels.
+    """
+
+    index: int
+    time: float
+    status: TrackStatus
+    fit_status: FitStatus | None
+    quality: float
+    theta: float
+    landmarks: np.ndarray
+    raw: np.ndarray
+    covariances: np.ndarray
+    raw_covariances: np.ndarray
+
+    __repr__ = short_repr
+
+    @property
+    def ok(self) -> bool:
+        """Whether there are landmarks."""
+        return self.status is not TrackStatus.LOST
+
+    def to_dict(self) -> dict:
+        """Convert the frame to a dictionary that JSON can hold; values that are unknown are None."""
+        return {
+            "index": self.index,
+            "time": finite_or_none(self.time),
+            "status": str(self.status),
+            "fit_status": None if self.fit_status is None else str(self.fit_status),
+            "quality": finite_or_none(self.quality),
+            "theta_deg": finite_or_none(np.rad2deg(self.theta)),
+            "landmarks": finite_list(self.landmarks),
+            "landmark_covariances": finite_list(self.covariances),
+        }
+
+    def to_columns(self, name: str | None = None) -> Columns:
+        """Return the landmarks as a table of lists, one row per landmark; see :func:`liaam.to_dataframe`."""
+        labels = {"frame": self.index if name is None else name, "time": self.time}
+        more = {"quality": self.quality, "status": str(self.status)}
+        return landmark_columns(labels, self.landmarks, self.covariances, **more)
+
+    def plot(self, image: np.ndarray, *, ellipses: bool = True, ax: "Axes | None" = None) -> "Axes":
+        """Draw the landmarks on the frame's image with Matplotlib; parameters are those of ``FitResult.plot``."""
+        covariances = self.covariances if ellipses else None
+        return plot_landmarks(image, self.landmarks, covariances=covariances, title=str(self.status), ax=ax)
+
+
+def lost_frame(n: int, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
+    """Return a frame without the object, after a fit that failed."""
+    status, quality = (None, np.nan) if tried is None else (tried.status, tried.quality)
+    nothing, unknown = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
+    lost = TrackStatus.LOST
+    return TrackedFrame(index, time, lost, status, quality, np.nan, nothing, nothing, unknown, unknown)
