@@ -9,8 +9,7 @@ from experiments.relit import train_on_flat_light
 from liaam.model import MESH
 from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.extrapolation import averaged
-from liaam.relighting.joint import appearance_in_light, as_in_training
-from liaam.relighting.seen import Seen
+from liaam.relighting.joint import Seen, appearance_in_light, as_in_training
 from scenes import Head
 
 AMBIENT, LAMP = np.array([0.10, 0.12, 0.15]), np.array([1.1, 0.9, 0.6])
@@ -118,12 +117,10 @@ def test_averages_stay_on_their_side_of_an_edge(rng):
     seen = np.zeros((40, 50, 3), np.float32)
     seen[:, 25:] = -2.0
     layers = np.where(seen[..., :1] < 0, 5.0, 1.0) + rng.normal(0, 0.3, (40, 50, 1))
-    smooth = averaged(layers, seen, 8.0, 0.8)
+    smooth = averaged(layers, seen, 8.0)
     assert np.abs(smooth[:, :25] - 1.0).max() < 0.3
     assert np.abs(smooth[:, 25:] - 5.0).max() < 0.3
-    np.testing.assert_allclose(
-        averaged(np.full((9, 12, 2), 3.0), rng.normal(size=(9, 12, 3)), 4.0, 0.8), 3.0, rtol=1e-5
-    )
+    np.testing.assert_allclose(averaged(np.full((9, 12, 2), 3.0), rng.normal(size=(9, 12, 3)), 4.0), 3.0, rtol=1e-5)
 
 
 def test_no_light_is_more_likely_where_the_data_say_so():

@@ -2,9 +2,8 @@
 
 A picture is divided by its light and multiplied with another. ``appearance`` computes the appearance under the training
 light, and ``joint`` does so jointly with the light, whose modes are in ``basis``; ``shading`` adds what the modes
-leave, on the reference frame, where ``seen`` samples the image. ``painting`` warps values from there to the image, and
-``extrapolation`` continues them beyond the mesh. ``relief`` makes a surface for new lights, ``lamp`` lights it, and
-``relighter`` combines them for one fitted image; ``one_call`` fits it too.
+leave. ``painting`` warps values from the reference frame to the image, ``extrapolation`` continues them beyond the
+mesh, ``lamp`` lights its surface, and ``relighter`` combines them for one fitted image; ``one_call`` fits it too.
 """
 
 from liaam.relighting.appearance import ShadowFree, shadow_free

@@ -12,6 +12,7 @@ from liaam.fitting.level_image import correlated_pixels
 from liaam.fitting.picture import load_picture
 from liaam.fitting.solution import solution_at
 from liaam.model import MESH
+from liaam.model.appearance import AppearanceModel
 from liaam.photometry.encoding import refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
@@ -43,6 +44,11 @@ class ShadowFree:
     light: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     __repr__ = short_repr
+
+    @classmethod
+    def unseen(cls, known: AppearanceModel) -> "ShadowFree":
+        """Return the mean appearance, which is all that is known without an image."""
+        return cls(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
 
 
 def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) -> ShadowFree:
@@ -80,8 +86,8 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
         fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
     seen, known = solution_at(fitter, image, result), fitter.view.levels[-1].appearances["log"]
     n, eigenvalues = known.n_modes, known.eigenvalues
-    if not seen["weight"] > 0:  # no pixel is usable: return the prior
-        return ShadowFree(known.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
+    if not seen["weight"] > 0:  # no pixel is usable
+        return ShadowFree.unseen(known)
     # In units of squared residuals, like the shape prior.
     variance = correlated_pixels(fitter.view.levels[-1].blur) * max(seen["squares"] / seen["weight"], LEAST_VARIANCE)
     precision = np.zeros(len(seen["lam"]))

@@ -18,38 +18,57 @@ is darker or redder as a whole is no evidence of another light, as its level c e
 level is removed as well.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from liaam.model import AAM
 from liaam.model.appearance import AppearanceModel
-from liaam.model.mesh import ReferenceFrame
+from liaam.model.shape import align
+from liaam.photometry import Response, from_linear
 from liaam.photometry.invariant import CHROMATICITY
+from liaam.photometry.response import log_slope
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.basis import light_on_frame, unexplained_on_frame
-from liaam.relighting.seen import NOISE_FACTOR, UNKNOWN, Seen
+from liaam.relighting.basis import light_on_frame
+from liaam.training.textures import sample_appearance
 
 CORRELATED, ACROSS = 0.15, 4
 """Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
 it. Modes learnt from lamps leave smooth errors, which would outweigh the priors if they counted as independent from
 pixel to pixel."""
 
-COLOURED = 0.37
-"""Standard deviation of the colour of what the modes do not explain, relative to that of its brightness."""
+NOISE_FACTOR, UNKNOWN, COLOURED = 3.0, 0.05, 0.37
+"""Factor on the noise's variance, to which rounding and JPEG compression add; standard deviation of the model's errors
+if training has not measured it on left-out images; and that of the colour of what the modes do not explain, relative
+to that of its brightness."""
 
 LEVEL, TINT = 0.3, 0.1
 """Standard deviations of the brightness and of each of two colours of an image's level, in logarithms."""
 
-PASSES = 3
-"""Number of passes; more make no visible difference."""
-
-FREEDOM = 2.0
-"""Degrees of freedom of Student's t distribution of the errors."""
+PASSES, FREEDOM = 3, 2.0
+"""Number of passes; more make no visible difference. Degrees of freedom of Student's t distribution of the errors."""
 
 NO_PRIOR = 1e-6
 """Lower bound on the prior's strength, which keeps unobserved coordinates determined."""
+
+
+class Seen(NamedTuple):
+    """A fitted image sampled on the model's reference frame, at the blur of its sharpest level."""
+
+    log: np.ndarray
+    """(n_pixels, 3) float32: logarithm of linear light."""
+    usable: np.ndarray
+    """(n_pixels,) float32 in {0, 1}."""
+    noise: np.ndarray
+    """(n_pixels, 3) float32: variance of the noise of ``log``."""
+
+    @classmethod
+    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, noise: float) -> "Seen":
+        """Warp an image (h, w, 3), whose stored values have a standard deviation, by its fitted landmarks (n, 2)."""
+        log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
+        pixel = max(1.0, align(model.shape_model.mean, shape).scale)
+        stored = from_linear(np.exp(log), response)
+        return cls(log, usable, np.square(noise_of_log(stored, response, noise / pixel)).astype(np.float32))
 
 
 class InLight(NamedTuple):
@@ -68,16 +87,16 @@ def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
 
     ``prior`` is that of :func:`liaam.relighting.shadow_free`.
     """
-    known, every = model.levels[-1].appearances["log"], light_on_frame(model)
+    known, (every, unexplained) = model.levels[-1].appearances["log"], light_on_frame(model)
     n, side = known.n_modes, CORRELATED * model.diagonal
     step = max(1, int(side / ACROSS))
-    kept = every_few(model.frame, step)
+    kept = np.flatnonzero((model.frame.pixels % step == 0).all(axis=1))
     part, usable = known.at(kept), (seen.usable * (known.usable > 0))[kept]
     together = 1.0 if model.light is None else max(1.0, np.square(side / step))
     levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
     every = np.concatenate([every[:, kept], np.broadcast_to(levels[:, None], (3, len(kept), 3))])
     precision = np.concatenate([max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.ones(len(every))])
-    whitened = _whitened(part, seen.noise[kept], unexplained_on_frame(model)[kept])
+    whitened = _whitened(part, seen.noise[kept], unexplained[kept])
     target = np.einsum("nc,ncd->nd", seen.log[kept] - part.mean, whitened).ravel()
     modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, every]), whitened, optimize=True)
     modes, weights = modes.reshape(len(modes), -1), usable
@@ -116,7 +135,6 @@ def _whitened(known: AppearanceModel, noise: np.ndarray, of_light: np.ndarray) -
     return np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
 
 
-@lru_cache(maxsize=8)
-def every_few(frame: ReferenceFrame, step: int) -> np.ndarray:
-    """Return the pixels at every ``step``-th row and column of a frame."""
-    return np.flatnonzero((frame.pixels % step == 0).all(axis=1))
+def noise_of_log(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:
+    """Return the standard deviation of logarithms of light from that of stored values in [0, 1] (any shape)."""
+    return deviation * log_slope(np.maximum(stored, 0.5 / 255), response)

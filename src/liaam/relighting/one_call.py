@@ -81,11 +81,11 @@ def relight(
     if like is not None:
         other, result = separated(fitter, like, like_init, "like")
         _warn(result, "like")
-    picture, result, relighter = relit(fitter, image, init, lamps, other, ambient)
+    relighter, result = separated(fitter, image, init)
     _warn(result, "image")
     if relighter.certain < UNCERTAIN:
         warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
-    return picture
+    return shown(relighter, lamps, other, ambient)
 
 
 def check_colour(model: AAM, name: str) -> None:
@@ -106,23 +106,13 @@ def lamps_of(light: Light) -> list[Lamp]:
     return [Lamp(several)]  # type: ignore[arg-type]
 
 
-def relit(
-    fitter: Fitter,
-    image,
-    init=None,
-    lamps: Sequence[Lamp] | None = None,
-    other: Relighter | None = None,
-    ambient: float = AMBIENT,
-    name: str = "image",
-) -> tuple[np.ndarray, FitResult, Relighter]:
-    """Fit an image and show it under lamps, or the light of another image, or that of training.
-
-    Also return the fit and the relighter.
-    """
-    relighter, result = separated(fitter, image, init, name)
+def shown(
+    relighter: Relighter, lamps: Sequence[Lamp] | None = None, other: Relighter | None = None, ambient: float = AMBIENT
+) -> np.ndarray:
+    """Show an object under lamps, or the light of another image, or that of training."""
     if other is not None:
-        return relighter.like(other), result, relighter
-    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient), result, relighter
+        return relighter.like(other)
+    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient)
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:

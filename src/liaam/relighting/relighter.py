@@ -1,9 +1,10 @@
 """Relighting of one fitted image under any number of lights."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from liaam.errors import LiaamError, MethodError
@@ -16,14 +17,15 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method
-from liaam.relighting.basis import light_on_frame, light_on_image, square_around
-from liaam.relighting.extrapolation import Surroundings
+from liaam.relighting.basis import SQUARE, light_on_frame, light_on_image
+from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
-from liaam.relighting.joint import appearance_in_light
-from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
+from liaam.relighting.joint import Seen, appearance_in_light, noise_of_log
+from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
 from liaam.relighting.painting import (
     REACH,
-    as_eight_bit,
+    Region,
+    averages,
     box_of,
     eight_bits,
     log_light,
@@ -31,22 +33,18 @@ from liaam.relighting.painting import (
     paint,
     seen_triangles,
 )
-from liaam.relighting.region import Region
-from liaam.relighting.relief import normals_of
-from liaam.relighting.seen import Seen, noise_variance
 from liaam.relighting.shading import Shading, find_shading
 
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
 
-MOST_NOISE = 3.0
-"""Largest amplification of the noise of stored values."""
+MOST_NOISE, GRAIN = 3.0, 1.0
+"""Largest amplification of the noise of stored values, and standard deviation of the Gaussian that separates it,
+pixels."""
 
-GRAIN = 1.0
-"""Standard deviation of the Gaussian that separates noise, pixels."""
-
-LEAST_CHANGE = 1e-4
-"""Change of log light that counts as one."""
+NOTHING = np.zeros((0, 0, 3), np.float32)
+NO_REGION = Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0)))
+NO_SURROUNDINGS = Surroundings(np.zeros((0, 0), bool), NOTHING, NOTHING, NOTHING, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +68,8 @@ class Relighter:
     frame_shading : Shading
         The image's light on the model's reference frame.
     region : Region
-        The part of the image that may change, (bh, bw) pixels, and its resolution of light, (lh, lw).
+        The part of the image that may change, (bh, bw) pixels, and its resolution of light, (lh, lw). There are no
+        pixels if the object is outside the image.
     log_flat : (bh, bw, 3) float32
         Logarithm of light with the object under the training light. Clipped highlights may have more than white.
     log_own : (bh, bw, 3) float32
@@ -82,7 +81,7 @@ class Relighter:
     surroundings : Surroundings
         How far light extends around the mesh.
     normals : (lh, lw, 3) float32
-        Normals of the inflated surface (:func:`liaam.relighting.relief.normals_of`), rotated with the object.
+        Normals of the inflated surface (:func:`liaam.relighting.lamp.normals_of`), rotated with the object.
     """
 
     model: AAM
@@ -91,13 +90,13 @@ class Relighter:
     picture: np.ndarray
     appearance: ShadowFree
     frame_shading: Shading
-    region: Region
-    log_flat: np.ndarray
-    log_own: np.ndarray
-    noise: float
-    deviation: np.ndarray
-    surroundings: Surroundings
-    normals: np.ndarray
+    region: Region = NO_REGION
+    log_flat: np.ndarray = field(default_factory=NOTHING.copy)
+    log_own: np.ndarray = field(default_factory=NOTHING.copy)
+    noise: float = 0.0
+    deviation: np.ndarray = field(default_factory=NOTHING.copy)
+    surroundings: Surroundings = NO_SURROUNDINGS
+    normals: np.ndarray = field(default_factory=NOTHING.copy)
 
     __repr__ = short_repr
 
@@ -137,10 +136,19 @@ class Relighter:
         fitter = fitter.lit_part_for(result)  # without a basis of light, beards count as shade
         (image, name), model = load_picture(image, name), fitter.model
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
-        response = (fitter.camera or model.camera).response
-        if not len(seen_triangles(image, result.landmarks, model)):
-            return _unchanged(model, image, result.landmarks, response)
-        return _separated(model, image, result.landmarks, response, prior, steadied)
+        response, shape = (fitter.camera or model.camera).response, result.landmarks
+        picture = np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
+        if not len(seen_triangles(image, shape, model)):
+            known = model.levels[-1].appearances["log"]
+            shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
+            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
+        noise = noise_deviation(image)
+        seen = Seen.of(model, image, shape, response, noise)
+        found = appearance_in_light(model, seen, prior)
+        shading = find_shading(model, seen, found)
+        shading = shading if steadied is None else steadied(shading)
+        about = (model, shape, response, picture, found.appearance, shading)
+        return cls(*about, **_removed(model, image, shape, response, shading), noise=noise)
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -229,8 +237,7 @@ class Relighter:
             return self.picture.copy()
         shading, region = other.frame_shading, self.region
         values, _ = paint(self.inside, region.shape, self.model, shading.log)
-        lit = light_on_image(self.model, shading.coordinates, region)
-        return self._changed(self.surroundings.spread(values, lit, region.reduced(self.log_flat)))
+        return self._changed(self.surroundings.spread(values, light_on_image(self.model, shading.coordinates, region)))
 
     @property
     def nbytes(self) -> int:
@@ -252,14 +259,14 @@ class Relighter:
     @cached_property
     def _grain(self) -> np.ndarray:
         """The part of ``log_own`` that may be noise, (bh, bw, 3) float32."""
-        stored = stored_values(self.picture[self.region.box])
-        deviation = np.sqrt(noise_variance(stored, self.response, self.noise))
-        return grain_of(self.log_own, deviation.astype(np.float32))
+        deviation = noise_of_log(stored_values(self.picture[self.region.box]), self.response, self.noise)
+        fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
+        return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
 
     @cached_property
     def _brightness(self) -> np.ndarray:
-        """Stored brightness of the image, (bh, bw) uint8."""
-        return eight_bits(mean_of(self.log_own), self.response)
+        """Stored brightness of the image, (bh, bw) float32, at least one step."""
+        return np.maximum(eight_bits(mean_of(self.log_own), self.response), np.float32(1.0))
 
     def _changed(self, change: np.ndarray) -> np.ndarray:
         """Return the flat image with a change of log light, (lh, lw, 1 or 3)."""
@@ -271,98 +278,39 @@ class Relighter:
         picture = self.picture.copy()
         if not self.inside.any():
             return picture
-        changed = mean_of(np.abs(np.minimum(log_rgb, 0.0) - self.log_own)) > LEAST_CHANGE
         excess = self._excess(log_rgb)
         if (excess > 0.0).any():
             log_rgb = log_rgb - excess[..., None] * self._grain
-        part = picture[self.region.box]
-        np.copyto(part, eight_bits(log_rgb, self.response), where=changed[..., None])
+        picture[self.region.box] = eight_bits(log_rgb, self.response)
         return picture
 
     def _excess(self, log_rgb: np.ndarray) -> np.ndarray:
         """Return the share, (bh, bw), of noise that new logarithms of light (bh, bw, 3) would amplify too much."""
-        after = eight_bits(mean_of(log_rgb), self.response).astype(np.float32)
-        before = np.maximum(self._brightness, np.float32(1.0))
-        return 1.0 - np.minimum(MOST_NOISE * before / np.maximum(after, 1.0), 1.0)
+        after = eight_bits(mean_of(log_rgb), self.response)
+        return 1.0 - np.minimum(MOST_NOISE * self._brightness / np.maximum(after, np.float32(1.0)), 1.0)
 
 
-def _separated(
-    model: AAM,
-    image: np.ndarray,
-    shape: np.ndarray,
-    response: Response,
-    prior: float,
-    steadied: Callable[[Shading], Shading] | None,
-) -> Relighter:
-    """Estimate the light on the reference frame, warp it to the image, and continue it beyond the mesh."""
-    import cv2
-
-    noise = noise_deviation(image)
-    seen = Seen.of(model, image, shape, response, noise)
-    found = appearance_in_light(model, seen, prior)
-    shading = find_shading(model, seen, found)
-    shading = shading if steadied is None else steadied(shading)
-    around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
-    region = Region.of(shape, around_it if model.light is None else square_around(model.light, shape, image.shape))
-    layers = np.column_stack([shading.log, shading.deviation, normals_of(model.frame)])
-    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, layers.astype(np.float32))
+def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading) -> dict:
+    """Warp the light to the image, continue it beyond the mesh, and remove it; return fields of a relighter."""
+    margin = FARTHEST * (REACH * diagonal_of(shape) + 1.0)
+    reached, margin = (shape, margin) if model.light is None else (align(model.light.mean, shape)(SQUARE), 0.0)
+    region = Region.of(shape, box_of(reached, margin, image.shape))
+    layers = np.column_stack([shading.log, shading.deviation, normals_of(model.frame)]).astype(np.float32)
+    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, layers)
     if not inside.any():
-        return _unchanged(model, image, shape, response)
+        return {}
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
-    unlit = region.reduced(own) - lit
-    surroundings = Surroundings.of(inside, unlit, region.reach)
-    light = surroundings.spread(painted[..., :3], lit, unlit)
-    pose = align(model.shape_model.mean, shape)
-    width = 2 * round(2.0 * region.reach) + 1
-    nearby = cv2.blur(cv2.blur(painted[..., 4:], (width, width)), (width, width))
-    normals = np.where(inside[..., None], painted[..., 4:], nearby)
+    surroundings = Surroundings.of(inside, region.reduced(own) - lit, region.reach)
+    light, whole = spared(own, surroundings.spread(painted[..., :3], lit), surroundings.belongs, region)
+    known, pose = inside[..., None], align(model.shape_model.mean, shape)
+    normals = np.where(known, painted[..., 4:], averages(painted[..., 4:], known, 2.0 * region.reach))
     normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
-    normals /= np.sqrt(np.maximum(cv2.transform(np.square(normals), np.ones((1, 3), np.float32)), 1e-12))[..., None]
-    light, whole = spared(own, light, surroundings.belongs, region)
-    light = region.enlarged(light)
-    return Relighter(
-        model=model,
-        shape=shape,
-        response=response,
-        picture=as_eight_bit(image),
-        appearance=found.appearance,
-        frame_shading=shading,
-        region=region,
-        log_flat=below_white(whole - light, whole),
-        log_own=own,
-        noise=noise,
-        deviation=painted[..., 3],
-        surroundings=surroundings,
-        normals=normals,
-    )
-
-
-def grain_of(own: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """Return the part of logarithms of light (h, w, 3) that may be noise of a standard deviation (h, w, 3)."""
-    import cv2
-
-    fine = own - cv2.GaussianBlur(own, (0, 0), GRAIN)
-    return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6))))
-
-
-def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
-    """Return a relighter that leaves the image unchanged, for fits outside it or diverged."""
-    known = model.levels[-1].appearances["log"]
-    appearance = ShadowFree(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
-    zeros, none = np.zeros_like(known.mean), np.zeros((0, 0, 3), np.float32)
-    shading = Shading(np.zeros(len(light_on_frame(model))), zeros, zeros[:, 0])
-    return Relighter(
-        model,
-        shape,
-        response,
-        as_eight_bit(image),
-        appearance,
-        shading,
-        Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0))),
-        log_flat=none,
-        log_own=none,
-        noise=0.0,
-        deviation=none[..., 0],
-        surroundings=Surroundings(np.zeros((0, 0), bool), none, none, 0.0),
-        normals=none,
-    )
+    normals /= np.sqrt(np.maximum(3.0 * mean_of(np.square(normals)), 1e-12))[..., None]
+    return {
+        "region": region,
+        "log_flat": below_white(whole - region.enlarged(light), whole),
+        "log_own": own,
+        "deviation": painted[..., 3],
+        "surroundings": surroundings,
+        "normals": normals,
+    }

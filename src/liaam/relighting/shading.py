@@ -10,6 +10,7 @@ under light that they do not share. Elsewhere it stays in the picture.
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from liaam.evaluation import short_repr
@@ -17,21 +18,23 @@ from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
 from liaam.relighting.basis import light_on_frame
-from liaam.relighting.joint import InLight
-from liaam.relighting.seen import NOISE_FACTOR, Seen, errors_of_the_model
+from liaam.relighting.joint import NOISE_FACTOR, UNKNOWN, InLight, Seen
+from liaam.relighting.painting import distance, smoothstep
 
 SMOOTHNESS, WINDOW = 0.01, 0.08
 """Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
 the frame's diagonal."""
 
-WRONG = 3.0
-"""Standard deviation of the errors of the modes of light, relative to that of their light within the window."""
-
-SHADOWS = 0.6
-"""The same without lamps, in logarithms, as modes then leave cast shadows; their edges are no marks either."""
+WRONG, SHADOWS = 3.0, 0.6
+"""Standard deviation of the errors of the modes of light, relative to that of their light within the window; and
+without lamps, in logarithms, as modes then leave cast shadows; their edges are no marks either."""
 
 ERRORS_PER_AREA = 2.0
 """Number of independent errors of the model in the area of the smoothing."""
+
+AT_THE_BORDER, SOFT_EDGE = 0.5, 0.05
+"""Standard deviation of the model's errors at the mesh's border, where a landmark one pixel off samples the background,
+and depth at which they have fallen to 0, as a fraction of the model's diagonal."""
 
 MARK, CONTRAST, CAST = 0.12, 0.07, 0.45
 """Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
@@ -63,7 +66,7 @@ class Shading:
 
 def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
     """Estimate the light of a fitted image from its appearance and the coordinates of its light."""
-    modes, coordinates = light_on_frame(model), found.appearance.light
+    modes, coordinates = light_on_frame(model)[0], found.appearance.light
     lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1) + found.level
     left = np.where(seen.usable[:, None] > 0, seen.log - found.appearance.log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
@@ -75,40 +78,38 @@ def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
     else:
         left = without_pairs(model, left, bright)
     weights = seen.usable / (errors_of_the_model(model) + NOISE_FACTOR * seen.noise.mean(axis=1))
-    rest = without_marks(model, left, weights, contrast)
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
     kept = prior / (prior + uncertain)
     brightness = modes.mean(axis=2)
     variance = np.einsum("kn,kl,ln->n", brightness, found.covariance, brightness, optimize=True) + kept * uncertain
-    log, deviation = lit + kept[:, None] * rest, np.sqrt(np.maximum(variance, 0.0))
-    return Shading(coordinates, log.astype(np.float32), deviation.astype(np.float32))
+    log = lit + kept[:, None] * without_marks(model, left, weights, contrast)
+    return Shading(coordinates, log.astype(np.float32), np.sqrt(np.maximum(variance, 0.0)).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def errors_of_the_model(model: AAM) -> np.ndarray:
+    """Return the variance of the errors of a model's appearance in fitted images, (n_pixels,) float32."""
+    unexplained = model.levels[-1].appearances["log"].unexplained
+    known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
+    depth = distance(model.frame.picture(np.ones(model.n_pixels)) > 0)[tuple(model.frame.pixels.T)]
+    soft = smoothstep((depth - 1.0) / (SOFT_EDGE * model.diagonal))
+    return (known + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
 
 
 def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray) -> np.ndarray:
     """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,).
 
     A mark differs in light by a ``contrast`` (n_pixels,): first from the median of its surroundings, then
-    from the first average.
+    from the first average. A median ignores lines and spots, and keeps edges between larger regions.
     """
-    near = medians(model, smoothed(model, left, 0.5 * SMOOTHNESS))
+    picture = model.frame.picture(smoothed(model, left, 0.5 * SMOOTHNESS))
+    levels = np.clip(STEPS * picture + 128.0, 0, 255).astype(np.uint8)
+    medians = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)[tuple(model.frame.pixels.T)]
+    near = medians / np.float32(STEPS) - 2.0
     for _ in range(2):
         kept = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
-        layers = np.column_stack([left * kept[:, None], kept])
-        sums = blurred(model, layers, SMOOTHNESS)
-        near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
+        near = smoothed(model, left, SMOOTHNESS, kept)
     return near
-
-
-def medians(model: AAM, values: np.ndarray) -> np.ndarray:
-    """Return the medians of values (n_pixels, 3) in squares.
-
-    They ignore lines and spots up to half the area of a square, but keep edges between larger regions.
-    """
-    import cv2
-
-    levels = np.clip(STEPS * model.frame.picture(values) + 128.0, 0, 255).astype(np.uint8)
-    found = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)
-    return found[tuple(model.frame.pixels.T)] / np.float32(STEPS) - 2.0
 
 
 def without_pairs(model: AAM, left: np.ndarray, bright: np.ndarray) -> np.ndarray:
@@ -143,15 +144,10 @@ def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np
     return np.where(values * other > 0, np.sign(values) * np.minimum(np.abs(values), np.abs(other)), 0.0)
 
 
-def smoothed(model: AAM, values: np.ndarray, scale: float) -> np.ndarray:
-    """Average values (n_pixels, ...) of the frame by a Gaussian of ``scale`` diagonals."""
-    sums = blurred(model, np.column_stack([values, np.ones(len(values))]), scale)
+def smoothed(model: AAM, values: np.ndarray, scale: float, weights: np.ndarray | None = None) -> np.ndarray:
+    """Average values (n_pixels, ...) of the frame, by weights (n_pixels,), in a Gaussian of ``scale`` diagonals."""
+    kept = np.ones((len(values), 1)) if weights is None else weights[:, None]
+    picture = model.frame.picture(np.hstack([values.reshape(len(values), -1) * kept, kept]))
+    sums = cv2.GaussianBlur(picture, (0, 0), scale * model.diagonal, borderType=cv2.BORDER_CONSTANT)
+    sums = sums[tuple(model.frame.pixels.T)]
     return (sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9)).reshape(values.shape)
-
-
-def blurred(model: AAM, layers: np.ndarray, scale: float) -> np.ndarray:
-    """Blur layers (n_pixels, c) of the frame, 0 around it, by a Gaussian of ``scale`` diagonals."""
-    import cv2
-
-    picture, border = model.frame.picture(layers), cv2.BORDER_CONSTANT
-    return cv2.GaussianBlur(picture, (0, 0), scale * model.diagonal, borderType=border)[tuple(model.frame.pixels.T)]
