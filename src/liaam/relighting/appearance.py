@@ -94,10 +94,8 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
     modes = (seen["rows"][1:] * seen["masked"]).astype(np.float64)
     gram = modes @ modes.T
-    # Rounding may make the eigenvalues of unobserved modes negative.
-    curvatures, axes = np.linalg.eigh(gram)
-    ridge = 1e-9 * float(np.diag(gram).max())
-    hessian = (axes * (np.maximum(curvatures, 0.0) + ridge)) @ axes.T + np.diag(precision)
+    # Rounding may make the eigenvalues of unobserved modes negative, by less than this.
+    hessian = gram + np.diag(precision + 1e-9 * np.diag(gram).max())
     best = np.linalg.solve(hessian, gram @ seen["lam"] + modes @ (seen["masked"] * seen["residual"]))
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(known.texture(best[:n]), best[:n], spread[:n])
@@ -105,10 +103,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
 
 @lru_cache(maxsize=4)
 def by_invariant(fitter: Fitter) -> Fitter:
-    """Return a fitter by the invariant alone, of the sharpest level: models need not have ``log`` at the others.
-
-    Its preparation takes as long as the appearance of an image.
-    """
+    """Return a fitter by the invariant alone, of the sharpest level: models need not have ``log`` at the others."""
     return replace(fitter, model=fitter.model.with_view(MESH, levels=fitter.model.levels[-1:]), method="li")
 
 

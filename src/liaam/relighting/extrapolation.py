@@ -47,21 +47,12 @@ are computed at a lower resolution."""
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Division of the surroundings of a mesh between object and background, (h, w) pixels.
+    """Division of the surroundings of a mesh, whose mask is ``inside`` (h, w), between object and background.
 
-    Attributes
-    ----------
-    inside : (h, w) bool
-        Inside the mesh.
-    belongs : (h, w, 1) float32
-        How much a pixel belongs to the object rather than to the background, which is what lies beyond
-        :data:`BACKGROUND`, but for what is :data:`BELOW`. In between, the nearer one counts, where edges are distances.
-    share : (h, w, 1) float32
-        The same, falling to 0 at :data:`FARTHEST` times the reach from the mesh.
-    seen : (h, w, 3) float32
-        Logarithms of light, blurred, whose edges are distances.
-    reach : float
-        In pixels.
+    ``belongs`` (h, w, 1) is how much a pixel belongs to the object rather than to the background, which is what lies
+    beyond :data:`BACKGROUND`, but for what is :data:`BELOW`. In between, the nearer one counts, where edges of the
+    logarithms of light ``seen`` (h, w, 3) are distances. ``share`` (h, w, 1) is the same, falling to 0 at
+    :data:`FARTHEST` times the ``reach``, pixels, from the mesh.
     """
 
     inside: np.ndarray
@@ -84,26 +75,34 @@ class Surroundings:
         return cls(inside, belongs, np.where(share > LEAST_SHARE, share, np.float32(0.0)), seen, reach)
 
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
-        """Return the light (h, w, c) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
-        known, rest = self.inside[..., None], values - lit
-        grey = mean_of(rest)[..., None]
-        nearby = self.carried(grey + averages(rest - grey, known, COLOUR * self.reach))
-        return np.where(known, self.belongs * values, self.share * nearby + self.belongs * lit)
+        """Return the light (h, w, 3) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
+        at = _extent(self.share[..., 0] > 0)
+        light, rest, inside = self.belongs * lit, values[at] - lit[at], self.inside[at]
+        grey, known = mean_of(rest)[..., None], inside[..., None]
+        colour = averages(rest - grey, known, COLOUR * self.reach)
+        light[at] += self.share[at] * np.where(known, rest, carried(grey + colour, inside, self.seen[at], self.reach))
+        return light
 
-    def carried(self, values: np.ndarray) -> np.ndarray:
-        """Return means of nearby values (h, w, c) float32 inside the mesh, within the edges of the image."""
-        known = self.inside[..., None].astype(np.float32)
-        layers = np.concatenate([values * known, known], axis=2)
-        sums = averaged(layers, self.seen, max(1.0, NEARBY * self.reach))
-        return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)
+
+def carried(values: np.ndarray, inside: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
+    """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
+    known = inside[..., None].astype(np.float32)
+    sums = averaged(np.concatenate([values * known, known], axis=2), seen, max(1.0, NEARBY * reach))
+    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)
+
+
+def _extent(mask: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns of a mask (h, w)."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def _nearer(inside: np.ndarray, away: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
     """Return how much nearer the mesh is than the background, (h, w, 1), and 1 inside."""
     elsewhere = (away > BACKGROUND * reach).astype(np.float32)
-    rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
-    wider = round(BELOW * len(columns))
-    elsewhere[rows[-1] :, max(columns[0] - wider, 0) : columns[-1] + wider + 1] = 0.0
+    rows, columns = _extent(inside)
+    wider = round(BELOW * (columns.stop - columns.start))
+    elsewhere[rows.stop - 1 :, max(columns.start - wider, 0) : columns.stop + wider] = 0.0
     sums = averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))
     object_side, other_side = np.square(sums[..., :1]), np.square(sums[..., 1:])
     return np.where(inside[..., None], 1.0, object_side / np.maximum(object_side + other_side, 1e-12))

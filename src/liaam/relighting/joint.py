@@ -7,9 +7,9 @@ image's log light is modelled as
     y(x) = A0(x) + sum_i lambda_i A_i(x)           appearance (paper eq 4)
          + sum_j h_j H_j(x) + c + e(x)             light, level and errors.
 
-H are modes of light (:mod:`liaam.relighting.basis`), and c is one colour, by which exposures, white balances and skins
-differ. The errors e are noise, what the modes of light do not explain, and the model's errors on left-out training
-images. They have long tails, such as marks and cast shadows, so each pass
+H are modes of light, which the model learnt from lamps, on the object and around it, or smooth ones without lamps; c is
+one colour, by which exposures, white balances and skins differ. The errors e are noise, what the modes do not explain,
+and the model's errors on left-out training images. They have long tails, such as marks and cast shadows, so each pass
 solves weighted least squares with Gaussian priors, and then weighs the pixels by Student's t distribution.
 
 Most images of an object may be in the training light, and errors of the model always look like a little light. So the
@@ -18,19 +18,35 @@ is darker or redder as a whole is no evidence of another light, as its level c e
 level is removed as well.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
+from liaam.lamps.bank import HALF, in_field, sample_field
 from liaam.model import AAM
 from liaam.model.appearance import AppearanceModel
-from liaam.model.shape import align
+from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response, from_linear
-from liaam.photometry.invariant import CHROMATICITY
+from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_direction
+from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
 from liaam.relighting.appearance import ShadowFree
-from liaam.relighting.basis import light_on_frame
+from liaam.relighting.painting import Region
 from liaam.training.textures import sample_appearance
+
+LEAST_UNEXPLAINED = 0.05
+"""Lower bound on the standard deviation of what a basis does not explain, for bases learnt from few lamps."""
+
+DEGREE, OF_COLOUR, AMOUNT, UNEXPLAINED = 6, 3, 0.8, 0.06
+"""Without lamps: degrees of the polynomials of brightness and of colour temperature, standard deviation of their
+coefficients in logarithms, which is divided by one plus their own degree, and of what they do not explain. Cast shadows
+are outliers."""
+
+SQUARE = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
+"""Corners of the square around the mean shape to which a basis reaches."""
 
 CORRELATED, ACROSS = 0.15, 4
 """Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
@@ -52,34 +68,79 @@ NO_PRIOR = 1e-6
 """Lower bound on the prior's strength, which keeps unobserved coordinates determined."""
 
 
+@lru_cache(maxsize=4)
+def light_on_frame(model: AAM) -> tuple[np.ndarray, np.ndarray]:
+    """Return modes of light on a model's reference frame, each one standard deviation, (k, n_pixels, 3) float32.
+
+    Also return the standard deviation of what they do not explain, (n_pixels,).
+    """
+    if model.light is None:
+        return _polynomials(model), np.full(model.n_pixels, UNEXPLAINED)
+    mean, frame = model.shape_model.mean, model.frame
+    away = frame.pixels[:, ::-1] + frame.origin - 0.5 * (mean.min(axis=0) + mean.max(axis=0))
+    at = in_field(away / diagonal_of(mean))[:, None]
+    pictures = [*model.light.modes, model.light.remainder]
+    *modes, remainder = (sample_field(picture.astype(np.float32), at)[:, 0] for picture in pictures)
+    return np.stack(modes), np.maximum(remainder, LEAST_UNEXPLAINED)
+
+
+def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
+    """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps."""
+    if model.light is None or not coordinates.any():
+        return np.zeros((*region.small[::-1], 3), np.float32)
+    change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
+    origin, right, down = in_field(align(model.light.mean, region.shape).inverse()(np.eye(3, 2, -1))).astype(np.float64)
+    pose = np.column_stack([right - origin, down - origin, origin])
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(change, pose, region.small, flags=how, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _polynomials(model: AAM) -> np.ndarray:
+    """Return products of Legendre polynomials in x and y, of brightness and then of colour temperature."""
+    away = model.frame.pixels - model.frame.pixels.mean(axis=0)
+    down, right = legvander(away / np.abs(away).max(), DEGREE).transpose(1, 2, 0)
+    theta = model.camera.theta if np.isfinite(model.camera.theta) else THETA_DEFAULT
+    return np.array(
+        [
+            np.outer(AMOUNT / (1 + i + j) * down[i] * right[j], colour)
+            for degree, colour in ((DEGREE, np.ones(3)), (OF_COLOUR, temperature_direction(theta)))
+            for i in range(degree + 1)
+            for j in range(degree + 1 - i)
+        ],
+        np.float32,
+    )
+
+
 class Seen(NamedTuple):
-    """A fitted image sampled on the model's reference frame, at the blur of its sharpest level."""
+    """A fitted image sampled on the model's reference frame, at the blur of its sharpest level.
+
+    Logarithms of linear light (n_pixels, 3), which pixels are usable (n_pixels,), 0 or 1, and the variances of the
+    noise of the logarithms.
+    """
 
     log: np.ndarray
-    """(n_pixels, 3) float32: logarithm of linear light."""
     usable: np.ndarray
-    """(n_pixels,) float32 in {0, 1}."""
     noise: np.ndarray
-    """(n_pixels, 3) float32: variance of the noise of ``log``."""
 
     @classmethod
-    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, noise: float) -> "Seen":
-        """Warp an image (h, w, 3), whose stored values have a standard deviation, by its fitted landmarks (n, 2)."""
+    def of(cls, model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> "Seen":
+        """Warp an image (h, w, 3) by its fitted landmarks (n, 2)."""
         log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
-        pixel = max(1.0, align(model.shape_model.mean, shape).scale)
-        stored = from_linear(np.exp(log), response)
-        return cls(log, usable, np.square(noise_of_log(stored, response, noise / pixel)).astype(np.float32))
+        noise = noise_deviation(image) / max(1.0, align(model.shape_model.mean, shape).scale)
+        noise = noise_of_log(from_linear(np.exp(log), response), response, noise)
+        return cls(log, usable, np.square(noise).astype(np.float32))
 
 
 class InLight(NamedTuple):
-    """Appearance and light of a fitted image."""
+    """Appearance of a fitted image under the training light, and its light.
+
+    The covariance (k, k) is that of the light's coordinates; the level (3,) float32, in logarithms, is multiplied by
+    the probability of another light than that of training.
+    """
 
     appearance: ShadowFree
-    """Appearance under the training light."""
     covariance: np.ndarray
-    """(k, k): covariance of the coordinates of the light."""
     level: np.ndarray
-    """(3,) float32: logarithm of the image's level, times the probability of another light than that of training."""
 
 
 def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:

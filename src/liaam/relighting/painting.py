@@ -31,13 +31,8 @@ BINS = 65536
 class Region:
     """The part of an image that relighting changes, and the lower resolution at which its light is computed.
 
-    Attributes
-    ----------
-    box : (rows, columns)
-    size, small : (int, int)
-        Width and height in pixels of the image and of light.
-    shape : (n, 2) float64
-        Landmarks, pixels of light.
+    Its box of rows and columns, its width and height in pixels of the image and of light, and the landmarks (n, 2) in
+    pixels of light.
     """
 
     box: tuple[slice, slice]

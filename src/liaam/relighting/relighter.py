@@ -1,5 +1,6 @@
-"""Relighting of one fitted image under any number of lights."""
+"""Relighting of one fitted image under any number of lights, or in one call, from the fit to the picture."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -9,7 +10,8 @@ import numpy as np
 
 from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import short_repr
-from liaam.fitting import FitResult, Fitter
+from liaam.fitting import FitResult, Fitter, Method
+from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
@@ -17,10 +19,9 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method
-from liaam.relighting.basis import SQUARE, light_on_frame, light_on_image
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
-from liaam.relighting.joint import Seen, appearance_in_light, noise_of_log
+from liaam.relighting.joint import SQUARE, Seen, appearance_in_light, light_on_frame, light_on_image, noise_of_log
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
 from liaam.relighting.painting import (
     REACH,
@@ -35,12 +36,17 @@ from liaam.relighting.painting import (
 )
 from liaam.relighting.shading import Shading, find_shading
 
+UNCERTAIN = 0.6
+"""Certainty of the light, of 1, below which a warning is given."""
+
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
 
 MOST_NOISE, GRAIN = 3.0, 1.0
 """Largest amplification of the noise of stored values, and standard deviation of the Gaussian that separates it,
 pixels."""
+
+Light = Sequence[float] | Lamp | Sequence[Lamp]
 
 NOTHING = np.zeros((0, 0, 3), np.float32)
 NO_REGION = Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0)))
@@ -74,14 +80,8 @@ class Relighter:
         Logarithm of light with the object under the training light. Clipped highlights may have more than white.
     log_own : (bh, bw, 3) float32
         That of the image.
-    noise : float
-        Standard deviation of the image's stored values.
-    deviation : (lh, lw) float32
-        Standard deviation of the logarithm of the light that was removed, inside the mesh.
     surroundings : Surroundings
         How far light extends around the mesh.
-    normals : (lh, lw, 3) float32
-        Normals of the inflated surface (:func:`liaam.relighting.lamp.normals_of`), rotated with the object.
     """
 
     model: AAM
@@ -93,10 +93,7 @@ class Relighter:
     region: Region = NO_REGION
     log_flat: np.ndarray = field(default_factory=NOTHING.copy)
     log_own: np.ndarray = field(default_factory=NOTHING.copy)
-    noise: float = 0.0
-    deviation: np.ndarray = field(default_factory=NOTHING.copy)
     surroundings: Surroundings = NO_SURROUNDINGS
-    normals: np.ndarray = field(default_factory=NOTHING.copy)
 
     __repr__ = short_repr
 
@@ -142,13 +139,12 @@ class Relighter:
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
             return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
-        noise = noise_deviation(image)
-        seen = Seen.of(model, image, shape, response, noise)
+        seen = Seen.of(model, image, shape, response)
         found = appearance_in_light(model, seen, prior)
         shading = find_shading(model, seen, found)
         shading = shading if steadied is None else steadied(shading)
         about = (model, shape, response, picture, found.appearance, shading)
-        return cls(*about, **_removed(model, image, shape, response, shading), noise=noise)
+        return cls(*about, *_removed(model, image, shape, response, shading))
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -170,7 +166,9 @@ class Relighter:
         """
         whole = np.full(self.picture.shape[:2], np.nan, np.float32)
         if self.inside.any():
-            known = self.region.enlarged(np.exp(-self.deviation)) * (1.0 - self._excess(self.log_flat))
+            deviation = self.frame_shading.deviation[:, None]
+            known = np.exp(-paint(self.inside, self.region.shape, self.model, deviation)[0])
+            known = self.region.enlarged(known).reshape(self.covered.shape) * (1.0 - self._excess(self.log_flat))
             whole[self.region.box] = np.where(self.covered, known, np.nan)
         return whole
 
@@ -251,6 +249,16 @@ class Relighter:
         return self.surroundings.inside
 
     @cached_property
+    def normals(self) -> np.ndarray:
+        """Normals of the inflated surface, rotated with the object, (lh, lw, 3) float32."""
+        pose, radius = align(self.model.shape_model.mean, self.shape), 2.0 * self.region.reach
+        values, _ = paint(self.inside, self.region.shape, self.model, normals_of(self.model.frame))
+        known = self.inside[..., None]
+        normals = np.where(known, values, averages(values, known, radius) if known.size else values)
+        normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
+        return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
+
+    @cached_property
     def covered(self) -> np.ndarray:
         """Pixels of the box inside the mesh, (bh, bw) bool."""
         known = np.ones((self.model.n_pixels, 1), np.float32)
@@ -259,7 +267,9 @@ class Relighter:
     @cached_property
     def _grain(self) -> np.ndarray:
         """The part of ``log_own`` that may be noise, (bh, bw, 3) float32."""
-        deviation = noise_of_log(stored_values(self.picture[self.region.box]), self.response, self.noise)
+        deviation = noise_of_log(
+            stored_values(self.picture[self.region.box]), self.response, noise_deviation(self.picture)
+        )
         fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
         return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
 
@@ -290,27 +300,131 @@ class Relighter:
         return 1.0 - np.minimum(MOST_NOISE * self._brightness / np.maximum(after, np.float32(1.0)), 1.0)
 
 
-def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading) -> dict:
-    """Warp the light to the image, continue it beyond the mesh, and remove it; return fields of a relighter."""
+def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading) -> tuple:
+    """Warp the light to the image, continue it beyond the mesh, and remove it; return a relighter's last fields."""
     margin = FARTHEST * (REACH * diagonal_of(shape) + 1.0)
     reached, margin = (shape, margin) if model.light is None else (align(model.light.mean, shape)(SQUARE), 0.0)
     region = Region.of(shape, box_of(reached, margin, image.shape))
-    layers = np.column_stack([shading.log, shading.deviation, normals_of(model.frame)]).astype(np.float32)
-    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, layers)
+    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, shading.log)
     if not inside.any():
-        return {}
+        return ()
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
     surroundings = Surroundings.of(inside, region.reduced(own) - lit, region.reach)
-    light, whole = spared(own, surroundings.spread(painted[..., :3], lit), surroundings.belongs, region)
-    known, pose = inside[..., None], align(model.shape_model.mean, shape)
-    normals = np.where(known, painted[..., 4:], averages(painted[..., 4:], known, 2.0 * region.reach))
-    normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
-    normals /= np.sqrt(np.maximum(3.0 * mean_of(np.square(normals)), 1e-12))[..., None]
-    return {
-        "region": region,
-        "log_flat": below_white(whole - region.enlarged(light), whole),
-        "log_own": own,
-        "deviation": painted[..., 3],
-        "surroundings": surroundings,
-        "normals": normals,
-    }
+    light, whole = spared(own, surroundings.spread(painted, lit), surroundings.belongs, region)
+    return region, below_white(whole - region.enlarged(light), whole), own, surroundings
+
+
+def relight(
+    model: AAM,
+    image,
+    light: Light | None = None,
+    *,
+    like=None,
+    ambient: float = AMBIENT,
+    init=None,
+    like_init=None,
+    method: str | Method = DEFAULT_METHOD,
+    **settings,
+) -> np.ndarray:
+    """Fit a model to an image, and show the object in another light.
+
+    For many images or lights, make a :class:`liaam.relighting.Relighter` of a fit.
+
+    Parameters
+    ----------
+    model : AAM
+        Trained on colour images.
+    image : (h, w, 3) uint8, uint16 or float array, or path
+    light : (3,) float, Lamp, or sequence of Lamp, optional
+        Direction to a distant lamp (x to the right, y down, z to the viewer), or lamps. By default the light of the
+        training images, which removes the shading.
+    like : image, optional
+        Another image of such an object, whose light is used; not together with ``light``.
+    ambient : float
+        Fraction of ambient light with ``light``, 0 to 1.
+    init, like_init : start, optional
+        Starts of the fits to the two images, as for :func:`liaam.fit`. By default the objects are searched for.
+    method : str or Method
+        ``soft-li``, or a method on logarithms such as ``li``.
+    **settings
+        Other keyword arguments of :func:`liaam.fit`.
+
+    Returns
+    -------
+    (h, w, 3) uint8 array
+
+    Warns
+    -----
+    UserWarning
+        If a fit may be wrong, or the light is uncertain.
+
+    Raises
+    ------
+    LiaamError
+        If ``light`` and ``like`` are given, an argument is invalid, or an image or the model is grey.
+
+    Examples
+    --------
+    >>> flat = liaam.relight(model, "new.png")                                              # doctest: +SKIP
+    >>> lit = liaam.relight(model, "new.png", (1, 0, 1))                                    # doctest: +SKIP
+    """
+    if light is not None and like is not None:
+        raise LiaamError("light and like cannot be combined; give one of them")
+    lamps = None if light is None else lamps_of(light)
+    check_colour(model, model.name or "the model")
+    check_ambient(ambient)
+    fitter, other = Fitter.of(model, method, **settings), None
+    if like is not None:
+        other, result = separated(fitter, like, like_init, "like")
+        _warn(result, "like")
+    relighter, result = separated(fitter, image, init)
+    _warn(result, "image")
+    if relighter.certain < UNCERTAIN:
+        warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
+    return shown(relighter, lamps, other, ambient)
+
+
+def check_colour(model: AAM, name: str) -> None:
+    """Raise if a model was trained on grey images."""
+    if not model.is_colour:
+        raise LiaamError(
+            f"{name}: the model was trained on grey images, and estimating shading needs colour; train on colour images"
+        )
+
+
+def lamps_of(light: Light) -> list[Lamp]:
+    """Return the lamps of a direction, a lamp or several lamps."""
+    if isinstance(light, Lamp):
+        return [light]
+    several = list(light)
+    if several and all(isinstance(lamp, Lamp) for lamp in several):
+        return several  # type: ignore[return-value]
+    return [Lamp(several)]  # type: ignore[arg-type]
+
+
+def shown(
+    relighter: Relighter, lamps: Sequence[Lamp] | None = None, other: Relighter | None = None, ambient: float = AMBIENT
+) -> np.ndarray:
+    """Show an object under lamps, or the light of another image, or that of training."""
+    if other is not None:
+        return relighter.like(other)
+    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient)
+
+
+def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:
+    """Fit an image and separate it into appearance and shading."""
+    result = fitter.fit(image, init, name)
+    return Relighter.of(fitter, image, result, name=name), result
+
+
+def uncertainty_of(relighter: Relighter) -> str:
+    """Say that the light of an image is not well known."""
+    return (
+        f"the light is uncertain ({relighter.certain:.2f} of 1): the image may be too dark, clipped or unlike the "
+        "training images; look at the map of certainty"
+    )
+
+
+def _warn(result: FitResult, name: str) -> None:
+    if not result.status.ok:
+        warnings.warn(f"{name}: {result.status}: {result.message}", stacklevel=3)

@@ -1,7 +1,7 @@
 """The light of a fitted image: that of the modes of light, and what they leave.
 
 In logarithms, a fitted image is the object's appearance under the training light, plus light, plus what the model does
-not know: a beard, glasses, a mole, and errors of landmarks. Modes of light (:mod:`liaam.relighting.basis`) cannot
+not know: a beard, glasses, a mole, and errors of landmarks. Modes of light (:mod:`liaam.relighting.joint`) cannot
 explain any of these. What they leave is light mostly where light varies, as along the edge of a shadow. It is not light
 where it is far from the median of its surroundings, as marks are, nor where both halves of a symmetric object share it,
 under light that they do not share. Elsewhere it stays in the picture.
@@ -17,8 +17,7 @@ from liaam.evaluation import short_repr
 from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
-from liaam.relighting.basis import light_on_frame
-from liaam.relighting.joint import NOISE_FACTOR, UNKNOWN, InLight, Seen
+from liaam.relighting.joint import NOISE_FACTOR, UNKNOWN, InLight, Seen, light_on_frame
 from liaam.relighting.painting import distance, smoothstep
 
 SMOOTHNESS, WINDOW = 0.01, 0.08
