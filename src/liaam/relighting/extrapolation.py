@@ -66,11 +66,16 @@ class Surroundings:
         """Divide an image, whose edges in the logarithms of light (h, w, 3) are distances, around a mask (h, w)."""
         light = np.exp(own)
         own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
-        seen, away = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), distance(~inside)[..., None]
-        belongs = _alike(inside, own, reach) * _nearer(inside, away, seen, reach)
+        seen, away, known = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), distance(~inside)[..., None], inside[..., None]
+        elsewhere, (rows, columns) = (away > BACKGROUND * reach).astype(np.float32), _extent(inside)
+        wider = round(BELOW * (columns.stop - columns.start))
+        elsewhere[rows.stop - 1 :, max(columns.start - wider, 0) : columns.stop + wider] = 0.0
+        nearer = np.square(averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach)))
+        nearer = nearer[..., :1] / np.maximum(nearer.sum(axis=2, keepdims=True), 1e-12)
+        belongs = _alike(inside, own, reach) * np.where(known, np.float32(1.0), nearer)
         depth = distance(np.pad(inside, 1))[1:-1, 1:-1]
         belongs = np.where((depth > min(BORDER * reach, 0.5 * depth.max()))[..., None], np.float32(1.0), belongs)
-        belongs = np.where(inside[..., None], belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
+        belongs = np.where(known, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
         share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
         return cls(inside, belongs, np.where(share > LEAST_SHARE, share, np.float32(0.0)), seen, reach)
 
@@ -95,17 +100,6 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
     """Return the rows and columns of a mask (h, w)."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-
-
-def _nearer(inside: np.ndarray, away: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
-    """Return how much nearer the mesh is than the background, (h, w, 1), and 1 inside."""
-    elsewhere = (away > BACKGROUND * reach).astype(np.float32)
-    rows, columns = _extent(inside)
-    wider = round(BELOW * (columns.stop - columns.start))
-    elsewhere[rows.stop - 1 :, max(columns.start - wider, 0) : columns.stop + wider] = 0.0
-    sums = averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))
-    object_side, other_side = np.square(sums[..., :1]), np.square(sums[..., 1:])
-    return np.where(inside[..., None], 1.0, object_side / np.maximum(object_side + other_side, 1e-12))
 
 
 def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:

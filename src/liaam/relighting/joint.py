@@ -27,7 +27,6 @@ from numpy.polynomial.legendre import legvander
 
 from liaam.lamps.bank import HALF, in_field, sample_field
 from liaam.model import AAM
-from liaam.model.appearance import AppearanceModel
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response, from_linear
 from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_direction
@@ -37,46 +36,46 @@ from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.painting import Region
 from liaam.training.textures import sample_appearance
 
-LEAST_UNEXPLAINED = 0.05
-"""Lower bound on the standard deviation of what a basis does not explain, for bases learnt from few lamps."""
+SQUARE, LEAST_UNEXPLAINED = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64), 0.05
+"""Corners of the square around the mean shape to which lamps' light is known, and lower bound on the standard deviation
+of what its modes do not explain, as there may be few lamps."""
 
 DEGREE, OF_COLOUR, AMOUNT, UNEXPLAINED = 6, 3, 0.8, 0.06
 """Without lamps: degrees of the polynomials of brightness and of colour temperature, standard deviation of their
-coefficients in logarithms, which is divided by one plus their own degree, and of what they do not explain. Cast shadows
-are outliers."""
-
-SQUARE = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
-"""Corners of the square around the mean shape to which a basis reaches."""
+coefficients in logarithms, which is divided by one plus their degree, and of what they do not explain."""
 
 CORRELATED, ACROSS = 0.15, 4
 """Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
-it. Modes learnt from lamps leave smooth errors, which would outweigh the priors if they counted as independent from
-pixel to pixel."""
+it. Modes learnt from lamps leave smooth errors; counted pixel by pixel, they would outweigh the priors."""
 
 NOISE_FACTOR, UNKNOWN, COLOURED = 3.0, 0.05, 0.37
 """Factor on the noise's variance, to which rounding and JPEG compression add; standard deviation of the model's errors
-if training has not measured it on left-out images; and that of the colour of what the modes do not explain, relative
-to that of its brightness."""
+if training has not measured it; and that of the colour of what modes do not explain, relative to its brightness."""
 
-LEVEL, TINT = 0.3, 0.1
-"""Standard deviations of the brightness and of each of two colours of an image's level, in logarithms."""
+LEVEL, TINT, NO_PRIOR = 0.3, 0.1, 1e-6
+"""Standard deviations of the brightness and of each of two colours of an image's level, in logarithms, and lower bound
+on the prior's strength, which keeps unobserved coordinates determined."""
 
 PASSES, FREEDOM = 3, 2.0
 """Number of passes; more make no visible difference. Degrees of freedom of Student's t distribution of the errors."""
-
-NO_PRIOR = 1e-6
-"""Lower bound on the prior's strength, which keeps unobserved coordinates determined."""
 
 
 @lru_cache(maxsize=4)
 def light_on_frame(model: AAM) -> tuple[np.ndarray, np.ndarray]:
     """Return modes of light on a model's reference frame, each one standard deviation, (k, n_pixels, 3) float32.
 
-    Also return the standard deviation of what they do not explain, (n_pixels,).
+    Also return the standard deviation of what they do not explain, (n_pixels,). Without lamps, they are products of
+    Legendre polynomials in x and y, of brightness and then of colour temperature.
     """
+    mean, frame, modes = model.shape_model.mean, model.frame, []
     if model.light is None:
-        return _polynomials(model), np.full(model.n_pixels, UNEXPLAINED)
-    mean, frame = model.shape_model.mean, model.frame
+        away = frame.pixels - frame.pixels.mean(axis=0)
+        down, right = legvander(away / np.abs(away).max(), DEGREE).transpose(1, 2, 0)
+        theta = model.camera.theta if np.isfinite(model.camera.theta) else THETA_DEFAULT
+        for degree, colour in ((DEGREE, np.ones(3)), (OF_COLOUR, temperature_direction(theta))):
+            pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+            modes += [np.outer(AMOUNT / (1 + i + j) * down[i] * right[j], colour) for i, j in pairs]
+        return np.array(modes, np.float32), np.full(model.n_pixels, UNEXPLAINED)
     away = frame.pixels[:, ::-1] + frame.origin - 0.5 * (mean.min(axis=0) + mean.max(axis=0))
     at = in_field(away / diagonal_of(mean))[:, None]
     pictures = [*model.light.modes, model.light.remainder]
@@ -93,22 +92,6 @@ def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.nd
     pose = np.column_stack([right - origin, down - origin, origin])
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return cv2.warpAffine(change, pose, region.small, flags=how, borderMode=cv2.BORDER_REPLICATE)
-
-
-def _polynomials(model: AAM) -> np.ndarray:
-    """Return products of Legendre polynomials in x and y, of brightness and then of colour temperature."""
-    away = model.frame.pixels - model.frame.pixels.mean(axis=0)
-    down, right = legvander(away / np.abs(away).max(), DEGREE).transpose(1, 2, 0)
-    theta = model.camera.theta if np.isfinite(model.camera.theta) else THETA_DEFAULT
-    return np.array(
-        [
-            np.outer(AMOUNT / (1 + i + j) * down[i] * right[j], colour)
-            for degree, colour in ((DEGREE, np.ones(3)), (OF_COLOUR, temperature_direction(theta)))
-            for i in range(degree + 1)
-            for j in range(degree + 1 - i)
-        ],
-        np.float32,
-    )
 
 
 class Seen(NamedTuple):
@@ -131,22 +114,11 @@ class Seen(NamedTuple):
         return cls(log, usable, np.square(noise).astype(np.float32))
 
 
-class InLight(NamedTuple):
-    """Appearance of a fitted image under the training light, and its light.
+def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> tuple[ShadowFree, np.ndarray, np.ndarray]:
+    """Estimate the appearance under the training light jointly with the light; ``prior`` is that of the appearance.
 
-    The covariance (k, k) is that of the light's coordinates; the level (3,) float32, in logarithms, is multiplied by
-    the probability of another light than that of training.
-    """
-
-    appearance: ShadowFree
-    covariance: np.ndarray
-    level: np.ndarray
-
-
-def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
-    """Estimate the appearance under the training light jointly with the light.
-
-    ``prior`` is that of :func:`liaam.relighting.shadow_free`.
+    Also return the covariance (k, k) of the coordinates of the light, and the logarithm of the image's level (3,),
+    times the probability of another light than that of training.
     """
     known, (every, unexplained) = model.levels[-1].appearances["log"], light_on_frame(model)
     n, side = known.n_modes, CORRELATED * model.diagonal
@@ -157,7 +129,11 @@ def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
     levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
     every = np.concatenate([every[:, kept], np.broadcast_to(levels[:, None], (3, len(kept), 3))])
     precision = np.concatenate([max(prior, NO_PRIOR) / np.maximum(known.eigenvalues, 1e-12), np.ones(len(every))])
-    whitened = _whitened(part, seen.noise[kept], unexplained[kept])
+    grey, each = np.ones((3, 3)), np.eye(3)
+    of_light = np.square(unexplained[kept])[:, None, None] * (grey + COLOURED**2 * (each - grey / 3.0))
+    of_model = UNKNOWN**2 * grey if part.unexplained is None else part.unexplained
+    errors = of_model + NOISE_FACTOR * seen.noise[kept, None] * each + of_light
+    whitened = np.linalg.cholesky(np.linalg.inv(errors)).astype(np.float32)
     target = np.einsum("nc,ncd->nd", seen.log[kept] - part.mean, whitened).ravel()
     modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, every]), whitened, optimize=True)
     modes, weights = modes.reshape(len(modes), -1), usable
@@ -174,7 +150,7 @@ def appearance_in_light(model: AAM, seen: Seen, prior: float = 1.0) -> InLight:
     found = found - same * covariance[:, own] @ np.linalg.solve(variance, light)
     spread = (1.0 - same) * (variance + same * np.outer(light, light))
     deviations = np.sqrt(np.diag(covariance)[:n])
-    return InLight(ShadowFree(known.texture(found[:n]), found[:n], deviations, found[own]), spread, level)
+    return ShadowFree(known.texture(found[:n]), found[:n], deviations, found[own]), spread, level
 
 
 def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
@@ -185,15 +161,6 @@ def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
     """
     exponent = -0.5 * (light @ np.linalg.solve(covariance, light) + np.linalg.slogdet(covariance)[1])
     return float(1.0 / (1.0 + np.exp(-np.clip(exponent, -500.0, 500.0))))
-
-
-def _whitened(known: AppearanceModel, noise: np.ndarray, of_light: np.ndarray) -> np.ndarray:
-    """Return the factors (n, 3, 3) float32 that whiten the errors at pixels, (n, 3), from the right."""
-    grey, every = np.ones((3, 3)), np.eye(3)
-    unexplained = UNKNOWN**2 * grey if known.unexplained is None else known.unexplained
-    light = np.square(of_light)[:, None, None] * (grey + COLOURED**2 * (every - grey / 3.0))
-    covariance = unexplained + NOISE_FACTOR * noise[:, None] * every + light
-    return np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
 
 
 def noise_of_log(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:

@@ -152,33 +152,30 @@ def without_shading(
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:
     """Return the logarithm of linear light of stored values (any shape), float32; black counts as half a step."""
     levels = np.arange(256, dtype=np.uint8) if image.dtype == np.uint8 else image  # a table is faster
-    light = np.maximum(to_linear(stored_values(levels), response), np.exp(_darkest(response)))
-    log = np.log(light).astype(np.float32)
+    black, _ = _from_black_to_white(response)
+    log = np.log(np.maximum(to_linear(stored_values(levels), response), np.exp(black))).astype(np.float32)
     return log[image] if image.dtype == np.uint8 else log
 
 
 def eight_bits(log_light: np.ndarray, response: Response) -> np.ndarray:
     """Convert logarithms of light (any shape) to stored values, uint8, clipped at white; by a table."""
-    darkest = np.float32(_darkest(response))
-    at = (log_light - darkest) * np.float32((1 - BINS) / darkest) + np.float32(0.5)
-    return _stored(response)[np.clip(at, 0.0, BINS - 1.0).astype(np.uint16)]
+    black, stored = _from_black_to_white(response)
+    at = log_light - black
+    at *= (1 - BINS) / black
+    at += np.float32(0.5)
+    return stored[np.clip(at, 0.0, BINS - 1.0, out=at).astype(np.uint16)]
 
 
 @lru_cache(4)
-def _darkest(response: Response) -> float:
-    """Return the logarithm of light that black counts as."""
-    return float(np.log(0.5 * to_linear(np.array(1 / 255), response)))
-
-
-@lru_cache(4)
-def _stored(response: Response) -> np.ndarray:
-    """Return the stored values, (BINS,) uint8, of logarithms of light from black to white."""
-    light = np.exp(np.linspace(_darkest(response), 0.0, BINS))
-    return np.rint(255 * np.clip(from_linear(light, response), 0.0, 1.0) * (np.arange(BINS) > 0)).astype(np.uint8)
+def _from_black_to_white(response: Response) -> tuple[np.float32, np.ndarray]:
+    """Return the logarithm of light of black, and the stored values, (BINS,) uint8, of logarithms from there to 0."""
+    black = np.log(0.5 * to_linear(np.array(1 / 255), response))
+    stored = from_linear(np.exp(np.linspace(black, 0.0, BINS)), response) * (np.arange(BINS) > 0)
+    return np.float32(black), np.rint(255 * np.clip(stored, 0.0, 1.0)).astype(np.uint8)
 
 
 def mean_of(log_rgb: np.ndarray) -> np.ndarray:
-    """Return the means (h, w) over the channels of logarithms of light (h, w, 3) float32."""
+    """Return the means (h, w) over the channels of a picture (h, w, 3)."""
     return cv2.transform(log_rgb, np.full((1, 3), 1 / 3, np.float32))
 
 

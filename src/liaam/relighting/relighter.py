@@ -21,7 +21,7 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
-from liaam.relighting.joint import SQUARE, Seen, appearance_in_light, light_on_frame, light_on_image, noise_of_log
+from liaam.relighting.joint import SQUARE, Seen, light_on_frame, light_on_image, noise_of_log
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
 from liaam.relighting.painting import (
     REACH,
@@ -139,11 +139,9 @@ class Relighter:
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
             return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
-        seen = Seen.of(model, image, shape, response)
-        found = appearance_in_light(model, seen, prior)
-        shading = find_shading(model, seen, found)
+        appearance, shading = find_shading(model, Seen.of(model, image, shape, response), prior)
         shading = shading if steadied is None else steadied(shading)
-        about = (model, shape, response, picture, found.appearance, shading)
+        about = (model, shape, response, picture, appearance, shading)
         return cls(*about, *_removed(model, image, shape, response, shading))
 
     def flat(self) -> np.ndarray:
@@ -153,9 +151,7 @@ class Relighter:
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
         whole = np.zeros(self.picture.shape, np.float32)
-        whole[self.region.box] = np.where(
-            self.covered[..., None], self.log_own - np.minimum(self.log_flat, 0.0), np.float32(0.0)
-        )
+        whole[self.region.box] = self.covered[..., None] * (self.log_own - np.minimum(self.log_flat, 0.0))
         return whole
 
     def certainty(self) -> np.ndarray:
@@ -168,7 +164,8 @@ class Relighter:
         if self.inside.any():
             deviation = self.frame_shading.deviation[:, None]
             known = np.exp(-paint(self.inside, self.region.shape, self.model, deviation)[0])
-            known = self.region.enlarged(known).reshape(self.covered.shape) * (1.0 - self._excess(self.log_flat))
+            excess = self._excess(eight_bits(self.log_flat, self.response))
+            known = self.region.enlarged(known).reshape(self.covered.shape) * (1.0 - excess)
             whole[self.region.box] = np.where(self.covered, known, np.nan)
         return whole
 
@@ -240,8 +237,7 @@ class Relighter:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays of the picture."""
-        kept = [*vars(self).values(), *vars(self.surroundings).values()]
-        return sum(each.nbytes for each in kept if isinstance(each, np.ndarray))
+        return sum(getattr(each, "nbytes", 0) for part in (self, self.surroundings) for each in vars(part).values())
 
     @property
     def inside(self) -> np.ndarray:
@@ -267,16 +263,10 @@ class Relighter:
     @cached_property
     def _grain(self) -> np.ndarray:
         """The part of ``log_own`` that may be noise, (bh, bw, 3) float32."""
-        deviation = noise_of_log(
-            stored_values(self.picture[self.region.box]), self.response, noise_deviation(self.picture)
-        )
+        stored, noise = stored_values(self.picture[self.region.box]), noise_deviation(self.picture)
+        deviation = noise_of_log(stored, self.response, noise)
         fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
         return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
-
-    @cached_property
-    def _brightness(self) -> np.ndarray:
-        """Stored brightness of the image, (bh, bw) float32, at least one step."""
-        return np.maximum(eight_bits(mean_of(self.log_own), self.response), np.float32(1.0))
 
     def _changed(self, change: np.ndarray) -> np.ndarray:
         """Return the flat image with a change of log light, (lh, lw, 1 or 3)."""
@@ -288,16 +278,17 @@ class Relighter:
         picture = self.picture.copy()
         if not self.inside.any():
             return picture
-        excess = self._excess(log_rgb)
+        made = eight_bits(log_rgb, self.response)
+        excess = self._excess(made)
         if (excess > 0.0).any():
-            log_rgb = log_rgb - excess[..., None] * self._grain
-        picture[self.region.box] = eight_bits(log_rgb, self.response)
+            made = eight_bits(log_rgb - excess[..., None] * self._grain, self.response)
+        picture[self.region.box] = made
         return picture
 
-    def _excess(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return the share, (bh, bw), of noise that new logarithms of light (bh, bw, 3) would amplify too much."""
-        after = eight_bits(mean_of(log_rgb), self.response)
-        return 1.0 - np.minimum(MOST_NOISE * self._brightness / np.maximum(after, np.float32(1.0)), 1.0)
+    def _excess(self, made: np.ndarray) -> np.ndarray:
+        """Return the share, (bh, bw), of noise that new stored values (bh, bw, 3) amplify too much."""
+        before, after = (np.maximum(mean_of(each), np.float32(1.0)) for each in (self.picture[self.region.box], made))
+        return 1.0 - np.minimum(MOST_NOISE * before / after, 1.0)
 
 
 def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading) -> tuple:

@@ -17,72 +17,72 @@ from liaam.evaluation import short_repr
 from liaam.lamps.bank import sample_field
 from liaam.model import AAM
 from liaam.model.shape import mirror_order
-from liaam.relighting.joint import NOISE_FACTOR, UNKNOWN, InLight, Seen, light_on_frame
+from liaam.relighting.appearance import ShadowFree
+from liaam.relighting.joint import NOISE_FACTOR, UNKNOWN, Seen, appearance_in_light, light_on_frame
 from liaam.relighting.painting import distance, smoothstep
 
 SMOOTHNESS, WINDOW = 0.01, 0.08
 """Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
 the frame's diagonal."""
 
-WRONG, SHADOWS = 3.0, 0.6
+WRONG, SHADOWS, ERRORS_PER_AREA = 3.0, 0.6, 2.0
 """Standard deviation of the errors of the modes of light, relative to that of their light within the window; and
-without lamps, in logarithms, as modes then leave cast shadows; their edges are no marks either."""
-
-ERRORS_PER_AREA = 2.0
-"""Number of independent errors of the model in the area of the smoothing."""
+without lamps, in logarithms, as modes then leave cast shadows, whose edges are no marks either; and number of
+independent errors of the model in the area of the smoothing."""
 
 AT_THE_BORDER, SOFT_EDGE = 0.5, 0.05
 """Standard deviation of the model's errors at the mesh's border, where a landmark one pixel off samples the background,
 and depth at which they have fallen to 0, as a fraction of the model's diagonal."""
 
-MARK, CONTRAST, CAST = 0.12, 0.07, 0.45
+MARK, CONTRAST, CAST, STEPS = 0.12, 0.07, 0.45, 64.0
 """Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
 the frame's diagonal, the difference from it, in logarithms, at which a pixel has less weight, and what is added to that
-(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window."""
+(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window; and the
+steps per unit in the median filter, which has 256 in all."""
 
 SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
 """What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
 brightness (second) from its surroundings (first, standard deviation as a fraction of the frame's diagonal), unless the
 light itself is as bright on both halves (third, standard deviation of what its halves share)."""
 
-STEPS = 64.0
-"""Steps of log light per unit in the median filter, which has 256 in all."""
-
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Light of a fitted image relative to the training light, on the pixels of the reference frame."""
+    """Light of a fitted image relative to the training light, on the pixels of the reference frame.
+
+    The coordinates (k,) of its modes, its logarithm (n_pixels, 3) float32, and the standard deviation of that,
+    (n_pixels,) float32.
+    """
 
     coordinates: np.ndarray
-    """(k,): of the modes of light."""
     log: np.ndarray
-    """(n_pixels, 3) float32: logarithm of the light."""
     deviation: np.ndarray
-    """(n_pixels,) float32: standard deviation of ``log``."""
 
     __repr__ = short_repr
 
 
-def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
-    """Estimate the light of a fitted image from its appearance and the coordinates of its light."""
-    modes, coordinates = light_on_frame(model)[0], found.appearance.light
-    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1) + found.level
-    left = np.where(seen.usable[:, None] > 0, seen.log - found.appearance.log_rgb - lit, 0.0).astype(np.float32)
+def find_shading(model: AAM, seen: Seen, prior: float = 1.0) -> tuple[ShadowFree, Shading]:
+    """Estimate the appearance and the light of a fitted image; ``prior`` is that of the appearance."""
+    appearance, covariance, level = appearance_in_light(model, seen, prior)
+    modes, _ = light_on_frame(model)
+    lit = np.tensordot(appearance.light.astype(np.float32), modes, axes=1) + level
+    left = np.where(seen.usable[:, None] > 0, seen.log - appearance.log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
     varying = np.maximum(varying, 0.0)
-    prior, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
+    wrong, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
     if model.light is None:
-        prior, contrast = prior + SHADOWS**2, np.full_like(prior, SHADOWS)
+        wrong, contrast = wrong + SHADOWS**2, np.full_like(wrong, SHADOWS)
     else:
         left = without_pairs(model, left, bright)
     weights = seen.usable / (errors_of_the_model(model) + NOISE_FACTOR * seen.noise.mean(axis=1))
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
-    kept = prior / (prior + uncertain)
+    kept = wrong / (wrong + uncertain)
     brightness = modes.mean(axis=2)
-    variance = np.einsum("kn,kl,ln->n", brightness, found.covariance, brightness, optimize=True) + kept * uncertain
+    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + kept * uncertain
     log = lit + kept[:, None] * without_marks(model, left, weights, contrast)
-    return Shading(coordinates, log.astype(np.float32), np.sqrt(np.maximum(variance, 0.0)).astype(np.float32))
+    deviation = np.sqrt(np.maximum(variance, 0.0))
+    return appearance, Shading(appearance.light, log.astype(np.float32), deviation.astype(np.float32))
 
 
 @lru_cache(maxsize=4)
