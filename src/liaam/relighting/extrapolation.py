@@ -40,9 +40,8 @@ BRIGHTER, BRIGHTEST = 0.3, 0.95
 """Logarithm of light above the brightest of the object, from which a pixel is rather background, as a wall is behind a
 dark face; the brightest is this quantile."""
 
-ROUNDS, ENOUGH = 3, 16.0
-"""Number of passes over rows and columns, as three leave no visible stripes, and scale in pixels from which averages
-are computed at a lower resolution."""
+ROUNDS = 3
+"""Number of passes over rows and columns; three leave no visible stripes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,14 +114,8 @@ def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
     """Average layers (h, w, c) over nearby pixels of similar colour ``seen``, (h, w, 3).
 
-    ``scale`` is the standard deviation in regions of constant colour, pixels; large ones are computed at a lower
-    resolution.
+    ``scale`` is the standard deviation in regions of constant colour, pixels.
     """
-    if (step := int(scale / ENOUGH)) > 1:
-        height, width = seen.shape[:2]
-        small = -(-width // step), -(-height // step)
-        found = averaged(_resized(layers, small), _resized(seen, small), scale / step)
-        return _resized(found, (width, height))
     found = np.array(layers, np.float32, order="C")
     steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
     across, down = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
@@ -132,9 +125,3 @@ def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
         kept = (np.exp(decay * each) for each in (across, down))
         _core.filter_rows_and_columns(found, *map(np.ascontiguousarray, kept))
     return found
-
-
-def _resized(layers: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Resize layers (h, w, up to 4) to (width, height), by area means if smaller."""
-    how = cv2.INTER_AREA if size[0] < layers.shape[1] else cv2.INTER_LINEAR
-    return np.atleast_3d(cv2.resize(layers, size, interpolation=how))
