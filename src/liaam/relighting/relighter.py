@@ -134,7 +134,8 @@ class Relighter:
         (image, name), model = load_picture(image, name), fitter.model
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
         response, shape = (fitter.camera or model.camera).response, result.landmarks
-        picture = np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
+        eight = image.dtype == np.uint8
+        picture = image.copy() if eight else np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
         if not len(seen_triangles(image, shape, model)):
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
@@ -274,7 +275,7 @@ class Relighter:
         return self._with(self.log_flat + change.reshape(*self.log_flat.shape[:2], -1))
 
     def _with(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return the image with new logarithms of light, (bh, bw, 3), where they differ; noise stays low."""
+        """Return the image with new logarithms of light, (bh, bw, 3); noise stays low."""
         picture = self.picture.copy()
         if not self.inside.any():
             return picture
