@@ -49,9 +49,9 @@ class Surroundings:
     """Division of the surroundings of a mesh, whose mask is ``inside`` (h, w), between object and background.
 
     ``belongs`` (h, w, 1) is how much a pixel belongs to the object rather than to the background, which is what lies
-    beyond :data:`BACKGROUND`, but for what is :data:`BELOW`. In between, the nearer one counts, where edges of the
+    beyond ``BACKGROUND``, but for what is ``BELOW``. In between, the nearer one counts, where edges of the
     logarithms of light ``seen`` (h, w, 3) are distances. ``share`` (h, w, 1) is the same, falling to 0 at
-    :data:`FARTHEST` times the ``reach``, pixels, from the mesh.
+    ``FARTHEST`` times the ``reach``, pixels, from the mesh.
     """
 
     inside: np.ndarray

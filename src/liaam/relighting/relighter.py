@@ -21,7 +21,6 @@ from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
-from liaam.relighting.joint import SQUARE, Seen, light_on_frame, light_on_image, noise_of_log
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
 from liaam.relighting.painting import (
     REACH,
@@ -34,7 +33,7 @@ from liaam.relighting.painting import (
     paint,
     seen_triangles,
 )
-from liaam.relighting.shading import Shading, find_shading
+from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
 
 UNCERTAIN = 0.6
 """Certainty of the light, of 1, below which a warning is given."""
@@ -47,6 +46,7 @@ MOST_NOISE, GRAIN = 3.0, 1.0
 pixels."""
 
 Light = Sequence[float] | Lamp | Sequence[Lamp]
+Steadied = Callable[[Shading], Shading]
 
 NOTHING = np.zeros((0, 0, 3), np.float32)
 NO_REGION = Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0)))
@@ -99,13 +99,7 @@ class Relighter:
 
     @classmethod
     def of(
-        cls,
-        fitter: Fitter,
-        image,
-        result: FitResult,
-        prior: float = 1.0,
-        name: str = "image",
-        steadied: Callable[[Shading], Shading] | None = None,
+        cls, fitter: Fitter, image, result: FitResult, name: str = "image", steadied: Steadied | None = None
     ) -> "Relighter":
         """Estimate the light of a fitted image.
 
@@ -117,8 +111,6 @@ class Relighter:
             The fitted image.
         result : FitResult
             If its shape lies outside the image or has diverged, the image is left unchanged.
-        prior : float
-            See :func:`shadow_free`.
         name : str
             Name of the image in errors; for a path its file name is used.
         steadied : callable, optional
@@ -140,7 +132,7 @@ class Relighter:
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
             return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
-        appearance, shading = find_shading(model, Seen.of(model, image, shape, response), prior)
+        appearance, shading = find_shading(model, image, shape, response)
         shading = shading if steadied is None else steadied(shading)
         about = (model, shape, response, picture, appearance, shading)
         return cls(*about, *_removed(model, image, shape, response, shading))
