@@ -22,17 +22,7 @@ from liaam.relighting.appearance import ShadowFree, check_method
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
-from liaam.relighting.painting import (
-    REACH,
-    Region,
-    averages,
-    box_of,
-    eight_bits,
-    log_light,
-    mean_of,
-    paint,
-    seen_triangles,
-)
+from liaam.relighting.painting import REACH, Region, averages, box_of, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
 
 UNCERTAIN = 0.6
@@ -280,7 +270,8 @@ class Relighter:
 
     def _excess(self, made: np.ndarray) -> np.ndarray:
         """Return the share, (bh, bw), of noise that new stored values (bh, bw, 3) amplify too much."""
-        before, after = (np.maximum(mean_of(each), np.float32(1.0)) for each in (self.picture[self.region.box], made))
+        grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (self.picture[self.region.box], made))
+        before, after = (np.maximum(each, np.float32(1.0)) for each in grey)
         return 1.0 - np.minimum(MOST_NOISE * before / after, 1.0)
 
 
