@@ -45,7 +45,7 @@ def save(path: Path, frames: list[np.ndarray]) -> None:
     """Write an image, or one that moves for ever."""
     height = round(WIDTH * frames[0].shape[0] / frames[0].shape[1])
     small = [Image.fromarray(frame).resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
-    small[0].save(path, save_all=True, append_images=small[1:], duration=MILLISECONDS, loop=0, quality=60, method=6)
+    small[0].save(path, save_all=True, append_images=small[1:], duration=MILLISECONDS, loop=0, quality=75, method=6)
 
 
 if __name__ == "__main__":

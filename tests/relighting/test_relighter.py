@@ -14,10 +14,9 @@ from liaam.model.mesh import ReferenceFrame, delaunay
 from liaam.relighting import Lamp, Relighter
 from liaam.relighting.extrapolation import Surroundings, carried
 from liaam.relighting.highlights import spared
-from liaam.relighting.one_call import lamps_of
-from liaam.relighting.painting import eight_bits, log_light
-from liaam.relighting.region import Region
-from liaam.relighting.relief import normals_of
+from liaam.relighting.lamp import normals_of
+from liaam.relighting.painting import Region, eight_bits, log_light
+from liaam.relighting.relighter import lamps_of
 from liaam.relighting.shading import without_marks, without_pairs
 from scenes import Head
 
@@ -363,7 +362,7 @@ def test_values_are_carried_on_as_far_as_things_look_alike():
     own[:, 154:] = [1.5, 0.0, -1.0]  # a wall on the right
     around = Surroundings.of(inside, own, 6.0)
     share, belongs = around.share, around.belongs
-    light = around.spread(np.full((160, 200, 3), 2.0, np.float32), np.float32(0.0), own)
+    light = around.spread(np.full((160, 200, 3), 2.0, np.float32), np.zeros((160, 200, 3), np.float32))
     np.testing.assert_allclose(light, np.broadcast_to(2.0 * share, light.shape), atol=1e-3)
     assert share[90, 38] > 0.8 > share[90, 20] > 0.05
     assert share[90, 160:].max() < 0.01
@@ -377,7 +376,8 @@ def test_a_shadow_that_goes_on_takes_the_shadows_change(size):
     values, own = np.zeros((60 * size, 80 * size, 1), np.float32), np.zeros((60 * size, 80 * size, 3), np.float32)
     own[:, 50 * size :] = values[:, 50 * size :] = -1.5  # in the shadow
     values[~inside] = 7.0  # not known there
-    nearby, share = carried(values, inside, own, 5.0 * size), Surroundings.of(inside, own, 5.0 * size).share
+    around = Surroundings.of(inside, own, 5.0 * size)
+    nearby, share = carried(values, inside, around.seen, around.reach), around.share
     row = 44 * size
     np.testing.assert_allclose(nearby[row, 45 * size], 0.0, atol=0.2)
     np.testing.assert_allclose(nearby[row, 55 * size], -1.5, atol=0.2)
@@ -399,7 +399,8 @@ def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_values():
     inside = np.abs(x - 0.3 * y - 40) < 1.5  # slanted, so that reduced pixels hold various parts of it
     values = inside[..., None] * (y / 200)[..., None].astype(np.float32)
     own = np.full((200, 150, 3), -1.0, np.float32)
-    found, share = carried(values, inside, own, 130.0), Surroundings.of(inside, own, 130.0).share
+    around = Surroundings.of(inside, own, 130.0)
+    found, share = carried(values, inside, around.seen, around.reach), around.share
     assert share[inside].min() > 0.9
     assert np.abs(found - values)[inside].mean() < 0.25
 

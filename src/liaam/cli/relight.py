@@ -86,8 +86,7 @@ def relight(
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.relighting import Lamp
-    from liaam.relighting.lamp import AMBIENT
-    from liaam.relighting.one_call import UNCERTAIN, check_colour, relit, separated, uncertainty_of
+    from liaam.relighting.relighter import UNCERTAIN, check_colour, separated, shown, uncertainty_of
 
     lamps = None if direction is None else [Lamp(direction)]  # raises before any work
     model = load_model(model_file)
@@ -105,11 +104,11 @@ def relight(
             progress(i, len(inputs), image.name)
             try:
                 pixels, start = read_with_start(image, init)
-                picture, result, relighter = relit(fitter, pixels, start, lamps, other, AMBIENT, str(image))
+                relighter, result = separated(fitter, pixels, start, str(image))
                 uncertain = relighter.certain < UNCERTAIN
                 written_here = not (strict and (uncertain or not result.status.ok))
                 if written_here:
-                    write_image(path, picture)
+                    write_image(path, shown(relighter, lamps, other))
                     written.append(path)
                 if written_here and certainty:
                     known = np.nan_to_num(relighter.certainty())

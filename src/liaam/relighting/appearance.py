@@ -12,6 +12,7 @@ from liaam.fitting.level_image import correlated_pixels
 from liaam.fitting.picture import load_picture
 from liaam.fitting.solution import solution_at
 from liaam.model import MESH
+from liaam.model.appearance import AppearanceModel
 from liaam.photometry.encoding import refuse_grey
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
@@ -43,6 +44,11 @@ class ShadowFree:
     light: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     __repr__ = short_repr
+
+    @classmethod
+    def unseen(cls, known: AppearanceModel) -> "ShadowFree":
+        """Return the mean appearance, which is all that is known without an image."""
+        return cls(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
 
 
 def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) -> ShadowFree:
@@ -80,18 +86,16 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
         fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
     seen, known = solution_at(fitter, image, result), fitter.view.levels[-1].appearances["log"]
     n, eigenvalues = known.n_modes, known.eigenvalues
-    if not seen["weight"] > 0:  # no pixel is usable: return the prior
-        return ShadowFree(known.texture(np.zeros(n)), np.zeros(n), np.sqrt(eigenvalues))
+    if not seen["weight"] > 0:  # no pixel is usable
+        return ShadowFree.unseen(known)
     # In units of squared residuals, like the shape prior.
     variance = correlated_pixels(fitter.view.levels[-1].blur) * max(seen["squares"] / seen["weight"], LEAST_VARIANCE)
     precision = np.zeros(len(seen["lam"]))
     precision[:n] = prior * variance / np.maximum(eigenvalues, 1e-12)
     modes = (seen["rows"][1:] * seen["masked"]).astype(np.float64)
     gram = modes @ modes.T
-    # Rounding may make the eigenvalues of unobserved modes negative.
-    curvatures, axes = np.linalg.eigh(gram)
-    ridge = 1e-9 * float(np.diag(gram).max())
-    hessian = (axes * (np.maximum(curvatures, 0.0) + ridge)) @ axes.T + np.diag(precision)
+    # Rounding may make the eigenvalues of unobserved modes negative, by less than this.
+    hessian = gram + np.diag(precision + 1e-9 * np.diag(gram).max())
     best = np.linalg.solve(hessian, gram @ seen["lam"] + modes @ (seen["masked"] * seen["residual"]))
     spread = np.sqrt(np.diag(np.linalg.inv(hessian)) * variance)
     return ShadowFree(known.texture(best[:n]), best[:n], spread[:n])
@@ -99,10 +103,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
 
 @lru_cache(maxsize=4)
 def by_invariant(fitter: Fitter) -> Fitter:
-    """Return a fitter by the invariant alone, of the sharpest level: models need not have ``log`` at the others.
-
-    Its preparation takes as long as the appearance of an image.
-    """
+    """Return a fitter by the invariant alone, of the sharpest level: models need not have ``log`` at the others."""
     return replace(fitter, model=fitter.model.with_view(MESH, levels=fitter.model.levels[-1:]), method="li")
 
 

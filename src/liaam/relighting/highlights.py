@@ -2,67 +2,43 @@
 
 import math
 
+import cv2
 import numpy as np
 
-from liaam.relighting.extrapolation import smoothstep
-from liaam.relighting.painting import mean_of
-from liaam.relighting.region import Region
+from liaam.relighting.painting import Region, averages, mean_of, smoothstep
 
-CLIPPED = math.log(0.95)
-"""Logarithm of light from which a channel counts as clipped."""
+CLIPPED, BRIGHT = math.log(0.95), math.log(0.6)
+"""Logarithms of light from which a channel counts as clipped, and from which brightened pixels approach white gradually
+instead of being clipped."""
 
-COLOUR_REACH, BRIGHTER = 2.0, 4.0
-"""Half the side of the square within which the colour around clipped highlights is averaged, in reaches, and the power
-of light that weighs it: gloss has the colour of the lamp, and is nearly as bright where it is not clipped."""
-
-FALLBACK = 0.01
-"""Weight of the mean colour of the object, for highlights larger than that square."""
-
-BRIGHT = math.log(0.6)
-"""Logarithm of light from which brightened pixels approach white gradually instead of being clipped."""
+COLOUR_REACH, POWER, FALLBACK = 2.0, 4.0, 0.01
+"""Half the side of the square within which the colour around clipped highlights is averaged, in reaches; the power of
+light that weighs it, as gloss has the colour of the lamp, and is nearly as bright where it is not clipped; and the
+weight of the mean colour of the object, for highlights larger than that square."""
 
 
 def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Region) -> tuple[np.ndarray, np.ndarray]:
     """Spare clipped highlights, whose light is not known.
 
-    Parameters
-    ----------
-    own : (bh, bw, 3) float32
-        Logarithms of the image's light.
-    light : (lh, lw, 3) float32
-        Light that will be removed.
-    belongs : (lh, lw, 1) float32
-        How much a pixel belongs to the object.
-    region : Region
-
-    Returns
-    -------
-    light : (lh, lw, 3) float32
-        Around highlights that are clipped in all channels, the object is not darkened, and its colour not changed.
-    whole : (bh, bw, 3) float32
-        Logarithms of the image's light where clipped channels are continued beyond white in the colour of the object
-        around them. A change of light then moves all channels alike, and leaves no grey patch.
+    ``own`` (bh, bw, 3) are the logarithms of the image's light, ``light`` (lh, lw, 3) will be removed, and ``belongs``
+    (lh, lw, 1) is how much a pixel belongs to the object. Return new ones of the first two. Around highlights that are
+    clipped in all channels, the object is not darkened, and its colour not changed. Where single channels are clipped,
+    they are continued beyond white in the colour of the object around them: a change of light then moves all channels
+    alike, and leaves no grey patch.
     """
-    import cv2
-
     brightest = np.maximum.reduce(cv2.split(own))
-    if not (brightest >= CLIPPED).any():
+    some = brightest >= CLIPPED
+    if not some.any():
         return light, own
-    some = (brightest >= CLIPPED).astype(np.float32)
     every = (np.minimum.reduce(cv2.split(own)) >= CLIPPED).astype(np.float32)
     gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
     light = light + smoothstep(4.0 * gone) * (np.minimum(mean_of(light)[..., None], 0.0) - light)
     small = region.reduced(own)
-    bright = np.exp(BRIGHTER * np.maximum.reduce(cv2.split(small)))[..., None]
-    known = bright * belongs * (1.0 - region.reduced(some)[..., None])
-    colour = small - mean_of(small)[..., None]
-    width = 2 * round(COLOUR_REACH * region.reach) + 1
-    sums = np.dstack([colour * known, known])
-    everywhere = sums.mean(axis=(0, 1), dtype=np.float32)
-    sums = cv2.blur(cv2.blur(sums, (width, width)), (width, width)) + FALLBACK * everywhere
-    colour = region.enlarged(sums[..., :3] / np.maximum(sums[..., 3:], 1e-9))
+    bright = np.exp(POWER * np.maximum.reduce(cv2.split(small)))[..., None]
+    known = bright * belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
+    colour = averages(small - mean_of(small)[..., None], known, COLOUR_REACH * region.reach, FALLBACK)
     whole, at = own.copy(), np.nonzero(some)
-    colour, seen = colour[at], own[at]
+    colour, seen = region.enlarged(colour)[at], own[at]
     over = seen >= CLIPPED
     # Gloss raises the weaker channels more.
     level = np.where(over, np.inf, seen - colour).min(axis=1, keepdims=True)
@@ -74,8 +50,6 @@ def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Regi
 
 def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
-    import cv2
-
     brightest = np.maximum.reduce(cv2.split(log_rgb))
     at = np.nonzero(brightest > BRIGHT)
     high, first = brightest[at], own[at].max(axis=1)

@@ -1,20 +1,23 @@
-"""Distant lamps, and their light on a surface."""
+"""Distant lamps, and their light on a surface. Models have no depth, so the outline of the mesh is inflated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from liaam.errors import LiaamError
+from liaam.model.mesh import ReferenceFrame
 
-AMBIENT = 0.25
-"""Default fraction of ambient light."""
+AMBIENT, STRONGEST = 0.25, 10.0
+"""Default fraction of ambient light, and largest strength of a lamp."""
 
 DARKEST = 0.02
 """Lower bound on the light at a pixel, because black has no logarithm."""
 
-STRONGEST = 10.0
-"""Largest strength of a lamp."""
+STEEPEST, ROUNDING = np.tan(np.deg2rad(65.0)), 0.03
+"""Limit of the surface's slope, at the mesh's border, and standard deviation of the smoothing of its slopes, as a
+fraction of the frame's diagonal. It removes ridges at the outline's corners."""
 
 
 @dataclass(frozen=True)
@@ -100,3 +103,32 @@ def check_ambient(ambient: float) -> None:
     """Raise an error for ambient light out of range."""
     if not 0.0 <= ambient <= 1.0:
         raise LiaamError(f"ambient light {ambient:g}: give a fraction from 0 (only the lamp) to 1 (no lamp)")
+
+
+@lru_cache(maxsize=4)
+def normals_of(frame: ReferenceFrame) -> np.ndarray:
+    """Compute unit normals of an inflated surface, (n_pixels, 3) float32: x to the right, y down, z to the viewer.
+
+    u solves Poisson's equation, laplacian(u) = -1 with 0 on the border. The height 2 sqrt(u) is a hemisphere over a
+    disc, and smooth over other outlines.
+    """
+    from scipy.ndimage import gaussian_filter
+    from scipy.sparse import coo_array, diags_array
+    from scipy.sparse.linalg import splu
+
+    n = frame.n_pixels
+    number = frame.picture(np.arange(n) + 1.0).astype(int)  # 0 around the frame
+    pairs = np.hstack([[g[:, :-1].ravel(), g[:, 1:].ravel()] for g in (number, number.T)])
+    a, b = pairs[:, (pairs > 0).all(axis=0)] - 1
+    links = coo_array((np.ones(2 * len(a)), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n))
+    bulge = splu((diags_array(np.full(n, 4.0)) - links).tocsc()).solve(np.ones(n))
+    scale = ROUNDING * float(np.hypot(*frame.size))
+    height = np.pad(frame.picture(2.0 * np.sqrt(bulge)), round(3 * scale))
+    inside = height > 0
+    down, right = np.gradient(height)
+    sums = [gaussian_filter(each * inside, scale)[inside] for each in (right, down, 1.0)]
+    slope = np.column_stack(sums[:2]) / np.maximum(sums[2], 1e-6)[:, None]
+    steep = np.linalg.norm(slope, axis=1, keepdims=True)
+    slope = slope / np.sqrt(1.0 + np.square(steep / STEEPEST))  # smooth saturation
+    normals = np.column_stack([-slope, np.ones(n)])
+    return (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)

@@ -1,13 +1,15 @@
-"""Warping from the model's reference frame to an image, and blending at the mesh's border."""
+"""From the model's reference frame to an image, at one of two resolutions, and from stored values to light and back."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from liaam import _core
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
+from liaam.model.shape import diagonal_of
 from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour, stored_values
 from liaam.relighting.appearance import ShadowFree
@@ -15,14 +17,57 @@ from liaam.relighting.appearance import ShadowFree
 LARGEST = 10
 """Size of a shape, relative to the image, beyond which it is not painted."""
 
-SOFT_EDGE = 0.05
-"""Width of the border in which appearance and image are blended, as a fraction of the model's diagonal."""
-
 REACH = 0.04
 """Standard deviation of the Gaussian by which shading is removed beyond the mesh, as a fraction of the diagonal."""
 
-DARKEST, BINS = -9.0, 65536
-"""Logarithm of light that is stored as 0, and number of steps from there to white."""
+FINEST = 128.0
+"""Largest diagonal of an object, in pixels, at which light is computed. In larger objects it is enlarged."""
+
+BINS = 65536
+"""Number of steps of the logarithm of light from black to white."""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """The part of an image that relighting changes, and the lower resolution at which its light is computed.
+
+    Its box of rows and columns, its width and height in pixels of the image and of light, and the landmarks (n, 2) in
+    pixels of light.
+    """
+
+    box: tuple[slice, slice]
+    size: tuple[int, int]
+    small: tuple[int, int]
+    shape: np.ndarray
+
+    @classmethod
+    def of(cls, shape: np.ndarray, box: tuple[slice, slice]) -> "Region":
+        """Choose the resolution of light for an object with landmarks (n, 2) in a box of an image."""
+        (top, bottom), (left, right) = ((each.start, each.stop) for each in box)
+        size, factor = (right - left, bottom - top), min(1.0, FINEST / max(diagonal_of(shape), 1e-6))
+        small = (min(size[0], max(1, round(size[0] * factor))), min(size[1], max(1, round(size[1] * factor))))
+        scale = np.divide(small, np.maximum(size, 1))
+        return cls(box, size, small, (shape - (left, top) + 0.5) * scale - 0.5)
+
+    @property
+    def reach(self) -> float:
+        """Distance over which a new light fades out around the mesh, pixels of light."""
+        return max(1.0, REACH * diagonal_of(self.shape))
+
+    def reduced(self, picture: np.ndarray) -> np.ndarray:
+        """Average a picture of the box, (h, w, up to 4), to the resolution of light."""
+        return picture if self.size == self.small else cv2.resize(picture, self.small, interpolation=cv2.INTER_AREA)
+
+    def enlarged(self, layers: np.ndarray) -> np.ndarray:
+        """Interpolate layers of light, (h, w, up to 4), at the pixels of the box."""
+        return layers if self.size == self.small else cv2.resize(layers, self.size, interpolation=cv2.INTER_LINEAR)
+
+
+def box_of(points: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the rows and columns of points (n, 2) plus a margin, in an image of a size (height, width, ...)."""
+    left, top = np.floor(points.min(axis=0) - margin).astype(int).tolist()
+    right, bottom = np.ceil(points.max(axis=0) + margin).astype(int).tolist()
+    return slice(max(top, 0), min(bottom + 1, size[0])), slice(max(left, 0), min(right + 1, size[1]))
 
 
 def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -45,27 +90,22 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     inside : (h, w) bool
         Where ``picture`` has values.
     """
-    height, width = image.shape[:2]
-    picture, inside = np.zeros((height, width, values.shape[1]), np.float32), np.zeros((height, width), bool)
+    picture, inside = np.zeros((*image.shape[:2], values.shape[1]), np.float32), np.zeros(image.shape[:2], bool)
     triangles = seen_triangles(image, shape, model)
     if not len(triangles):
         return picture, inside
-    left, top = np.clip(np.floor(shape.min(axis=0)), 0, (width - 1, height - 1)).astype(int)
-    right, bottom = np.clip(np.ceil(shape.max(axis=0)) + 1, 1, (width, height)).astype(int)
-    there = model.shape_model.mean - model.frame.origin
-    corners = np.ascontiguousarray(triangles, np.int32)
-    owner, own = _core.carry(
-        np.ascontiguousarray(shape - (left, top), np.float64), corners, there, right - left, bottom - top
-    )
+    rows, columns = box_of(shape, 0.0, image.shape)
+    corners = np.ascontiguousarray(shape - (columns.start, rows.start), np.float64)
+    there, size = model.shape_model.mean - model.frame.origin, (columns.stop - columns.start, rows.stop - rows.start)
+    owner, own = _core.carry(corners, np.ascontiguousarray(triangles, np.int32), there, *size)
     y, x = np.nonzero(owner >= 0)
     # At the mesh's border, pixels outside it have no weight.
     known = np.ones((len(values), 1), np.float32)
     layers = model.frame.picture(np.concatenate([values, known, known], axis=1))
     warped, _ = _core.sample_channels(np.ascontiguousarray(layers, np.float32), own[y, x])
     kept = warped[:, -1] > 1e-3
-    y, x, warped = y[kept] + top, x[kept] + left, warped[kept]
-    picture[y, x] = warped[:, :-1] / warped[:, -1:]
-    inside[y, x] = True
+    at = y[kept] + rows.start, x[kept] + columns.start
+    picture[at], inside[at] = warped[kept, :-1] / warped[kept, -1:], True
     return picture, inside
 
 
@@ -110,58 +150,53 @@ def without_shading(
 
 
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:
-    """Return the logarithm of linear light, (h, w, 3) float32, of stored values; black counts as half a step."""
-    floor = 0.5 * float(to_linear(np.array(1 / 255), response))
-    return of_stored(lambda stored: np.log(np.maximum(to_linear(stored, response), floor)), image)
-
-
-def of_stored(function: Callable[[np.ndarray], np.ndarray], image: np.ndarray) -> np.ndarray:
-    """Apply a function to the stored values in [0, 1] of an image (any shape), by a table where that is faster."""
-    if image.dtype != np.uint8:
-        return function(stored_values(image)).astype(np.float32)
-    return function(stored_values(np.arange(256, dtype=np.uint8))).astype(np.float32)[image]
+    """Return the logarithm of linear light of stored values (any shape), float32; black counts as half a step."""
+    levels = np.arange(256, dtype=np.uint8) if image.dtype == np.uint8 else image  # a table is faster
+    black, _ = _from_black_to_white(response)
+    log = np.log(np.maximum(to_linear(stored_values(levels), response), np.exp(black))).astype(np.float32)
+    return log[image] if image.dtype == np.uint8 else log
 
 
 def eight_bits(log_light: np.ndarray, response: Response) -> np.ndarray:
     """Convert logarithms of light (any shape) to stored values, uint8, clipped at white; by a table."""
-    at = np.clip((log_light - DARKEST) * np.float32((BINS - 1) / -DARKEST) + np.float32(0.5), 0.0, BINS - 1.0)
-    return _stored(response)[at.astype(np.uint16)]
+    black, stored = _from_black_to_white(response)
+    at = log_light - black
+    at *= (1 - BINS) / black
+    at += np.float32(0.5)
+    return stored[np.clip(at, 0.0, BINS - 1.0, out=at).astype(np.uint16)]
 
 
 @lru_cache(4)
-def _stored(response: Response) -> np.ndarray:
-    """Return the stored values, (BINS,) uint8, of logarithms of light from DARKEST to 0."""
-    light = np.exp(np.linspace(DARKEST, 0.0, BINS))
-    return np.rint(255 * np.clip(from_linear(light, response), 0.0, 1.0)).astype(np.uint8)
-
-
-def as_eight_bit(image: np.ndarray) -> np.ndarray:
-    """Convert an image to uint8; return a copy of one that is."""
-    if image.dtype == np.uint8:
-        return image.copy()
-    return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
-
-
-@lru_cache(maxsize=4)
-def soft_edge(model: AAM) -> np.ndarray:
-    """Return weights of the model's pixels, (n_pixels,) float32: 0 at the mesh's border, 1 well inside."""
-    from scipy.ndimage import distance_transform_edt
-
-    inside = model.frame.picture(np.ones(model.n_pixels, np.float32), 0.0) > 0
-    depth = np.asarray(distance_transform_edt(np.pad(inside, 1)))[1:-1, 1:-1]
-    ramp = np.clip((depth - 1.0) / (SOFT_EDGE * model.diagonal), 0.0, 1.0)
-    return (ramp * ramp * (3.0 - 2.0 * ramp))[inside].astype(np.float32)
-
-
-def box_of(shape: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[slice, slice]:
-    """Return the rows and columns of landmarks (n, 2) plus a margin, in an image of a size (height, width, ...)."""
-    left, top = np.floor(shape.min(axis=0) - margin).astype(int).tolist()
-    right, bottom = np.ceil(shape.max(axis=0) + margin).astype(int).tolist()
-    return slice(max(top, 0), min(bottom + 1, size[0])), slice(max(left, 0), min(right + 1, size[1]))
+def _from_black_to_white(response: Response) -> tuple[np.float32, np.ndarray]:
+    """Return the logarithm of light of black, and the stored values, (BINS,) uint8, of logarithms from there to 0."""
+    black = np.log(0.5 * to_linear(np.array(1 / 255), response))
+    stored = from_linear(np.exp(np.linspace(black, 0.0, BINS)), response) * (np.arange(BINS) > 0)
+    return np.float32(black), np.rint(255 * np.clip(stored, 0.0, 1.0)).astype(np.uint8)
 
 
 def mean_of(log_rgb: np.ndarray) -> np.ndarray:
-    """Return the means (h, w) over the channels of logarithms of light (h, w, 3) float32."""
-    import cv2
-
+    """Return the means (h, w) over the channels of a picture (h, w, 3)."""
     return cv2.transform(log_rgb, np.full((1, 3), 1 / 3, np.float32))
+
+
+def distance(mask: np.ndarray) -> np.ndarray:
+    """Return the distance of each pixel of a mask (h, w) from the rest, float32."""
+    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+
+
+def smoothstep(x: np.ndarray) -> np.ndarray:
+    """Rise smoothly from 0 at 0 to 1 at 1."""
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def averages(values: np.ndarray, weights: np.ndarray, radius: float, fallback: float = 0.0) -> np.ndarray:
+    """Return weighted means of values (h, w, c) float32, weights (h, w, 1), by two box filters of a radius.
+
+    ``fallback`` is the weight of the mean of the whole picture.
+    """
+    sums = np.concatenate([values * weights, weights], axis=2).astype(np.float32)
+    everywhere = fallback * sums.mean(axis=(0, 1))
+    width = 2 * round(radius) + 1
+    sums = cv2.blur(cv2.blur(sums, (width, width)), (width, width)) + everywhere
+    return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)

@@ -1,14 +1,17 @@
-"""Relighting of one fitted image under any number of lights."""
+"""Relighting of one fitted image under any number of lights, or in one call, from the fit to the picture."""
 
+import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import short_repr
-from liaam.fitting import FitResult, Fitter
+from liaam.fitting import FitResult, Fitter, Method
+from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
@@ -16,37 +19,28 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_method
-from liaam.relighting.basis import light_on_frame, light_on_image, square_around
-from liaam.relighting.extrapolation import Surroundings
+from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
-from liaam.relighting.joint import appearance_in_light
-from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of
-from liaam.relighting.painting import (
-    REACH,
-    as_eight_bit,
-    box_of,
-    eight_bits,
-    log_light,
-    mean_of,
-    paint,
-    seen_triangles,
-)
-from liaam.relighting.region import Region
-from liaam.relighting.relief import normals_of
-from liaam.relighting.seen import Seen, noise_variance
-from liaam.relighting.shading import Shading, find_shading
+from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
+from liaam.relighting.painting import REACH, Region, averages, box_of, eight_bits, log_light, paint, seen_triangles
+from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
+
+UNCERTAIN = 0.6
+"""Certainty of the light, of 1, below which a warning is given."""
 
 LONGEST = 1.5
 """Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
 
-MOST_NOISE = 3.0
-"""Largest amplification of the noise of stored values."""
+MOST_NOISE, GRAIN = 3.0, 1.0
+"""Largest amplification of the noise of stored values, and standard deviation of the Gaussian that separates it,
+pixels."""
 
-GRAIN = 1.0
-"""Standard deviation of the Gaussian that separates noise, pixels."""
+Light = Sequence[float] | Lamp | Sequence[Lamp]
+Steadied = Callable[[Shading], Shading]
 
-LEAST_CHANGE = 1e-4
-"""Change of log light that counts as one."""
+NOTHING = np.zeros((0, 0, 3), np.float32)
+NO_REGION = Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0)))
+NO_SURROUNDINGS = Surroundings(np.zeros((0, 0), bool), NOTHING, NOTHING, NOTHING, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +64,14 @@ class Relighter:
     frame_shading : Shading
         The image's light on the model's reference frame.
     region : Region
-        The part of the image that may change, (bh, bw) pixels, and its resolution of light, (lh, lw).
+        The part of the image that may change, (bh, bw) pixels, and its resolution of light, (lh, lw). There are no
+        pixels if the object is outside the image.
     log_flat : (bh, bw, 3) float32
         Logarithm of light with the object under the training light. Clipped highlights may have more than white.
     log_own : (bh, bw, 3) float32
         That of the image.
-    noise : float
-        Standard deviation of the image's stored values.
-    deviation : (lh, lw) float32
-        Standard deviation of the logarithm of the light that was removed, inside the mesh.
     surroundings : Surroundings
         How far light extends around the mesh.
-    normals : (lh, lw, 3) float32
-        Normals of the inflated surface (:func:`liaam.relighting.relief.normals_of`), rotated with the object.
     """
 
     model: AAM
@@ -91,25 +80,16 @@ class Relighter:
     picture: np.ndarray
     appearance: ShadowFree
     frame_shading: Shading
-    region: Region
-    log_flat: np.ndarray
-    log_own: np.ndarray
-    noise: float
-    deviation: np.ndarray
-    surroundings: Surroundings
-    normals: np.ndarray
+    region: Region = NO_REGION
+    log_flat: np.ndarray = field(default_factory=NOTHING.copy)
+    log_own: np.ndarray = field(default_factory=NOTHING.copy)
+    surroundings: Surroundings = NO_SURROUNDINGS
 
     __repr__ = short_repr
 
     @classmethod
     def of(
-        cls,
-        fitter: Fitter,
-        image,
-        result: FitResult,
-        prior: float = 1.0,
-        name: str = "image",
-        steadied: Callable[[Shading], Shading] | None = None,
+        cls, fitter: Fitter, image, result: FitResult, name: str = "image", steadied: Steadied | None = None
     ) -> "Relighter":
         """Estimate the light of a fitted image.
 
@@ -121,8 +101,6 @@ class Relighter:
             The fitted image.
         result : FitResult
             If its shape lies outside the image or has diverged, the image is left unchanged.
-        prior : float
-            See :func:`shadow_free`.
         name : str
             Name of the image in errors; for a path its file name is used.
         steadied : callable, optional
@@ -137,10 +115,17 @@ class Relighter:
         fitter = fitter.lit_part_for(result)  # without a basis of light, beards count as shade
         (image, name), model = load_picture(image, name), fitter.model
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
-        response = (fitter.camera or model.camera).response
-        if not len(seen_triangles(image, result.landmarks, model)):
-            return _unchanged(model, image, result.landmarks, response)
-        return _separated(model, image, result.landmarks, response, prior, steadied)
+        response, shape = (fitter.camera or model.camera).response, result.landmarks
+        eight = image.dtype == np.uint8
+        picture = image.copy() if eight else np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
+        if not len(seen_triangles(image, shape, model)):
+            known = model.levels[-1].appearances["log"]
+            shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
+            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
+        appearance, shading = find_shading(model, image, shape, response)
+        shading = shading if steadied is None else steadied(shading)
+        about = (model, shape, response, picture, appearance, shading)
+        return cls(*about, *_removed(model, image, shape, response, shading))
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -149,9 +134,7 @@ class Relighter:
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
         whole = np.zeros(self.picture.shape, np.float32)
-        whole[self.region.box] = np.where(
-            self.covered[..., None], self.log_own - np.minimum(self.log_flat, 0.0), np.float32(0.0)
-        )
+        whole[self.region.box] = self.covered[..., None] * (self.log_own - np.minimum(self.log_flat, 0.0))
         return whole
 
     def certainty(self) -> np.ndarray:
@@ -162,7 +145,10 @@ class Relighter:
         """
         whole = np.full(self.picture.shape[:2], np.nan, np.float32)
         if self.inside.any():
-            known = self.region.enlarged(np.exp(-self.deviation)) * (1.0 - self._excess(self.log_flat))
+            deviation = self.frame_shading.deviation[:, None]
+            known = np.exp(-paint(self.inside, self.region.shape, self.model, deviation)[0])
+            excess = self._excess(eight_bits(self.log_flat, self.response))
+            known = self.region.enlarged(known).reshape(self.covered.shape) * (1.0 - excess)
             whole[self.region.box] = np.where(self.covered, known, np.nan)
         return whole
 
@@ -229,19 +215,27 @@ class Relighter:
             return self.picture.copy()
         shading, region = other.frame_shading, self.region
         values, _ = paint(self.inside, region.shape, self.model, shading.log)
-        lit = light_on_image(self.model, shading.coordinates, region)
-        return self._changed(self.surroundings.spread(values, lit, region.reduced(self.log_flat)))
+        return self._changed(self.surroundings.spread(values, light_on_image(self.model, shading.coordinates, region)))
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays of the picture."""
-        kept = [*vars(self).values(), *vars(self.surroundings).values()]
-        return sum(each.nbytes for each in kept if isinstance(each, np.ndarray))
+        return sum(getattr(each, "nbytes", 0) for part in (self, self.surroundings) for each in vars(part).values())
 
     @property
     def inside(self) -> np.ndarray:
         """Pixels of light inside the mesh, (lh, lw) bool."""
         return self.surroundings.inside
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Normals of the inflated surface, rotated with the object, (lh, lw, 3) float32."""
+        pose, radius = align(self.model.shape_model.mean, self.shape), 2.0 * self.region.reach
+        values, _ = paint(self.inside, self.region.shape, self.model, normals_of(self.model.frame))
+        known = self.inside[..., None]
+        normals = np.where(known, values, averages(values, known, radius) if known.size else values)
+        normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
+        return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
 
     @cached_property
     def covered(self) -> np.ndarray:
@@ -252,14 +246,10 @@ class Relighter:
     @cached_property
     def _grain(self) -> np.ndarray:
         """The part of ``log_own`` that may be noise, (bh, bw, 3) float32."""
-        stored = stored_values(self.picture[self.region.box])
-        deviation = np.sqrt(noise_variance(stored, self.response, self.noise))
-        return grain_of(self.log_own, deviation.astype(np.float32))
-
-    @cached_property
-    def _brightness(self) -> np.ndarray:
-        """Stored brightness of the image, (bh, bw) uint8."""
-        return eight_bits(mean_of(self.log_own), self.response)
+        stored, noise = stored_values(self.picture[self.region.box]), noise_deviation(self.picture)
+        deviation = noise_of_log(stored, self.response, noise)
+        fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
+        return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
 
     def _changed(self, change: np.ndarray) -> np.ndarray:
         """Return the flat image with a change of log light, (lh, lw, 1 or 3)."""
@@ -267,102 +257,149 @@ class Relighter:
         return self._with(self.log_flat + change.reshape(*self.log_flat.shape[:2], -1))
 
     def _with(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return the image with new logarithms of light, (bh, bw, 3), where they differ; noise stays low."""
+        """Return the image with new logarithms of light, (bh, bw, 3); noise stays low."""
         picture = self.picture.copy()
         if not self.inside.any():
             return picture
-        changed = mean_of(np.abs(np.minimum(log_rgb, 0.0) - self.log_own)) > LEAST_CHANGE
-        excess = self._excess(log_rgb)
+        made = eight_bits(log_rgb, self.response)
+        excess = self._excess(made)
         if (excess > 0.0).any():
-            log_rgb = log_rgb - excess[..., None] * self._grain
-        part = picture[self.region.box]
-        np.copyto(part, eight_bits(log_rgb, self.response), where=changed[..., None])
+            made = eight_bits(log_rgb - excess[..., None] * self._grain, self.response)
+        picture[self.region.box] = made
         return picture
 
-    def _excess(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return the share, (bh, bw), of noise that new logarithms of light (bh, bw, 3) would amplify too much."""
-        after = eight_bits(mean_of(log_rgb), self.response).astype(np.float32)
-        before = np.maximum(self._brightness, np.float32(1.0))
-        return 1.0 - np.minimum(MOST_NOISE * before / np.maximum(after, 1.0), 1.0)
+    def _excess(self, made: np.ndarray) -> np.ndarray:
+        """Return the share, (bh, bw), of noise that new stored values (bh, bw, 3) amplify too much."""
+        grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (self.picture[self.region.box], made))
+        before, after = (np.maximum(each, np.float32(1.0)) for each in grey)
+        return 1.0 - np.minimum(MOST_NOISE * before / after, 1.0)
 
 
-def _separated(
-    model: AAM,
-    image: np.ndarray,
-    shape: np.ndarray,
-    response: Response,
-    prior: float,
-    steadied: Callable[[Shading], Shading] | None,
-) -> Relighter:
-    """Estimate the light on the reference frame, warp it to the image, and continue it beyond the mesh."""
-    import cv2
-
-    noise = noise_deviation(image)
-    seen = Seen.of(model, image, shape, response, noise)
-    found = appearance_in_light(model, seen, prior)
-    shading = find_shading(model, seen, found)
-    shading = shading if steadied is None else steadied(shading)
-    around_it = box_of(shape, 4 * REACH * diagonal_of(shape) + 4, image.shape)
-    region = Region.of(shape, around_it if model.light is None else square_around(model.light, shape, image.shape))
-    layers = np.column_stack([shading.log, shading.deviation, normals_of(model.frame)])
-    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, layers.astype(np.float32))
+def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading) -> tuple:
+    """Warp the light to the image, continue it beyond the mesh, and remove it; return a relighter's last fields."""
+    margin = FARTHEST * (REACH * diagonal_of(shape) + 1.0)
+    reached, margin = (shape, margin) if model.light is None else (align(model.light.mean, shape)(SQUARE), 0.0)
+    region = Region.of(shape, box_of(reached, margin, image.shape))
+    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, shading.log)
     if not inside.any():
-        return _unchanged(model, image, shape, response)
+        return ()
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
-    unlit = region.reduced(own) - lit
-    surroundings = Surroundings.of(inside, unlit, region.reach)
-    light = surroundings.spread(painted[..., :3], lit, unlit)
-    pose = align(model.shape_model.mean, shape)
-    width = 2 * round(2.0 * region.reach) + 1
-    nearby = cv2.blur(cv2.blur(painted[..., 4:], (width, width)), (width, width))
-    normals = np.where(inside[..., None], painted[..., 4:], nearby)
-    normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
-    normals /= np.sqrt(np.maximum(cv2.transform(np.square(normals), np.ones((1, 3), np.float32)), 1e-12))[..., None]
-    light, whole = spared(own, light, surroundings.belongs, region)
-    light = region.enlarged(light)
-    return Relighter(
-        model=model,
-        shape=shape,
-        response=response,
-        picture=as_eight_bit(image),
-        appearance=found.appearance,
-        frame_shading=shading,
-        region=region,
-        log_flat=below_white(whole - light, whole),
-        log_own=own,
-        noise=noise,
-        deviation=painted[..., 3],
-        surroundings=surroundings,
-        normals=normals,
+    surroundings = Surroundings.of(inside, region.reduced(own) - lit, region.reach)
+    light, whole = spared(own, surroundings.spread(painted, lit), surroundings.belongs, region)
+    return region, below_white(whole - region.enlarged(light), whole), own, surroundings
+
+
+def relight(
+    model: AAM,
+    image,
+    light: Light | None = None,
+    *,
+    like=None,
+    ambient: float = AMBIENT,
+    init=None,
+    like_init=None,
+    method: str | Method = DEFAULT_METHOD,
+    **settings,
+) -> np.ndarray:
+    """Fit a model to an image, and show the object in another light.
+
+    For many images or lights, make a :class:`liaam.relighting.Relighter` of a fit.
+
+    Parameters
+    ----------
+    model : AAM
+        Trained on colour images.
+    image : (h, w, 3) uint8, uint16 or float array, or path
+    light : (3,) float, Lamp, or sequence of Lamp, optional
+        Direction to a distant lamp (x to the right, y down, z to the viewer), or lamps. By default the light of the
+        training images, which removes the shading.
+    like : image, optional
+        Another image of such an object, whose light is used; not together with ``light``.
+    ambient : float
+        Fraction of ambient light with ``light``, 0 to 1.
+    init, like_init : start, optional
+        Starts of the fits to the two images, as for :func:`liaam.fit`. By default the objects are searched for.
+    method : str or Method
+        ``soft-li``, or a method on logarithms such as ``li``.
+    **settings
+        Other keyword arguments of :func:`liaam.fit`.
+
+    Returns
+    -------
+    (h, w, 3) uint8 array
+
+    Warns
+    -----
+    UserWarning
+        If a fit may be wrong, or the light is uncertain.
+
+    Raises
+    ------
+    LiaamError
+        If ``light`` and ``like`` are given, an argument is invalid, or an image or the model is grey.
+
+    Examples
+    --------
+    >>> flat = liaam.relight(model, "new.png")                                              # doctest: +SKIP
+    >>> lit = liaam.relight(model, "new.png", (1, 0, 1))                                    # doctest: +SKIP
+    """
+    if light is not None and like is not None:
+        raise LiaamError("light and like cannot be combined; give one of them")
+    lamps = None if light is None else lamps_of(light)
+    check_colour(model, model.name or "the model")
+    check_ambient(ambient)
+    fitter, other = Fitter.of(model, method, **settings), None
+    if like is not None:
+        other, result = separated(fitter, like, like_init, "like")
+        _warn(result, "like")
+    relighter, result = separated(fitter, image, init)
+    _warn(result, "image")
+    if relighter.certain < UNCERTAIN:
+        warnings.warn(f"image: {uncertainty_of(relighter)}", stacklevel=2)
+    return shown(relighter, lamps, other, ambient)
+
+
+def check_colour(model: AAM, name: str) -> None:
+    """Raise if a model was trained on grey images."""
+    if not model.is_colour:
+        raise LiaamError(
+            f"{name}: the model was trained on grey images, and estimating shading needs colour; train on colour images"
+        )
+
+
+def lamps_of(light: Light) -> list[Lamp]:
+    """Return the lamps of a direction, a lamp or several lamps."""
+    if isinstance(light, Lamp):
+        return [light]
+    several = list(light)
+    if several and all(isinstance(lamp, Lamp) for lamp in several):
+        return several  # type: ignore[return-value]
+    return [Lamp(several)]  # type: ignore[arg-type]
+
+
+def shown(
+    relighter: Relighter, lamps: Sequence[Lamp] | None = None, other: Relighter | None = None, ambient: float = AMBIENT
+) -> np.ndarray:
+    """Show an object under lamps, or the light of another image, or that of training."""
+    if other is not None:
+        return relighter.like(other)
+    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient)
+
+
+def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:
+    """Fit an image and separate it into appearance and shading."""
+    result = fitter.fit(image, init, name)
+    return Relighter.of(fitter, image, result, name=name), result
+
+
+def uncertainty_of(relighter: Relighter) -> str:
+    """Say that the light of an image is not well known."""
+    return (
+        f"the light is uncertain ({relighter.certain:.2f} of 1): the image may be too dark, clipped or unlike the "
+        "training images; look at the map of certainty"
     )
 
 
-def grain_of(own: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """Return the part of logarithms of light (h, w, 3) that may be noise of a standard deviation (h, w, 3)."""
-    import cv2
-
-    fine = own - cv2.GaussianBlur(own, (0, 0), GRAIN)
-    return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6))))
-
-
-def _unchanged(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> Relighter:
-    """Return a relighter that leaves the image unchanged, for fits outside it or diverged."""
-    known = model.levels[-1].appearances["log"]
-    appearance = ShadowFree(known.mean, np.zeros(known.n_modes), np.sqrt(known.eigenvalues))
-    zeros, none = np.zeros_like(known.mean), np.zeros((0, 0, 3), np.float32)
-    shading = Shading(np.zeros(len(light_on_frame(model))), zeros, zeros[:, 0])
-    return Relighter(
-        model,
-        shape,
-        response,
-        as_eight_bit(image),
-        appearance,
-        shading,
-        Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0))),
-        log_flat=none,
-        log_own=none,
-        noise=0.0,
-        deviation=none[..., 0],
-        surroundings=Surroundings(np.zeros((0, 0), bool), none, none, 0.0),
-        normals=none,
-    )
+def _warn(result: FitResult, name: str) -> None:
+    if not result.status.ok:
+        warnings.warn(f"{name}: {result.status}: {result.message}", stacklevel=3)

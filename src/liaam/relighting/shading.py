@@ -1,114 +1,250 @@
-"""The light of a fitted image: that of the modes of light, and what they leave.
+"""The light of a fitted image: that of modes of light, estimated jointly with the appearance, and what they leave.
 
-In logarithms, a fitted image is the object's appearance under the training light, plus light, plus what the model does
-not know: a beard, glasses, a mole, and errors of landmarks. Modes of light (:mod:`liaam.relighting.basis`) cannot
-explain any of these. What they leave is light mostly where light varies, as along the edge of a shadow. It is not light
-where it is far from the median of its surroundings, as marks are, nor where both halves of a symmetric object share it,
-under light that they do not share. Elsewhere it stays in the picture.
+The invariant alone (:func:`liaam.relighting.shadow_free`) discards brightness and one direction of colour. If the
+light is estimated jointly, all three channels contribute to the appearance. At a pixel x of the reference frame, the
+image's log light is modelled as
+
+    y(x) = A0(x) + sum_i lambda_i A_i(x)           appearance (paper eq 4)
+         + sum_j h_j H_j(x) + c + e(x)             light, level and errors.
+
+H are modes of light, which the model learnt from lamps, on the object and around it, or smooth ones without lamps; c is
+one colour, by which exposures, white balances and skins differ. The errors e are noise, what the modes do not explain,
+and the model's errors on left-out training images. They have long tails, such as marks and cast shadows, so each pass
+solves weighted least squares with Gaussian priors, and then weighs the pixels by Student's t distribution.
+
+Most images of an object may be in the training light, and errors of the model always look like a little light. So the
+light is 0 with the probability that the data give to it, and its coordinates are means over both cases. An image that
+is darker or redder as a whole is no evidence of another light, as its level c explains it; under another light, the
+level is removed as well.
+
+What the modes leave is light mostly where light varies, as along the edge of a shadow. It is not light where it is far
+from the median of its surroundings, as marks are, nor where both halves of a symmetric object share it, under light
+that they do not share. Elsewhere it stays in the picture, as beards, glasses and moles do, which no model knows.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
+from numpy.polynomial.legendre import legvander
 
 from liaam.evaluation import short_repr
-from liaam.lamps.bank import sample_field
+from liaam.lamps.bank import HALF, in_field, sample_field
 from liaam.model import AAM
-from liaam.model.shape import mirror_order
-from liaam.relighting.basis import light_on_frame
-from liaam.relighting.joint import InLight
-from liaam.relighting.seen import NOISE_FACTOR, Seen, errors_of_the_model
+from liaam.model.shape import align, diagonal_of, mirror_order
+from liaam.photometry import Response, from_linear
+from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_direction
+from liaam.photometry.noise import noise_deviation
+from liaam.photometry.response import log_slope
+from liaam.relighting.appearance import ShadowFree
+from liaam.relighting.painting import Region, distance, smoothstep
+from liaam.training.textures import sample_appearance
+
+SQUARE, LEAST_UNEXPLAINED = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64), 0.05
+"""Corners of the square around the mean shape to which lamps' light is known, and lower bound on the standard deviation
+of what its modes do not explain, as there may be few lamps."""
+
+DEGREE, OF_COLOUR, AMOUNT, UNEXPLAINED = 6, 3, 0.8, 0.06
+"""Without lamps: degrees of the polynomials of brightness and of colour temperature, standard deviation of their
+coefficients in logarithms, which is divided by one plus their degree, and of what they do not explain."""
+
+CORRELATED, ACROSS = 0.15, 4
+"""Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
+it. Modes learnt from lamps leave smooth errors; counted pixel by pixel, they would outweigh the priors."""
+
+NOISE_FACTOR, UNKNOWN, COLOURED = 3.0, 0.05, 0.37
+"""Factor on the noise's variance, to which rounding and JPEG compression add; standard deviation of the model's errors
+if training has not measured it; and that of the colour of what modes do not explain, relative to its brightness."""
+
+LEVEL, TINT = 0.3, 0.1
+"""Standard deviations of the brightness and of each of two colours of an image's level, in logarithms."""
+
+PASSES, FREEDOM = 3, 2.0
+"""Number of passes; more make no visible difference. Degrees of freedom of Student's t distribution of the errors."""
 
 SMOOTHNESS, WINDOW = 0.01, 0.08
 """Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
 the frame's diagonal."""
 
-WRONG = 3.0
-"""Standard deviation of the errors of the modes of light, relative to that of their light within the window."""
+WRONG, SHADOWS, ERRORS_PER_AREA = 3.0, 0.6, 2.0
+"""Standard deviation of the errors of the modes of light, relative to that of their light within the window; and
+without lamps, in logarithms, as modes then leave cast shadows, whose edges are no marks either; and number of
+independent errors of the model in the area of the smoothing."""
 
-SHADOWS = 0.6
-"""The same without lamps, in logarithms, as modes then leave cast shadows; their edges are no marks either."""
+AT_THE_BORDER, SOFT_EDGE = 0.5, 0.05
+"""Standard deviation of the model's errors at the mesh's border, where a landmark one pixel off samples the background,
+and depth at which they have fallen to 0, as a fraction of the model's diagonal."""
 
-ERRORS_PER_AREA = 2.0
-"""Number of independent errors of the model in the area of the smoothing."""
-
-MARK, CONTRAST, CAST = 0.12, 0.07, 0.45
+MARK, CONTRAST, CAST, STEPS = 0.12, 0.07, 0.45, 64.0
 """Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
 the frame's diagonal, the difference from it, in logarithms, at which a pixel has less weight, and what is added to that
-(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window."""
+(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window; and the
+steps per unit in the median filter, which has 256 in all."""
 
 SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
 """What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
 brightness (second) from its surroundings (first, standard deviation as a fraction of the frame's diagonal), unless the
 light itself is as bright on both halves (third, standard deviation of what its halves share)."""
 
-STEPS = 64.0
-"""Steps of log light per unit in the median filter, which has 256 in all."""
+
+@lru_cache(maxsize=4)
+def light_on_frame(model: AAM) -> tuple[np.ndarray, np.ndarray]:
+    """Return modes of light on a model's reference frame, each one standard deviation, (k, n_pixels, 3) float32.
+
+    Also return the standard deviation of what they do not explain, (n_pixels,). Without lamps, they are products of
+    Legendre polynomials in x and y, of brightness and then of colour temperature.
+    """
+    mean, frame, modes = model.shape_model.mean, model.frame, []
+    if model.light is None:
+        away = frame.pixels - frame.pixels.mean(axis=0)
+        down, right = legvander(away / np.abs(away).max(), DEGREE).transpose(1, 2, 0)
+        theta = model.camera.theta if np.isfinite(model.camera.theta) else THETA_DEFAULT
+        for degree, colour in ((DEGREE, np.ones(3)), (OF_COLOUR, temperature_direction(theta))):
+            pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+            modes += [np.outer(AMOUNT / (1 + i + j) * down[i] * right[j], colour) for i, j in pairs]
+        return np.array(modes, np.float32), np.full(model.n_pixels, UNEXPLAINED)
+    away = frame.pixels[:, ::-1] + frame.origin - 0.5 * (mean.min(axis=0) + mean.max(axis=0))
+    at = in_field(away / diagonal_of(mean))[:, None]
+    pictures = [*model.light.modes, model.light.remainder]
+    *modes, remainder = (sample_field(picture.astype(np.float32), at)[:, 0] for picture in pictures)
+    return np.stack(modes), np.maximum(remainder, LEAST_UNEXPLAINED)
+
+
+def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
+    """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps."""
+    if model.light is None or not coordinates.any():
+        return np.zeros((*region.small[::-1], 3), np.float32)
+    change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
+    origin, right, down = in_field(align(model.light.mean, region.shape).inverse()(np.eye(3, 2, -1))).astype(np.float64)
+    pose = np.column_stack([right - origin, down - origin, origin])
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(change, pose, region.small, flags=how, borderMode=cv2.BORDER_REPLICATE)
+
+
+def appearance_in_light(
+    model: AAM, log: np.ndarray, usable: np.ndarray, noise: np.ndarray
+) -> tuple[ShadowFree, np.ndarray, np.ndarray]:
+    """Estimate the appearance under the training light jointly with the light.
+
+    The image on the reference frame has logarithms of light ``log`` (n_pixels, 3), whose ``noise`` are variances, and
+    pixels that are ``usable`` (n_pixels,), 0 or 1. Also return the covariance (k, k) of the coordinates of the light,
+    and the logarithm of the image's level (3,), times the probability of another light than that of training.
+    """
+    known, (every, unexplained) = model.levels[-1].appearances["log"], light_on_frame(model)
+    n, side = known.n_modes, CORRELATED * model.diagonal
+    step = max(1, int(side / ACROSS))
+    kept = np.flatnonzero((model.frame.pixels % step == 0).all(axis=1))
+    part, usable = known.at(kept), (usable * (known.usable > 0))[kept]
+    together = 1.0 if model.light is None else max(1.0, np.square(side / step))
+    levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
+    every = np.concatenate([every[:, kept], np.broadcast_to(levels[:, None], (3, len(kept), 3))])
+    precision = np.concatenate([1.0 / np.maximum(known.eigenvalues, 1e-12), np.ones(len(every))])
+    grey, each = np.ones((3, 3)), np.eye(3)
+    of_light = np.square(unexplained[kept])[:, None, None] * (grey + COLOURED**2 * (each - grey / 3.0))
+    of_model = UNKNOWN**2 * grey if part.unexplained is None else part.unexplained
+    errors = of_model + NOISE_FACTOR * noise[kept, None] * each + of_light
+    whitened = np.linalg.cholesky(np.linalg.inv(errors)).astype(np.float32)
+    target = np.einsum("nc,ncd->nd", log[kept] - part.mean, whitened).ravel()
+    modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, every]), whitened, optimize=True)
+    modes, weights = modes.reshape(len(modes), -1), usable
+    for _ in range(PASSES):
+        rows = modes * np.repeat(weights / np.float32(together), 3)
+        hessian = (rows @ modes.T).astype(np.float64) + np.diag(precision)
+        found = np.linalg.solve(hessian, rows @ target)
+        left = (target - found.astype(np.float32) @ modes).reshape(-1, 3)
+        weights = usable * ((FREEDOM + 3.0) / (FREEDOM + np.square(left).sum(axis=1)))
+    own, covariance = slice(n, -3), np.linalg.inv(hessian)
+    light, variance = found[own], covariance[own, own]
+    same = as_in_training(light, variance)
+    level = np.float32(1.0 - same) * (found[-3:].astype(np.float32) @ levels)
+    found = found - same * covariance[:, own] @ np.linalg.solve(variance, light)
+    spread = (1.0 - same) * (variance + same * np.outer(light, light))
+    deviations = np.sqrt(np.diag(covariance)[:n])
+    return ShadowFree(known.texture(found[:n]), found[:n], deviations, found[own]), spread, level
+
+
+def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the probability that the coordinates of light (k,), whose prior is N(0, 1), are all 0.
+
+    Both cases are equally likely beforehand. Their ratio is that of the densities of posterior and prior at 0
+    (Dickey, "The weighted likelihood ratio", Annals of Mathematical Statistics 1971).
+    """
+    exponent = -0.5 * (light @ np.linalg.solve(covariance, light) + np.linalg.slogdet(covariance)[1])
+    return float(1.0 / (1.0 + np.exp(-np.clip(exponent, -500.0, 500.0))))
+
+
+def noise_of_log(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:
+    """Return the standard deviation of logarithms of light from that of stored values in [0, 1] (any shape)."""
+    return deviation * log_slope(np.maximum(stored, 0.5 / 255), response)
 
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Light of a fitted image relative to the training light, on the pixels of the reference frame."""
+    """Light of a fitted image relative to the training light, on the pixels of the reference frame.
+
+    The coordinates (k,) of its modes, its logarithm (n_pixels, 3) float32, and the standard deviation of that,
+    (n_pixels,) float32.
+    """
 
     coordinates: np.ndarray
-    """(k,): of the modes of light."""
     log: np.ndarray
-    """(n_pixels, 3) float32: logarithm of the light."""
     deviation: np.ndarray
-    """(n_pixels,) float32: standard deviation of ``log``."""
 
     __repr__ = short_repr
 
 
-def find_shading(model: AAM, seen: Seen, found: InLight) -> Shading:
-    """Estimate the light of a fitted image from its appearance and the coordinates of its light."""
-    modes, coordinates = light_on_frame(model), found.appearance.light
-    lit = np.tensordot(coordinates.astype(np.float32), modes, axes=1) + found.level
-    left = np.where(seen.usable[:, None] > 0, seen.log - found.appearance.log_rgb - lit, 0.0).astype(np.float32)
+def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> tuple[ShadowFree, Shading]:
+    """Estimate the appearance and the light of an image (h, w, 3) with fitted landmarks (n, 2)."""
+    log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
+    noise = noise_deviation(image) / max(1.0, align(model.shape_model.mean, shape).scale)
+    noise = np.square(noise_of_log(from_linear(np.exp(log), response), response, noise)).astype(np.float32)
+    appearance, covariance, level = appearance_in_light(model, log, usable, noise)
+    modes, _ = light_on_frame(model)
+    lit = np.tensordot(appearance.light.astype(np.float32), modes, axes=1) + level
+    left = np.where(usable[:, None] > 0, log - appearance.log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
     varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
     varying = np.maximum(varying, 0.0)
-    prior, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
+    wrong, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
     if model.light is None:
-        prior, contrast = prior + SHADOWS**2, np.full_like(prior, SHADOWS)
+        wrong, contrast = wrong + SHADOWS**2, np.full_like(wrong, SHADOWS)
     else:
         left = without_pairs(model, left, bright)
-    weights = seen.usable / (errors_of_the_model(model) + NOISE_FACTOR * seen.noise.mean(axis=1))
-    rest = without_marks(model, left, weights, contrast)
+    weights = usable / (errors_of_the_model(model) + NOISE_FACTOR * noise.mean(axis=1))
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
-    kept = prior / (prior + uncertain)
+    kept = wrong / (wrong + uncertain)
     brightness = modes.mean(axis=2)
-    variance = np.einsum("kn,kl,ln->n", brightness, found.covariance, brightness, optimize=True) + kept * uncertain
-    log, deviation = lit + kept[:, None] * rest, np.sqrt(np.maximum(variance, 0.0))
-    return Shading(coordinates, log.astype(np.float32), deviation.astype(np.float32))
+    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + kept * uncertain
+    light = lit + kept[:, None] * without_marks(model, left, weights, contrast)
+    deviation = np.sqrt(np.maximum(variance, 0.0))
+    return appearance, Shading(appearance.light, light.astype(np.float32), deviation.astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def errors_of_the_model(model: AAM) -> np.ndarray:
+    """Return the variance of the errors of a model's appearance in fitted images, (n_pixels,) float32."""
+    unexplained = model.levels[-1].appearances["log"].unexplained
+    known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
+    depth = distance(model.frame.picture(np.ones(model.n_pixels)) > 0)[tuple(model.frame.pixels.T)]
+    soft = smoothstep((depth - 1.0) / (SOFT_EDGE * model.diagonal))
+    return (known + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
 
 
 def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray) -> np.ndarray:
     """Average what the modes leave, (n_pixels, 3), without marks, by weights (n_pixels,).
 
     A mark differs in light by a ``contrast`` (n_pixels,): first from the median of its surroundings, then
-    from the first average.
+    from the first average. A median ignores lines and spots, and keeps edges between larger regions.
     """
-    near = medians(model, smoothed(model, left, 0.5 * SMOOTHNESS))
+    picture = model.frame.picture(smoothed(model, left, 0.5 * SMOOTHNESS))
+    levels = np.clip(STEPS * picture + 128.0, 0, 255).astype(np.uint8)
+    medians = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)[tuple(model.frame.pixels.T)]
+    near = medians / np.float32(STEPS) - 2.0
     for _ in range(2):
         kept = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
-        layers = np.column_stack([left * kept[:, None], kept])
-        sums = blurred(model, layers, SMOOTHNESS)
-        near = sums[:, :3] / np.maximum(sums[:, 3:], 1e-9)
+        near = smoothed(model, left, SMOOTHNESS, kept)
     return near
-
-
-def medians(model: AAM, values: np.ndarray) -> np.ndarray:
-    """Return the medians of values (n_pixels, 3) in squares.
-
-    They ignore lines and spots up to half the area of a square, but keep edges between larger regions.
-    """
-    import cv2
-
-    levels = np.clip(STEPS * model.frame.picture(values) + 128.0, 0, 255).astype(np.uint8)
-    found = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)
-    return found[tuple(model.frame.pixels.T)] / np.float32(STEPS) - 2.0
 
 
 def without_pairs(model: AAM, left: np.ndarray, bright: np.ndarray) -> np.ndarray:
@@ -143,15 +279,10 @@ def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np
     return np.where(values * other > 0, np.sign(values) * np.minimum(np.abs(values), np.abs(other)), 0.0)
 
 
-def smoothed(model: AAM, values: np.ndarray, scale: float) -> np.ndarray:
-    """Average values (n_pixels, ...) of the frame by a Gaussian of ``scale`` diagonals."""
-    sums = blurred(model, np.column_stack([values, np.ones(len(values))]), scale)
+def smoothed(model: AAM, values: np.ndarray, scale: float, weights: np.ndarray | None = None) -> np.ndarray:
+    """Average values (n_pixels, ...) of the frame, by weights (n_pixels,), in a Gaussian of ``scale`` diagonals."""
+    kept = np.ones((len(values), 1)) if weights is None else weights[:, None]
+    picture = model.frame.picture(np.hstack([values.reshape(len(values), -1) * kept, kept]))
+    sums = cv2.GaussianBlur(picture, (0, 0), scale * model.diagonal, borderType=cv2.BORDER_CONSTANT)
+    sums = sums[tuple(model.frame.pixels.T)]
     return (sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9)).reshape(values.shape)
-
-
-def blurred(model: AAM, layers: np.ndarray, scale: float) -> np.ndarray:
-    """Blur layers (n_pixels, c) of the frame, 0 around it, by a Gaussian of ``scale`` diagonals."""
-    import cv2
-
-    picture, border = model.frame.picture(layers), cv2.BORDER_CONSTANT
-    return cv2.GaussianBlur(picture, (0, 0), scale * model.diagonal, borderType=border)[tuple(model.frame.pixels.T)]
