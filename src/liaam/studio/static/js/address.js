@@ -13,9 +13,7 @@ export const nameIn = (hash) => attempt(() => decodeURIComponent(hash.slice(1)),
 export const tabIn = (search) => new URLSearchParams(search).get("tab");
 
 /** The page is open: from now on, changes of the address are steps of Back and Forward. */
-export function opened() {
-  isOpen = true;
-}
+export function opened() { isOpen = true; }
 
 /** Put the tab or the picture into the address.
  *  @param {{tab?: string, name?: string}} what */

@@ -29,19 +29,17 @@ const WITH_ARROWS = "input, [role=listbox], [role=radiogroup], [role=tab]";
 
 const isIn = (event, selector) => event.target instanceof Element && Boolean(event.target.closest(selector));
 
-/** Handles a key of the tab; returns whether it was handled.
- *  @param {import("./annotate.js").AnnotateTab} tab */
+/** Handles a key; returns whether it was handled. @param {import("./annotate.js").Tab} tab */
 export function createKeys(tab) {
   const { commands, viewer, marking } = tab;
   const always = {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
-    b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
-    r: () => { tab.tool.magnifies = !tab.tool.magnifies; }, n: () => commands.skip(),
+    b: commands.toggleBox, h: () => commands.hideMarks(true), escape: commands.escape, n: commands.skip,
+    r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
-    v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
-    p: () => commands.placeChosen(), s: () => commands.ruler(), delete: () => commands.removeChosen(),
-    backspace: () => commands.removeChosen(),
+    v: commands.toggleInvisible, x: commands.toggleMirrored, m: commands.flip, p: commands.placeChosen,
+    s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
   };
 
   /** Tab selects the next point while the picture has the focus. Past the last, or after Escape, the focus moves on. */

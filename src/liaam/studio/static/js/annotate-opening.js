@@ -7,7 +7,7 @@ import { nextMissing, sameMarks } from "./points.js";
 import { h, icon } from "./ui.js";
 
 /** begins() -> the start of pictures without points, "layout" or "click".
- *  @param {import("./annotate.js").AnnotateTab} tab */
+ *  @param {import("./annotate.js").Tab} tab */
 export function createOpening(tab, begins) {
   const { state, marking, viewer, cover } = tab;
   const fetchMarks = (name) => tab.saving.fetchMarks(name);
@@ -29,10 +29,7 @@ export function createOpening(tab, begins) {
     tab.name = name;
     marking.open(null);
     const fault = whyNot(name);
-    if (fault) {
-      showInstead(fault);
-      return;
-    }
+    if (fault) return showInstead(fault);
     cover.hide();
     tab.refresh();
     try {
@@ -181,7 +178,5 @@ export class Cover {
     this.element.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
   }
 
-  hide() {
-    this.element.hidden = true;
-  }
+  hide() { this.element.hidden = true; }
 }

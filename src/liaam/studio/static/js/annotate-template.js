@@ -10,7 +10,7 @@ import { keptDraft } from "./unsaved.js";
 const KEPT = "Your changes are still here: check them, then press Done";
 const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
 
-/** @param {import("./annotate.js").AnnotateTab} tab */
+/** @param {import("./annotate.js").Tab} tab */
 export function createTemplates(tab) {
   const { app, state, marking, viewer } = tab;
   const { api, toast, confirm } = app;

@@ -22,9 +22,7 @@ import { Viewer } from "./viewer.js";
 
 const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
 
-export const mount = (root, app) => new AnnotateTab(root, app);
-
-export class AnnotateTab {
+export class Tab {
   shortcuts = SHORTCUTS;
   name = null; // name of the open picture
   visible = false;
@@ -74,29 +72,18 @@ export class AnnotateTab {
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
       onshare: (bar, anyway) => this.shareBar(bar, anyway),
     });
-    const commands = createCommands(this);
-    this.commands = commands;
-    const ondecide = () => this.saving.decide(this.saver.conflicted);
-    this.status = createStatus({ toast: app.toast, say: this.say, ondecide });
-    this.toolbar = createToolbar({ state, commands, status: this.status, act: (event, work) => this.act(event, work) });
-    this.panel = createPointsPanel({
-      commands, onstart: () => this.startChanged(), onedit: () => this.templates.edit(),
-    });
+    this.commands = createCommands(this);
+    this.status = createStatus(this);
+    this.toolbar = createToolbar(this);
+    this.panel = createPointsPanel(this);
     this.opening = createOpening(this, () => this.panel.start);
-    this.saving = createSaving({
-      app, onstatus: (what, message) => this.status.show(what, message),
-      onsaved: (name) => this.opening.first.forget(name), onforeign: (name) => this.opening.foreign(name),
-      ontheirs: (name) => this.opening.foreign(name, true),
-    });
+    this.saving = createSaving(this);
     this.saver = this.saving.saver;
     this.templates = createTemplates(this);
     this.key = createKeys(this);
-    this.assist = createAssist({
-      app, accept: () => commands.accept(), skip: () => commands.skip(), confirm: () => commands.confirmLayout(),
-    });
-    const boxes = () => this.boxing;
-    this.review = createReview(app, (event, work) => this.act(event, work));
-    this.tool = new PointTool(viewer, () => this.doc, { boxes, onend: () => this.refresh() });
+    this.assist = createAssist(app, this.commands);
+    this.review = createReview(this);
+    this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
   }
@@ -108,9 +95,7 @@ export class AnnotateTab {
   /** The document that gestures edit: the template, the scale bar that is being drawn, or the marks of the picture. */
   get doc() { return this.editing ? this.templates.doc : this.ruler.on ? this.ruler : this.marking; }
 
-  focus() {
-    this.viewer.canvas.focus({ preventScroll: true });
-  }
+  focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
   act(event, work) {
@@ -130,7 +115,7 @@ export class AnnotateTab {
     addEventListener("pagehide", () => saver.flush());
     document.addEventListener("keyup", (event) => event.key.toLowerCase() === "h" && commands.hideMarks(false));
     addEventListener("blur", () => commands.hideMarks(false));
-    setTimeout(() => this.saving.sendKept((name) => this.reopen(name)), 500);
+    setTimeout(() => this.saving.sendKept(), 500);
   }
 
   show() {
@@ -165,9 +150,7 @@ export class AnnotateTab {
     await this.app.bulk.run("scaled", others, { bar, of, anyway });
   }
 
-  leavePicture(name) {
-    this.saver.flush(name).then(() => this.assist.left());
-  }
+  leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
   /** The marks have changed: save and show them. */
   changed() {
@@ -188,13 +171,6 @@ export class AnnotateTab {
     const next = nextMissing(this.marking.points, index);
     this.marking.select([next < 0 ? index : next]);
     this.sayPlace(index, next);
-  }
-
-  /** Whether a picture is open; if so, reload it, which restores its unsaved marks. */
-  async reopen(name) {
-    if (name !== this.name) return false;
-    if (this.opening.isPristine()) await this.opening.reload();
-    return true;
   }
 
   startChanged() {
@@ -246,9 +222,7 @@ export class AnnotateTab {
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
 
-  sayPlace(index, next = -1) {
-    this.say(placeOf(this.marking, index, next));
-  }
+  sayPlace(index, next = -1) { this.say(placeOf(this.marking, index, next)); }
 
   /** Announce moved points after a pause, so that a burst of keys does not flood a screen reader. */
   saySoon(indices) {

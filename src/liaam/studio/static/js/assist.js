@@ -112,13 +112,9 @@ export function mismatch({ model, template }) {
   return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
-/**
- * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting;
- * confirm(): the mean shape is right. Returns {element, notes: a panel of notices, sure: the button for confirm,
- * left(): a picture was left}.
- * @param {{app: App, [handler: string]: any}} options
- */
-export function createAssist({ app, accept, skip, confirm }) {
+/** Create the panel: {element, notes: a panel of notices, sure: the button that says that the mean shape is right,
+ *  left(): a picture was left}. @param {App} app */
+export function createAssist(app, commands) {
   const { api, state } = app;
   let failedAt = null;
   let asking = false;
@@ -144,16 +140,16 @@ export function createAssist({ app, accept, skip, confirm }) {
   });
   const often = `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button("Accept and continue", {
-    icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: accept,
+    icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture that helps the model most",
   });
   next.append(h("kbd.kbd", { "aria-hidden": "true" }, "⏎"));
   const pass = button("Skip", {
-    small: true, kind: "ghost", shortcut: "N", testid: "skip-next", onclick: skip,
+    small: true, kind: "ghost", shortcut: "N", testid: "skip-next", onclick: commands.skip,
     title: "Open the next picture and leave this one unchanged",
   });
   const sure = button("The points are right…", {
-    small: true, hidden: true, testid: "confirm-layout", onclick: confirm,
+    small: true, hidden: true, testid: "confirm-layout", onclick: commands.confirmLayout,
     title: "Save the mean shape although no point was moved",
   });
   const why = h("p.small.muted", { testid: "why-next" });

@@ -4,6 +4,7 @@ import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, offer, Overlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
 import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
+import { SourceTab } from "./fit-source.js";
 import { bounds } from "./points.js";
 import { button, h, icon, isPlain, press } from "./ui.js";
 import { Viewer } from "./viewer.js";
@@ -12,14 +13,6 @@ import { Viewer } from "./viewer.js";
 const FAMILIAR = ["rgb", "grey"];
 
 const SMALL = 300; // css pixels of height below which the object fills a view
-
-const SHORTCUTS = [
-  { keys: "Enter F", what: "Fit with both methods" },
-  { keys: "X", what: "Swap the sides" },
-  { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
-];
-
-export const mount = (root, app) => new CompareTab(root, app);
 
 /** One side: its method, its viewer and its result. */
 class Side {
@@ -43,9 +36,7 @@ class Side {
 
   get method() { return this.select.value; }
 
-  show(source) {
-    this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0);
-  }
+  show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0); }
 
   take(fit) {
     this.fit = fit;
@@ -86,17 +77,18 @@ class Side {
   }
 }
 
-class CompareTab {
-  shortcuts = SHORTCUTS;
+export class Tab extends SourceTab {
+  shortcuts = [
+    { keys: "Enter F", what: "Fit with both methods" },
+    { keys: "X", what: "Swap the sides" },
+    { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
+  ];
+  truth = null;
+  showTruth = true;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
-    this.app = app;
-    this.state = app.state;
-    this.sources = app.sources;
-    this.visible = false;
-    this.truth = null;
-    this.showTruth = true;
+    super(app);
     const { methods, default_method: first } = this.state.project;
     const known = this.state.project.model?.methods ?? methods.map(({ name }) => name);
     const other = [...FAMILIAR, first].find((name) => known.includes(name)) ?? first;
@@ -107,30 +99,14 @@ class CompareTab {
     this.right = this.sides[1];
     this._build(root);
     this._together();
-    this.sources.addEventListener("change", () => this._source());
     this.sources.addEventListener("ready", () => this.sides.forEach((side) => side.show(this.sources.current)));
-    this.sources.addEventListener("failed", (/** @type {any} */ { detail }) => {
-      if (this.visible) this._say(detail.error.message, true);
-    });
-    this.state.addEventListener("project", () => this._project());
     this.state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       if (this.sources.current?.name !== detail.name) return;
       this._truth();
       if (this.visible) this.run();
     });
-    this._project();
+    this.follow();
     window.liaamStudio.compare = { left: this.left, right: this.right };
-  }
-
-  show() {
-    this.visible = true;
-    this.sources.watch(this);
-    this._source();
-  }
-
-  hide() {
-    this.visible = false;
-    this.sources.leave(this);
   }
 
   /** Whether there are a picture and a model to fit. */
@@ -141,7 +117,7 @@ class CompareTab {
     const action = {
       enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth(),
     }[event.key.toLowerCase()];
-    if (!action) return this._overlays.key(event) || this.right.viewer.key(event);
+    if (!action) return this.overlays.key(event) || this.right.viewer.key(event);
     action();
     return true;
   }
@@ -178,22 +154,26 @@ class CompareTab {
     if (this._works && (await side.run(this.app.fits, this.sources.current))) this._verdict();
   }
 
-  _source() {
-    const source = this.sources.current;
-    if (this._seen !== source) {
-      this._seen = source;
-      this.truth = null;
-      for (const side of this.sides) {
-        side.reset();
-        side.show(source);
-        if (source) side.viewer.fit();
-      }
+  _another(source) {
+    this.truth = null;
+    for (const side of this.sides) {
+      side.reset();
+      side.show(source);
+      if (source) side.viewer.fit();
     }
-    this._emptiness();
-    if (!source || !this.visible) return;
+  }
+
+  _showFit() {
     this._truth();
     if (!this.left.fit && !this.right.fit) this.run();
   }
+
+  _anotherModel() {
+    this.sides.forEach((side) => side.reset());
+    if (this.visible) this.run();
+  }
+
+  _refused(error) { this._say(error.message, true); }
 
   async _truth() {
     const source = this.sources.current;
@@ -202,19 +182,6 @@ class CompareTab {
     this.truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
     this._truthButton.disabled = !this.truth;
     this._redraw();
-  }
-
-  _project() {
-    const { model } = this.state.project;
-    const number = model?.number ?? null;
-    const another = this._number !== undefined && this._number !== number;
-    this._number = number;
-    this._overlays.hasContours = Boolean(model?.contours.length);
-    this.sides.forEach((side) => offer(side.select, model));
-    this._emptiness();
-    if (!another) return;
-    this.sides.forEach((side) => side.reset());
-    if (this.visible) this.run();
   }
 
   _verdict() {
@@ -233,7 +200,7 @@ class CompareTab {
   // The page.
 
   _build(root) {
-    this._overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
+    this.overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
     this._truthButton = button("Ground truth", {
       small: true, shortcut: "T", pressed: this.showTruth, disabled: true, testid: "compare-truth",
       title: "Show the known landmarks of the picture as crosses", onclick: () => this._toggleTruth(),
@@ -249,7 +216,7 @@ class CompareTab {
     });
     this._name = h("span.fit-source-name");
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "Compare" },
-      this._runButton, swap, h("span.rule"), this._overlays.buttons, this._truthButton, h("span.grow"), this._name);
+      this._runButton, swap, h("span.rule"), this.overlays.buttons, this._truthButton, h("span.grow"), this._name);
     this._pair = h("div.compare-pair", this.left.element, this.right.element);
     this._empty = h("div.empty.big");
     const foot = h("div.compare-foot", this._verdictText);
@@ -276,11 +243,12 @@ class CompareTab {
 
   _draw(ctx, viewer, side) {
     if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
-    if (side.fit) drawFit(ctx, viewer, side.fit, this._overlays.shown);
+    if (side.fit) drawFit(ctx, viewer, side.fit, this.overlays.shown);
   }
 
   _emptiness() {
     const works = this._works;
+    this.sides.forEach((side) => offer(side.select, this.state.project.model));
     this._pair.hidden = !works;
     this._empty.hidden = works;
     this._runButton.disabled = !works;

@@ -162,13 +162,9 @@ export class Drafting {
     return true;
   }
 
-  close() {
-    this.endPath(true, "close path", "Path closed");
-  }
+  close() { this.endPath(true, "close path", "Path closed"); }
 
-  startPath() {
-    this.endPath(false, "new path", "The next point starts a new path");
-  }
+  startPath() { this.endPath(false, "new path", "The next point starts a new path"); }
 
   endPath(closed, what, said) {
     if (this.draft.path < 0) return;
@@ -176,9 +172,7 @@ export class Drafting {
     this.say(said);
   }
 
-  flip() {
-    this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip");
-  }
+  flip() { this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip"); }
 
   /** Add a point in the middle of the view, to be moved with keys. */
   addInTheMiddle() {

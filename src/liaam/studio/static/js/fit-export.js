@@ -25,11 +25,7 @@ export class ExportMenu {
   constructor({ light, annotate }) {
     this._light = light;
     this._fit = null;
-    const onclick = () => this._toggle();
-    this.button = roomy(
-      button("Export", { icon: "download", small: true, disabled: true, testid: "export-menu", onclick }));
-    this.button.setAttribute("aria-expanded", "false");
-    this._links = new Map();
+    this._links = [];
     this._annotate = button("Use as annotation", {
       icon: "edit", kind: "ghost", small: true, testid: "export-annotation",
       title: "Save these landmarks beside the picture",
@@ -40,18 +36,16 @@ export class ExportMenu {
     });
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
       h("div.fit-menu-group", h("h3.small.muted", title), items.map((item) => this._item(item))));
-    this.panel = h("div.fit-menu", { hidden: true, role: "group", "aria-label": "Export" },
-      groups, h("div.fit-menu-group", this._annotate));
-    const onkeydown = (event) => {
-      if (event.key !== "Escape" || this.panel.hidden) return;
-      event.stopPropagation();
-      this.close();
-      this.button.focus();
-    };
-    const closeOutside = (target) => target && !this.element.contains(target) && this.close();
-    const onfocusout = (event) => closeOutside(event.relatedTarget);
-    this.element = h("div.fit-export", { onkeydown, onfocusout }, this.button, this.panel);
-    document.addEventListener("pointerdown", (event) => closeOutside(event.target));
+    // The browser closes it with Escape, or by a press elsewhere.
+    this.panel = h("div.fit-menu", {
+      popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
+      ontoggle: ({ newState }) => newState === "open" && this._links[0].link.focus(),
+    }, groups, h("div.fit-menu-group", this._annotate));
+    this.button = roomy(button("Export", {
+      icon: "download", small: true, disabled: true, testid: "export-menu", popoverTargetElement: this.panel,
+    }));
+    const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
+    this.element = h("div", { onfocusout }, this.button, this.panel);
   }
 
   /** Offer the files of a fit, or null. canAnnotate: whether its landmarks can be saved for a picture of the folder. */
@@ -62,10 +56,7 @@ export class ExportMenu {
     if (!fit) this.close();
   }
 
-  close() {
-    this.panel.hidden = true;
-    this.button.setAttribute("aria-expanded", "false");
-  }
+  close() { if (this.panel.isConnected) this.panel.hidePopover(); }
 
   /** @param {{what: string, label: string, layer?: string}} item */
   _item({ what, label, layer }) {
@@ -73,32 +64,25 @@ export class ExportMenu {
       download: "", testid: `export-${what}`,
       onclick: (event) => {
         event.preventDefault(); // a plain link would show neither progress nor errors
-        whileBusy(link, () => this._save(link));
+        whileBusy(link, async () => {
+          saveFile(...(await api.file(link.getAttribute("href"))));
+          this.close(); // it stays open until then
+        });
       },
     }, label);
-    this._links.set(what, { link, layer });
+    this._links.push({ link, what, layer });
     return link;
   }
 
-  /** Fetch a file and save it; the menu stays open until then. */
-  async _save(link) {
-    saveFile(...(await api.file(link.getAttribute("href"))));
-    this.close();
-  }
-
-  _toggle() {
-    if (!this.panel.hidden) {
-      this.close();
-      return;
-    }
-    for (const [what, { link, layer }] of this._links) {
+  /** Put the menu below its button, with the files of the fit under the current light. */
+  _place() {
+    const { right, bottom } = this.button.getBoundingClientRect();
+    Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
+    for (const { link, what, layer } of this._fit ? this._links : []) {
       const query = what === "relit" ? lightQuery(this._light()) : {};
       link.href = api.url("fits", this._fit.id, "export", { what, ...query });
       link.hidden = Boolean(layer) && !this._fit.layers.includes(layer);
     }
-    this.panel.hidden = false;
-    this.button.setAttribute("aria-expanded", "true");
-    this.panel.querySelector("a").focus();
   }
 }
 

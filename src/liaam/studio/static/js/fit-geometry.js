@@ -18,9 +18,7 @@ export function boxBetween(/** @type {number[]} */ [ax, ay], /** @type {number[]
 }
 
 /** Whether a box is large enough to be intended. */
-export function isDrawn([x0, y0, x1, y1], least = 8) {
-  return x1 - x0 >= least && y1 - y0 >= least;
-}
+export function isDrawn([x0, y0, x1, y1], least = 8) { return x1 - x0 >= least && y1 - y0 >= least; }
 
 /** Box after a key: arrows move it, comma and full stop resize it; null for other keys. */
 export function boxAfterKey(box, { key, shiftKey = false }, width, height) {

@@ -60,10 +60,7 @@ export class Iterations {
 
   /** Play, or pause. */
   toggle() {
-    if (this._timer) {
-      this.pause();
-      return;
-    }
+    if (this._timer) return this.pause();
     if (this.iterations.length < 2) return;
     if (this.index === this.last) this._go(0);
     this._timer = setInterval(() => {

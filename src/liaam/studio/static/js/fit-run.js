@@ -46,21 +46,15 @@ export class FitStore {
   }
 
   /** The newest fit of a source with a method and the current model, or null. */
-  recall(source, method) {
-    return this.#kept.get(this.#key(source, method)) ?? null;
-  }
+  recall(source, method) { return this.#kept.get(this.#key(source, method)) ?? null; }
 
-  forget(fit) {
-    this.#drop((kept) => kept.id === fit.id);
-  }
+  forget(fit) { this.#drop((kept) => kept.id === fit.id); }
 
   #drop(isStale) {
     for (const [key, kept] of this.#kept) if (isStale(kept)) this.#kept.delete(key);
   }
 
-  #key(source, method) {
-    return `${source.key}|${method}|${this.state.project.model?.number ?? ""}`;
-  }
+  #key(source, method) { return `${source.key}|${method}|${this.state.project.model?.number ?? ""}`; }
 }
 
 /** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. */

@@ -14,9 +14,7 @@ export class FrameMeter {
   /** Whether enough frames are counted. */
   get isFull() { return this.#times.length === this.most; }
 
-  reset() {
-    this.#times = [];
-  }
+  reset() { this.#times = []; }
 
   tick(now = performance.now()) {
     if (now - this.#times.at(-1) > this.gap) this.reset();

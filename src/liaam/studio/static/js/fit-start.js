@@ -62,9 +62,7 @@ export class BoxTool {
     this.viewer.redraw();
   }
 
-  cursor() {
-    return "crosshair";
-  }
+  cursor() { return "crosshair"; }
 
   key(event) {
     const box = boxAfterKey(this.box, event, this.viewer.width, this.viewer.height);
@@ -116,13 +114,9 @@ export class MeanTool {
 
   get points() { return this.shown ?? this.placed ?? []; }
 
-  framed() {
-    return indicesOf(this.points);
-  }
+  framed() { return indicesOf(this.points); }
 
-  follow(_before, after) {
-    return after;
-  }
+  follow(_before, after) { return after; }
 
   preview(points) {
     this.shown = points;
@@ -157,21 +151,13 @@ export class MeanTool {
     return handle !== null;
   }
 
-  move(event, xy) {
-    this._gesture?.move(xy, event);
-  }
+  move(event, xy) { this._gesture?.move(xy, event); }
 
-  up() {
-    this._gesture?.up();
-  }
+  up() { this._gesture?.up(); }
 
-  cancel() {
-    this._gesture?.cancel();
-  }
+  cancel() { this._gesture?.cancel(); }
 
-  cursor(event) {
-    return CURSORS[this._grasped(event)?.kind] ?? "";
-  }
+  cursor(event) { return CURSORS[this._grasped(event)?.kind] ?? ""; }
 
   /** Arrows move the shape, comma and full stop scale it, brackets rotate it. */
   key({ key, shiftKey }) {

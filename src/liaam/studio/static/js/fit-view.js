@@ -177,10 +177,7 @@ export class FitView {
   /** Show the error of a view. If the server no longer has the fit, it is fitted again. */
   _failed(name, error, fit = null) {
     if (fit && fit !== this.fit) return;
-    if (fit && isGone(error)) {
-      this._gone(fit);
-      return;
-    }
+    if (fit && isGone(error)) return this._gone(fit);
     this._faults.set(name, error.message);
     this._dress();
     this.viewer.redraw();

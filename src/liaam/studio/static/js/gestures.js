@@ -230,9 +230,7 @@ export class PointTool {
     this.viewer.redraw();
   }
 
-  note(event, xy) {
-    this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType };
-  }
+  note(event, xy) { this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType }; }
 
   /** What the loupe shows: the point of a gesture or of keys, or the place for a click; null without a loupe. */
   get loupe() {

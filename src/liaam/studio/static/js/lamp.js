@@ -2,7 +2,7 @@
 // keys. The parent element is as large as the ball, or `middle` says where in it the ball is.
 
 import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
-import { consume, h } from "./ui.js";
+import { grip } from "./ui.js";
 
 /** onmove(direction). Further attributes are those of the element. */
 export class LampHandle {
@@ -11,11 +11,9 @@ export class LampHandle {
   constructor({ onmove, middle = [0.5, 0.5], ...attributes }) {
     this.middle = middle;
     this._onmove = onmove;
-    this.element = h("div.lamp", {
-      role: "slider", tabindex: "0", "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
-      onkeydown: (event) => this.key(event) && consume(event),
-      onpointerdown: (event) => this._down(event), onpointermove: (event) => this._move(event),
-      ...attributes,
+    this.element = grip("div.lamp", {
+      "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
+      onkey: (event) => this.key(event), onmove: (event) => onmove(this.at(event)), ...attributes,
     });
   }
 
@@ -40,16 +38,5 @@ export class LampHandle {
     const next = directionAfterKey(this.direction, event);
     if (next) this._onmove(next);
     return next !== null;
-  }
-
-  _down(event) {
-    if (event.button !== 0) return;
-    this.element.setPointerCapture(event.pointerId);
-    this.element.focus({ preventScroll: true });
-    event.preventDefault();
-  }
-
-  _move(event) {
-    if (this.element.hasPointerCapture(event.pointerId)) this._onmove(this.at(event));
   }
 }

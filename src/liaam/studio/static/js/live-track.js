@@ -64,13 +64,9 @@ export class Track {
 
   get lost() { return [...this.rows.values()].filter(isLost).length; }
 
-  set(time, row) {
-    this.rows.set(key(time), row);
-  }
+  set(time, row) { this.rows.set(key(time), row); }
 
-  at(time) {
-    return this.rows.get(key(time)) ?? null;
-  }
+  at(time) { return this.rows.get(key(time)) ?? null; }
 
   /** Time in seconds and kind of each frame: "good", "warn" or "bad", by its quality. */
   marks(sure) {

@@ -9,17 +9,13 @@ import { isPlain, press, saveFile } from "./ui.js";
 
 const AT_ONCE = 3; // frames that the server works on
 
-const SHORTCUTS = [
-  { keys: "P", what: "Play, pause" },
-  { keys: "F", what: "Remove the shading" },
-  { keys: "R", what: "Record" },
-  { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
-];
-
-export const mount = (root, app) => new LiveTab(root, app);
-
-class LiveTab {
-  shortcuts = SHORTCUTS;
+export class Tab {
+  shortcuts = [
+    { keys: "P", what: "Play, pause" },
+    { keys: "F", what: "Remove the shading" },
+    { keys: "R", what: "Record" },
+    { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
+  ];
 
   constructor(root, app) {
     this.app = app;
@@ -55,19 +51,14 @@ class LiveTab {
   }
 
   hide() {
-    if (this.source.isFile) {
-      this.source.video.pause();
-      return;
-    }
+    if (this.source.isFile) return this.source.video.pause();
     const lost = several(this.track.rows.size, "frame");
     if (this.track.rows.size)
       this.app.toast(`The camera is off, and its track of ${lost} has ended. Next time, export it before you leave Live.`);
     this._stop(); // the camera is on only while the tab is open
   }
 
-  key(event) {
-    return isPlain(event) && this.view.key(event);
-  }
+  key(event) { return isPlain(event) && this.view.key(event); }
 
   async _start(open) {
     this._stop();
@@ -188,9 +179,7 @@ class LiveTab {
     this._tell();
   }
 
-  _tell() {
-    this.view.tell(this._verdict(), this.track);
-  }
+  _tell() { this.view.tell(this._verdict(), this.track); }
 
   _verdict() {
     const { view: { shown, meter }, source: { isOpen, isFile, video } } = this;

@@ -118,7 +118,7 @@ function followGuest() {
 
 async function load(name, root) {
   try {
-    return (await import(`./${name}.js`)).mount(root, app);
+    return new (await import(`./${name}.js`)).Tab(root, app);
   } catch (error) { // the other tabs must still work
     console.error(error);
     root.append(h("p.empty.error-text", `This tab failed to load: ${error.message}`));
@@ -134,10 +134,7 @@ function openTab(name, options = {}) {
   }
   if (!tabs.has(name)) name = "annotate";
   if (name === "annotate" && isGuest(state.project)) name = "fit";
-  if (open === name) {
-    tabs.get(name).tab.show?.(options);
-    return;
-  }
+  if (open === name) return tabs.get(name).tab.show?.(options);
   if (open) {
     tabs.get(open).tab.hide?.();
     tabs.get(open).root.hidden = true;

@@ -3,20 +3,28 @@
 export const RIM = "rgb(0 0 0 / 60%)";
 const CHI = Math.sqrt(-2 * Math.log(1 - 0.95)); // radius of a 95 % ellipse, standard deviations
 
-/** Stroke the path with a dark rim. */
-export function stroked(ctx, colour, width, dash = []) {
-  ctx.lineJoin = "round";
+/** Stroke the path. */
+export function inked(ctx, colour, width, dash = []) {
   ctx.setLineDash(dash);
-  ctx.strokeStyle = RIM;
-  ctx.lineWidth = width + 1.8;
-  ctx.stroke();
   ctx.strokeStyle = colour;
   ctx.lineWidth = width;
   ctx.stroke();
   ctx.setLineDash([]);
 }
 
-/** Draw contours. */
+/** Stroke the path with a dark rim. */
+export function stroked(ctx, colour, width, dash = []) {
+  ctx.lineJoin = "round";
+  inked(ctx, RIM, width + 1.8, dash);
+  inked(ctx, colour, width, dash);
+}
+
+/** Fill the path. */
+export function filled(ctx, colour) {
+  ctx.fillStyle = colour;
+  ctx.fill();
+}
+
 export function drawContours(ctx, viewer, points, contours, { colour = "#ffd166", width = 1.6, dash = [] } = {}) {
   contourPath(ctx, viewer, points, contours);
   stroked(ctx, colour, width, dash);
@@ -37,11 +45,8 @@ export function contourPath(ctx, viewer, points, contours) {
 /** Draw points, all in one path, so that hundreds are as fast as ten. */
 export function drawPoints(ctx, viewer, points, { colour = "#ffd166", radius = 4 } = {}) {
   discs(ctx, viewer, points, radius);
-  ctx.fillStyle = colour;
-  ctx.fill();
-  ctx.lineWidth = 1.4;
-  ctx.strokeStyle = RIM;
-  ctx.stroke();
+  filled(ctx, colour);
+  inked(ctx, RIM, 1.4);
 }
 
 /** Make a path of a circle around each point; null has none. */
@@ -65,9 +70,7 @@ export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255
     ctx.lineTo(...at[c]);
     ctx.closePath();
   }
-  ctx.strokeStyle = colour;
-  ctx.lineWidth = width;
-  ctx.stroke();
+  inked(ctx, colour, width);
 }
 
 /** Draw the 95 % confidence ellipse of each landmark, all in one path. */

@@ -78,9 +78,7 @@ export class Light extends EventTarget {
   }
 
   /** Move the selected lamp by an arrow key. */
-  key(event) {
-    return this._handles[this.selected].key(event);
-  }
+  key(event) { return this._handles[this.selected].key(event); }
 
   get hidden() { return this.element.hidden; }
   set hidden(on) { this.element.hidden = this.stage.hidden = on; }

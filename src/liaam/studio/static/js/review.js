@@ -25,15 +25,15 @@ export function accuracyText(versions) {
   return `${what}: ${on} held out from training.${others}`;
 }
 
-/** press(event, work): run the action of a button, after which Enter works in the picture again. */
-export function createReview(app, press) {
-  const { state, api } = app;
+/** @param {import("./annotate.js").Tab} tab */
+export function createReview(tab) {
+  const { app, app: { state, api } } = tab;
   const part = (testid, title, content, ontoggle) =>
     h("details.small", { name: "review", ontoggle, testid }, h("summary", title), content);
   const now = h("span.small.muted.grow", { role: "status", testid: "review-state" });
   const toggle = () => act(app, state.picture().checked ? "unchecked" : "checked", [state.current]);
   const check = button("Mark as checked", {
-    icon: "check", small: true, testid: "check", onclick: (event) => press(event, toggle),
+    icon: "check", small: true, testid: "check", onclick: (event) => tab.act(event, toggle),
   });
   const entries = h("ul.assist-lines");
   const history = part("history", "History", entries, () => fetchHistory());

@@ -77,9 +77,7 @@ export class Saver {
   }
 
   /** Whether a picture has unsaved content. */
-  isDirty(name) {
-    return this.pending(name) !== null;
-  }
+  isDirty(name) { return this.pending(name) !== null; }
 
   /** Whether the unsaved content of a picture belongs to an earlier template. */
   isStale(name) {

@@ -2,6 +2,7 @@
 // gestures edit (see gestures.js) while it is drawn; after that it is part of the marks.
 
 import { COLOURS, drawText } from "./drawing.js";
+import { inked } from "./overlays.js";
 import { rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
 
@@ -52,10 +53,7 @@ export class ScaleBar {
 
   /** The button: draw a bar, stop drawing, or change the bar that is there. */
   async start() {
-    if (this.on || !this.bar) {
-      this.turn(!this.on);
-      return;
-    }
+    if (this.on || !this.bar) return this.turn(!this.on);
     const { bar } = this;
     const again = [
       { label: "Remove", value: "remove", testid: "scale-remove" }, { label: "Draw again", value: "draw" },
@@ -87,10 +85,7 @@ export class ScaleBar {
 
   async finish() {
     const { ends, marking: { book } } = this;
-    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) {
-      this.preview([ends[0], null]);
-      return;
-    }
+    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
     if (this.marking.book !== book) return;
     this.turn(false);
@@ -127,9 +122,7 @@ export class ScaleBar {
     return [answer, { length: Number(length.value), unit: unit.value, anyway: anyway.checked }];
   }
 
-  set(bar, what) {
-    this.marking.change({ bar }, what);
-  }
+  set(bar, what) { this.marking.change({ bar }, what); }
 
   draw(ctx, viewer) {
     const ends = (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
@@ -144,11 +137,8 @@ export class ScaleBar {
     }
     ctx.moveTo(x0, y0);
     ctx.lineTo(x1, y1);
-    for (const [colour, width] of [["rgb(0 0 0 / 75%)", 4.5], [COLOURS.placed, 2]]) {
-      ctx.strokeStyle = colour;
-      ctx.lineWidth = width;
-      ctx.stroke();
-    }
+    inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
+    inked(ctx, COLOURS.placed, 2);
     if (this.on || !this.bar) return;
     const text = `${this.bar.length} ${this.bar.unit}`;
     drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });

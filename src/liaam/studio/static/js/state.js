@@ -199,7 +199,5 @@ export class State extends EventTarget {
     this._say("online", online);
   }
 
-  _say(type, detail = null) {
-    this.dispatchEvent(new CustomEvent(type, { detail }));
-  }
+  _say(type, detail = null) { this.dispatchEvent(new CustomEvent(type, { detail })); }
 }

@@ -175,6 +175,22 @@ export function segmented(label, choices, value, onchange, testid = null) {
   };
 }
 
+/** A slider's handle that is dragged or moved with keys: onmove(event) while it is dragged; onkey(event) -> whether it has
+ *  handled the key. */
+export function grip(tag, { onmove, onkey, ...attributes }, ...children) {
+  const element = h(tag, {
+    role: "slider", tabindex: "0", ...attributes, onkeydown: (event) => onkey(event) && consume(event),
+    onpointerdown: (event) => {
+      if (event.button !== 0) return;
+      element.setPointerCapture(event.pointerId);
+      element.focus({ preventScroll: true });
+      event.preventDefault();
+    },
+    onpointermove: (event) => element.hasPointerCapture(event.pointerId) && onmove(event),
+  }, children);
+  return element;
+}
+
 /**
  * Open a modal dialog; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body: element
  * or text. Resolves to the value of the chosen action, or null if the dialog was closed.

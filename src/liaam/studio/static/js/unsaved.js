@@ -22,13 +22,9 @@ export class Unsaved {
     attempt(() => this.storage.setItem(this.prefix + name, JSON.stringify({ ...entry, page: this.page })));
   }
 
-  get(name) {
-    return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name)));
-  }
+  get(name) { return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name))); }
 
-  delete(name) {
-    attempt(() => this.storage.removeItem(this.prefix + name));
-  }
+  delete(name) { attempt(() => this.storage.removeItem(this.prefix + name)); }
 
   names() {
     const keys = attempt(() => Object.keys(this.storage), []);

@@ -120,9 +120,7 @@ export class Viewer extends EventTarget {
     return { scale, left, top, _fitted };
   }
 
-  toScreen([x, y]) {
-    return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)];
-  }
+  toScreen([x, y]) { return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)]; }
 
   /** Picture coordinates of an event or of [cx, cy] on the screen. */
   toImage(place) {
@@ -174,9 +172,7 @@ export class Viewer extends EventTarget {
   }
 
   /** Size of the area that no panel covers, css pixels. */
-  _size() {
-    return { w: this.container.clientWidth, h: this.container.clientHeight };
-  }
+  _size() { return { w: this.container.clientWidth, h: this.container.clientHeight }; }
 
   /** Position of that area in the canvas. */
   _offset() {
@@ -347,10 +343,7 @@ export class Viewer extends EventTarget {
       canvasCursor(this.canvas, this._space ? "grab" : this.tool?.cursor?.(event, this.toImage(event)) ?? "");
       return;
     }
-    if (this._taken === event.pointerId) {
-      this.tool?.move?.(event, this.toImage(event));
-      return;
-    }
+    if (this._taken === event.pointerId) return this.tool?.move?.(event, this.toImage(event));
     const now = [event.clientX, event.clientY];
     if (this._pointers.size === 2) this._pinch(event.pointerId, before, now);
     else if (this._taken == null) {
