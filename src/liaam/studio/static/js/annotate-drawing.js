@@ -1,6 +1,6 @@
 // Drawings of the Annotate tab over the open picture.
 
-import { AxisGrip } from "./axis-grip.js";
+import { AxisGrip } from "./drafting.js";
 import { COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText } from "./drawing.js";
 import { discs, drawEllipses, inked, stroked } from "./overlays.js";
 import { bounds, indicesOf } from "./points.js";

@@ -45,8 +45,7 @@ export function createTemplates(tab) {
   function edit() {
     if (!marking.book) return;
     const { points, template } = marking;
-    const guess = placed(points).length
-      ? expected(template.points ?? points, points)
+    const guess = placed(points).length ? expected(template.points ?? points, points)
       : layoutIn(template.points, viewer.width, viewer.height);
     tab.saver.flush();
     tab.tool.cancel();
@@ -88,30 +87,22 @@ export function createTemplates(tab) {
   async function done() {
     const { draft, saved, isFresh, isUnmoved } = doc;
     const wrong = drafts.fault(draft);
-    if (wrong) {
-      panel.message.textContent = wrong;
-      return;
-    }
+    if (wrong) return panel.tell(wrong);
     const mapping = saved && drafts.rearranges(draft, saved.names.length) ? draft.origins : null;
     // Taken now, because the template may be changed elsewhere while the dialog is open.
     const template = { ...drafts.templateOf(draft), revision: saved?.revision ?? null };
-    if (mapping && !(await mayRewrite())) return;
+    const lost = mapping && drafts.consequences(draft, saved.names.length, state.project);
+    if (lost && !(await confirm("Change the template?", `${lost} This cannot be undone.`, "Change the template"))) return;
     panel.setBusy(true);
     try {
       await save(template, mapping, draft.points, { isFresh, isUnmoved });
       kept.set(null);
     } catch (error) {
-      panel.message.textContent = error.message;
+      panel.tell(error.message);
       toast(error, "bad");
     } finally {
       panel.setBusy(false);
     }
-  }
-
-  /** Ask whether landmark files may be rewritten, and the model removed. */
-  async function mayRewrite() {
-    const text = drafts.consequences(doc.draft, doc.saved.names.length, state.project);
-    return !text || confirm("Change the template?", `${text} This cannot be undone.`, "Change the template");
   }
 
   /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). */
@@ -176,9 +167,7 @@ export function createTemplates(tab) {
       kept.set(null);
       doc.rebase(tab.template);
       toast(`The template was changed elsewhere. ${KEPT}.`);
-    } else if (!isFirst) {
-      toast("The template was changed elsewhere. The new version is shown.");
-    }
+    } else if (!isFirst) toast("The template was changed elsewhere. The new version is shown.");
     await tab.saving.rebase();
     if (drafting) return;
     leave();
@@ -202,7 +191,7 @@ export function createTemplates(tab) {
   addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
-    n: () => doc.startPath(), c: () => doc.close(), x: () => panel.toggleMirror(), p: () => doc.addInTheMiddle(),
+    n: () => doc.startPath(), c: () => doc.close(), x: panel.toggleMirror, p: () => doc.addInTheMiddle(),
     delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
     escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
   };
@@ -215,8 +204,7 @@ export function createTemplates(tab) {
     get prompt() {
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
       if (!doc.started) return "Click the first point of your template on this picture";
-      return doc.draft.path < 0
-        ? "Click the first point of the next path"
+      return doc.draft.path < 0 ? "Click the first point of the next path"
         : "Click the next point of this path – C closes it, N starts another";
     },
     /** Handle a key without modifiers; return whether it was handled. */

@@ -15,10 +15,8 @@ const countDone = (pictures) => pictures.filter((picture) => picture.state === "
 
 const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
-/** The pictures that a training uses. */
+/** The pictures that a training uses, and those of them whose points look wrong. */
 const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
-
-/** The pictures for training whose points look wrong. */
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
@@ -122,10 +120,7 @@ export function createAssist(app, commands) {
   let known = null; // the pictures that were left out of training, once all states are known
 
   const count = h("p.assist-count");
-  const bar = h("span");
-  const progress = h("div.progress", {
-    role: "progressbar", "aria-label": "Training", "aria-valuemin": 0, "aria-valuemax": 100,
-  }, bar);
+  const progress = h("progress.progress", { "aria-label": "Training", max: 100 });
   const what = h("p.small.muted", { role: "status" });
   const cancel = button("Cancel", { small: true, kind: "ghost", testid: "training-cancel", onclick: stop });
   const running = h("div.column.assist-running", { testid: "training-progress", hidden: true },
@@ -160,6 +155,7 @@ export function createAssist(app, commands) {
     h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
       go("Measure", "measure", () => measureAll(app)), go("Export", "export", () => openList("[data-testid=export-all]")),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
+  const decline = () => api.delete(api.url("model", "face")).then(() => state.refresh());
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
   const offered = h("p.small.muted", { hidden: true },
     "These are the points of the face model that comes with liaam. ", other);
@@ -198,11 +194,6 @@ export function createAssist(app, commands) {
       asking = false;
       refresh();
     }
-  }
-
-  async function decline() {
-    await api.delete(api.url("model", "face"));
-    await state.refresh();
   }
 
   async function stop() {
@@ -250,8 +241,7 @@ export function createAssist(app, commands) {
     if (runs) showProgress(training);
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
-    train.title = done < LEAST
-      ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
+    train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
@@ -261,11 +251,8 @@ export function createAssist(app, commands) {
   }
 
   function showProgress({ done, total, what: doing }) {
-    const value = total ? Math.round((100 * done) / total) : null;
-    progress.classList.toggle("unknown", value === null);
-    bar.style.width = value === null ? "" : `${value}%`;
-    if (value === null) progress.removeAttribute("aria-valuenow");
-    else progress.setAttribute("aria-valuenow", String(value));
+    if (total) progress.value = Math.round((100 * done) / total);
+    else progress.removeAttribute("value");
     const text = doing || "Training";
     what.textContent = total ? `${text} (${done} of ${total})` : `${text}…`;
   }
@@ -289,8 +276,6 @@ export function createAssist(app, commands) {
     else why.textContent = "Train the model to let it place points for you.";
   }
 
-  const trainIfNeeded = () => shouldTrain(state.project, { auto: auto.checked, failedAt }) && start(false);
-
   /** Train between two pictures, when no point is being moved. */
   async function left() {
     known = null; // train once the landmarks have been checked
@@ -303,7 +288,7 @@ export function createAssist(app, commands) {
     const { pictures, training, checked } = state.project;
     if (asking || training?.state === "running" || !checked || pictures.some(({ state: is }) => is === "reading")) return;
     const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
-    if (now !== known) trainIfNeeded();
+    if (now !== known && shouldTrain(state.project, { auto: auto.checked, failedAt })) start(false);
     known = now;
   }
 

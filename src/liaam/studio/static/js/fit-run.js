@@ -3,11 +3,7 @@
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 
-/** Number of cached fits, so that an earlier picture shows its fit at once. The server keeps 64. */
-const KEPT = 32;
-
-/** Whether an error says that the server no longer has a fit. */
-export const isGone = (error) => error?.status === 404;
+const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
 export class FitStore {
   #kept = new Map();
@@ -78,8 +74,7 @@ export function verdictOf(fit) {
   const isUnknown = quality == null;
   if (!ok) {
     const kind = status === "doubtful" || status === "max iterations" ? "warn" : "bad";
-    const advice = "Draw a box around the object, or drag the mean shape onto it:";
-    return { kind, title: status, advice, isSure: false };
+    return { kind, title: status, advice: "Draw a box around the object, or drag the mean shape onto it:", isSure: false };
   }
   const title = `${status}, quality ${isUnknown ? "unknown" : percent(quality)}`;
   const isSure = isUnknown || quality >= SURE;
@@ -147,21 +142,19 @@ export function comparison(left, right, distance) {
   const { by } = compared(left, right) ?? {};
   const better = betterOf(left, right);
   const worse = better === left ? right : left;
-  const larger = " The model was trained on this picture, so its errors on new pictures are larger.";
-  const trained = left.trained_on ? larger : "";
+  const trained = left.trained_on ? " The model was trained on this picture, so its errors on new pictures are larger." : "";
   const apart = `The two fits are ${short(distance)} px apart on average.`;
   if (by === "copy") {
     const { method } = left.error.pixels < right.error.pixels ? left : right;
     return `The landmarks come from the fit with ${method}, so they do not show which fit is better. ${apart}`;
   }
-  if (by === "error" && !better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
   if (by === "error") {
+    if (!better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
     const errors = `${errorText(better)}, ${worse.method}: ${errorText(worse)}`;
     return `${better.method} is closer to the landmarks: ${errors}.${trained}`;
   }
-  if (by === "quality" && !better)
-    return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
   if (by === "quality") {
+    if (!better) return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
     const values = `quality ${percent(better.quality)}, ${worse.method}: ${percent(worse.quality)}`;
     return `No landmarks to compare with. ${better.method} is more likely to be right: ${values}. ${apart}`;
   }

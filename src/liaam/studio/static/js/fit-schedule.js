@@ -13,7 +13,6 @@ export class FrameMeter {
 
   /** Whether enough frames are counted. */
   get isFull() { return this.#times.length === this.most; }
-
   reset() { this.#times = []; }
 
   tick(now = performance.now()) {
@@ -31,12 +30,8 @@ export class FrameMeter {
 
 /** Promise that resolves when the requested drawing has been painted. */
 export function afterPaint() {
+  const channel = new MessageChannel();
   // The callback runs before the frame is painted; a task queued there runs after it.
-  return new Promise((resolve) => {
-    requestAnimationFrame(() => {
-      const channel = new MessageChannel();
-      channel.port1.onmessage = () => resolve(performance.now());
-      channel.port2.postMessage(null);
-    });
-  });
+  requestAnimationFrame(() => channel.port2.postMessage(null));
+  return new Promise((resolve) => { channel.port1.onmessage = () => resolve(performance.now()); });
 }

@@ -14,11 +14,12 @@ const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]}
 
 /** A box around the object; `ready` is called when it has been drawn. */
 export class BoxTool {
+  box = null;
+  _drag = null;
+
   constructor(viewer, ready) {
     this.viewer = viewer;
-    this.box = null;
     this._ready = ready;
-    this._drag = null;
   }
 
   get start() { return this.box && isDrawn(this.box) ? { box: this.box } : null; }
@@ -32,9 +33,8 @@ export class BoxTool {
     const before = this.box;
     const corners = before ? cornersOf(before) : [];
     const near = nearest(corners, xy, handleReach(event) / this.viewer.scale);
-    // While a corner is dragged, the opposite one stays.
-    if (near >= 0) this._drag = { moves: false, from: corners[(near + 2) % 4], before };
-    else this._drag = { moves: before !== null && isInside(before, xy), from: xy, before };
+    const from = near < 0 ? xy : corners[(near + 2) % 4]; // while a corner is dragged, the opposite one stays
+    this._drag = { moves: near < 0 && before !== null && isInside(before, xy), from, before };
     return true;
   }
 
@@ -86,9 +86,10 @@ export class BoxTool {
 /** The mean shape: dragged, and scaled and rotated by the handles of its frame. It is a document that gestures edit
  *  (see gestures.js). */
 export class MeanTool {
+  fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
+
   constructor(viewer) {
     this.viewer = viewer;
-    this.fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
     this.use(null);
   }
 
@@ -113,9 +114,7 @@ export class MeanTool {
   get hidesFit() { return !this.fitted && this.placed !== null; }
 
   get points() { return this.shown ?? this.placed ?? []; }
-
   framed() { return indicesOf(this.points); }
-
   follow(_before, after) { return after; }
 
   preview(points) {
@@ -152,11 +151,8 @@ export class MeanTool {
   }
 
   move(event, xy) { this._gesture?.move(xy, event); }
-
   up() { this._gesture?.up(); }
-
   cancel() { this._gesture?.cancel(); }
-
   cursor(event) { return CURSORS[this._grasped(event)?.kind] ?? ""; }
 
   /** Arrows move the shape, comma and full stop scale it, brackets rotate it. */

@@ -55,11 +55,9 @@ export class ScaleBar {
   async start() {
     if (this.on || !this.bar) return this.turn(!this.on);
     const { bar } = this;
-    const again = [
-      { label: "Remove", value: "remove", testid: "scale-remove" }, { label: "Draw again", value: "draw" },
-    ];
-    const [answer, change] = await this.ask(bar, again);
-    if (answer === "remove") this.set(null, "remove the scale bar");
+    const remove = { label: "Remove", value: "remove", testid: "scale-remove" };
+    const [answer, change] = await this.ask(bar, [remove, { label: "Draw again", value: "draw" }]);
+    if (answer === "remove") this.marking.change({ bar: null }, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
     else if (answer) this.settle(answer, { ...bar, ...change }, "change the scale bar");
   }
@@ -90,13 +88,12 @@ export class ScaleBar {
     if (this.marking.book !== book) return;
     this.turn(false);
     if (!answer) return;
-    const { length, unit } = bar;
-    localStorage.setItem(KEY, JSON.stringify({ length, unit }));
+    localStorage.setItem(KEY, JSON.stringify({ length: bar.length, unit: bar.unit }));
     this.settle(answer, { ends, ...bar }, "scale bar");
   }
 
   settle(answer, { anyway, ...bar }, what) {
-    this.set(bar, what);
+    this.marking.change({ bar }, what);
     if (answer === "share") this.onshare(bar, anyway);
   }
 
@@ -121,8 +118,6 @@ export class ScaleBar {
     const answer = await dialog("Length of the scale bar", body, [...more, ...(this.alone() ? [] : [share]), save]);
     return [answer, { length: Number(length.value), unit: unit.value, anyway: anyway.checked }];
   }
-
-  set(bar, what) { this.marking.change({ bar }, what); }
 
   draw(ctx, viewer) {
     const ends = (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));

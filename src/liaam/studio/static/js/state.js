@@ -9,24 +9,21 @@ import { whoAmI } from "./who.js";
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 
 export class State extends EventTarget {
-  constructor() {
-    super();
-    /** @type {Project | null} */
-    this.project = null;
-    this.current = null;
-    this.order = []; // names of the pictures as the list shows them
-    this.worstFirst = false; // whether that is by quality
-    this.folder = ""; // the subfolder that the list shows; "" for all
-    this.online = true;
-    this.wall = null; // the list as a grid; the list sets it
-    this.adding = null; // {done, total} of the files that are being added
-    this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
-    this.unsure = false; // whether another server, for another folder, may have taken over the port
-    this._indexed = null; // the project whose pictures are in _byName
-    this._byName = new Map();
-    this._refreshing = null;
-    this._again = false;
-  }
+  /** @type {Project | null} */
+  project = null;
+  current = null;
+  order = []; // names of the pictures as the list shows them
+  worstFirst = false; // whether that is by quality
+  folder = ""; // the subfolder that the list shows; "" for all
+  online = true;
+  wall = null; // the list as a grid; the list sets it
+  adding = null; // {done, total} of the files that are being added
+  restarted = false; // whether a new server refuses this page, which has the token of an earlier one
+  unsure = false; // whether another server, for another folder, may have taken over the port
+  _indexed = null; // the project whose pictures are in _byName
+  _byName = new Map();
+  _refreshing = null;
+  _again = false;
 
   /** Fetch the project and follow its changes. */
   async open() {
@@ -47,16 +44,10 @@ export class State extends EventTarget {
 
   /** Fetch the project again; calls during a fetch lead to one more. */
   refresh() {
-    if (this._refreshing) {
-      this._again = true;
-      return this._refreshing;
-    }
-    this._refreshing = this._fetch().finally(() => {
+    this._again = Boolean(this._refreshing);
+    this._refreshing ??= this._fetch().finally(() => {
       this._refreshing = null;
-      if (this._again) {
-        this._again = false;
-        this.refresh().catch(() => {});
-      }
+      if (this._again) this.refresh().catch(() => {});
     });
     return this._refreshing;
   }

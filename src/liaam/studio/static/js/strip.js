@@ -74,8 +74,7 @@ export function mountStrip(root, app) {
   function select(on) {
     selecting = on;
     press(several, on);
-    if (on) list.setAttribute("aria-multiselectable", "true");
-    else list.removeAttribute("aria-multiselectable");
+    list.ariaMultiSelectable = on ? "true" : null;
     mark(on && state.current ? [state.current] : []);
   }
 
@@ -185,9 +184,8 @@ export function mountStrip(root, app) {
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
-    const element = make(picture);
-    items.set(name, { element, key });
-    return element;
+    items.set(name, { element: make(picture), key });
+    return items.get(name).element;
   }
 
   /** Size of an item along the list, where the visible part begins, its length, and the number of columns. */
@@ -278,9 +276,7 @@ export function mountStrip(root, app) {
   }
 
   document.addEventListener("keydown", ({ key: pressed }) => {
-    if (pressed !== "Escape") return;
-    if (selecting) select(false);
-    else wall.open(false);
+    if (pressed === "Escape") selecting ? select(false) : wall.open(false);
   });
   state.addEventListener("to-review", () => {
     wanted.filter = filter.value = "review";

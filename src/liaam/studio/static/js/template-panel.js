@@ -85,7 +85,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
   }
 
   return {
-    element, message, mark: points.mark, showMirror, toggleMirror,
+    element, mark: points.mark, showMirror, toggleMirror, tell: (text) => { message.textContent = text; },
     render() {
       const { contours } = drafting.draft;
       points.render();
