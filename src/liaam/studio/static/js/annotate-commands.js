@@ -2,6 +2,7 @@
 
 import { called, missingText, several, UNTOUCHED } from "./annotate-words.js";
 import { allDone, nextOf, unfinished } from "./assist.js";
+import { act } from "./bulk.js";
 import { placed } from "./points.js";
 
 const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or load " +
@@ -36,6 +37,13 @@ export function createCommands(tab) {
     if (warned !== name) return warn(UNTOUCHED);
     await tab.saving.markUnchecked(name);
     if (tab.name === name) goNext();
+  }
+
+  /** Go on from points that look wrong, and were left as they are: the person has checked them. */
+  async function passSlip() {
+    const { name } = tab;
+    const checked = await act(app, "checked", [name]);
+    if (checked.length && tab.name === name) goNext();
   }
 
   async function goNext() {
@@ -151,7 +159,8 @@ export function createCommands(tab) {
       if (marking.state.source === "layout") return void leaveUnchecked();
       marking.accept();
       const left = marking.missing;
-      if (!left.length || warned === tab.name) return void goNext();
+      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
+      if (!left.length || warned === tab.name) return void (isSlip ? passSlip() : goNext());
       marking.select([left[0]]);
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose
     },

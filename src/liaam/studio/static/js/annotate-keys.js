@@ -5,6 +5,7 @@ import { placed } from "./points.js";
 
 export const SHORTCUTS = [
   { keys: "Enter", what: "Accept the points and open the picture that helps the model most" },
+  { keys: "Shift+Enter", what: "After a picture opened from the wall: return, and accept what is in view there" },
   { keys: "N", what: "Open it without accepting" },
   { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },
   { keys: "← → ↑ ↓", what: "Move the selected points by 1 px (Shift: 10, Alt: 0.1)" },
@@ -74,7 +75,7 @@ export function createKeys(tab) {
     else if (event.key.startsWith("Arrow")) return arrow(event);
     else if (event.key === "Enter" && !command) {
       if (isIn(event, CONTROLS)) return false;
-      commands.accept();
+      if (!event.shiftKey || tab.editing || !tab.state.wall.resume()) commands.accept();
     } else if (command || event.altKey) return false;
     else if (tab.editing && tab.templates.key(letter)) return true;
     else {

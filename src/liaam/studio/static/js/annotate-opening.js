@@ -83,8 +83,9 @@ export function createOpening(tab, begins) {
     const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
     const book = {
       history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful, key: keyOf(name), tag: state.picture(name)?.tag,
+      doubtful: marks.doubtful, key: keyOf(name), tag: state.picture(name)?.tag, seen: null,
     };
+    book.seen = book.history.state; // as it was opened
     books.set(name, book);
     marking.open(book);
     // If points are placed one after another, continue with the first missing one.

@@ -9,6 +9,7 @@ const LEAST = 3; // pictures needed for training
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
+const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
 
 const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
@@ -262,7 +263,7 @@ export function createAssist(app, commands) {
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? (here?.slip ? `Possible slip: ${here.slip}.` : ""));
+    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? (here?.slip ? `Possible slip: ${here.slip}. ${SLIP}` : ""));
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     if (fault) why.textContent = fault;

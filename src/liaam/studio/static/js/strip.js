@@ -23,12 +23,11 @@ export function mountStrip(root, app) {
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
   let wallTop = 0; // how far the wall was scrolled
-  let onWay = false; // whether a picture was opened from the wall, to which a person then returns
 
   const choose = (label, name, onchange, labels = {}) =>
     h("select.text", {
       "aria-label": label, testid: `strip-${name}`,
-      onchange: ({ target }) => { onchange(target.value); onWay = false; show(); },
+      onchange: ({ target }) => { onchange(target.value); wall.onWay = false; show(); },
     }, optionsOf(labels));
   const filter = choose("Show", "filter", (value) => { wanted.filter = value; }, labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", (value) => { wanted.order = value; }, filters.ORDERS);
@@ -46,7 +45,7 @@ export function mountStrip(root, app) {
   });
   const wall = createWall({
     app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild,
-    onworst: () => { onWay = false; state.order = []; show(); },
+    onworst: () => { wall.onWay = false; state.order = []; show(); },
     turn: () => {
       const { at, columns, room, size } = along();
       const rows = Math.floor(room / size);
@@ -87,7 +86,7 @@ export function mountStrip(root, app) {
 
   /** Make all items again, as those of the list or of the wall. */
   function rebuild() {
-    if (wall.on && !onWay) {
+    if (wall.on && !wall.onWay) {
       wallTop = 0;
       wanted.order = order.value = "quality";
       state.order = []; // sorted anew, and then it stays
@@ -118,7 +117,7 @@ export function mountStrip(root, app) {
 
   /** Open a picture; the wall gives way to it. */
   function enter(name) {
-    onWay = wall.on;
+    wall.onWay = wall.on;
     wall.open(false);
     state.select(name);
   }
@@ -240,7 +239,7 @@ export function mountStrip(root, app) {
   /** While pictures are added or fitted, and while a person is on the way through the wall, those in the list keep their
    *  places, and others come after them. */
   function inPlace(found) {
-    if (!state.adding && !state.project.fitting && !wall.on && !onWay) return found;
+    if (!state.adding && !state.project.fitting && !wall.on && !wall.onWay) return found;
     const places = new Map(state.order.map((name, i) => [name, i]));
     return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
   }

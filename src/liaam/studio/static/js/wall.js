@@ -51,6 +51,14 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     return acceptSome(() => acceptable(pictures.map(({ name }) => state.picture(name)), 0));
   }
 
+  /** Return from a picture that was opened here, and accept the page; false if none was. */
+  function resume() {
+    if (!wall.onWay) return false;
+    open(true);
+    acceptPage();
+    return true;
+  }
+
   /** Accept the sure ones, but for those that were looked at before a model placed their points anew. */
   function acceptSeen() {
     const isNew = (name) => outlines.has(name) && outlines.get(name).key !== keyOf(state.picture(name));
@@ -103,6 +111,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     return svg("svg", { class: "wall-points", viewBox, "stroke-width": dot, "aria-hidden": "true" }, svg("path", { d }));
   }
 
-  const wall = { element, toggler, on: false, open, openWorst, acceptPage, outline, show };
+  /** onWay: whether a picture was opened from the wall, to which a person then returns. */
+  const wall = { element, toggler, on: false, onWay: false, open, openWorst, acceptPage, resume, outline, show };
   return wall;
 }
