@@ -11,7 +11,6 @@ const AT_ONCE = 4; // files sent at a time
 const SHOWN = 3; // reasons in the summary
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/i;
 const UNSAVED = /^\{"kind":"liaam-studio-unsaved"/;
-
 const suffixOf = (path) => /\.[^./]+$/.exec(path.toLowerCase())?.[0] ?? "";
 const stemOf = (path) => path.slice(0, path.length - suffixOf(path).length);
 const isVideo = ({ file, path }, { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
@@ -77,7 +76,8 @@ export function createAdding(app) {
     const video = wanted.find((item) => isVideo(item, formats));
     const rest = [];
     for (const item of wanted) {
-      if (suffixOf(item.path) === ".json" && UNSAVED.test(await item.file.slice(0, 99).text())) await restore(item.file).catch(complain);
+      const isWork = suffixOf(item.path) === ".json" && UNSAVED.test(await item.file.slice(0, 99).text());
+      if (isWork) await restore(item.file).catch(complain);
       else if (item !== model && item !== video) rest.push(item);
     }
     if (rest.length) await add(rest);
@@ -122,7 +122,6 @@ export function createAdding(app) {
     return complain(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`);
   }
 
-  /** Let the person choose files to add. */
   function choose() {
     const { pictures, landmarks, videos } = state.project.formats;
     const accept = [...pictures, ...landmarks, ...videos, ".liaam"].join();

@@ -5,8 +5,8 @@ import { allDone, nextOf, unfinished } from "./assist.js";
 import { act } from "./bulk.js";
 import { placed } from "./points.js";
 
-const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or load " +
-  "a template with left and right in its names.";
+const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
+  "load a template with left and right in its names.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
 /** @param {import("./annotate.js").Tab} tab */

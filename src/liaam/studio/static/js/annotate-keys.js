@@ -27,7 +27,6 @@ export const SHORTCUTS = [
 
 const CONTROLS = "button, a, label, input, summary, [role=tab]";
 const WITH_ARROWS = "input, [role=listbox], [role=radiogroup], [role=tab]";
-
 const isIn = (event, selector) => event.target instanceof Element && Boolean(event.target.closest(selector));
 
 /** Handles a key; returns whether it was handled. @param {import("./annotate.js").Tab} tab */
@@ -44,10 +43,8 @@ export function createKeys(tab) {
   };
 
   /** Tab selects the next point while the picture has the focus. Past the last, or after Escape, the focus moves on. */
-  function tabKey(event) {
-    if (event.target !== viewer.canvas || !commands.marks || commands.escaped) return false;
-    return commands.stepPoint(event.shiftKey ? -1 : 1);
-  }
+  const tabKey = ({ target, shiftKey }) =>
+    target === viewer.canvas && commands.marks && !commands.escaped && commands.stepPoint(shiftKey ? -1 : 1);
 
   function arrow(event) {
     const { doc, editing } = tab;

@@ -61,7 +61,8 @@ export function createOpening(tab, begins) {
       return { icon: "folder", title: "No picture is open", text: "Select one in the list." };
     }
     if (picture.state !== "broken") return null;
-    return { icon: "warning", title: `${name} cannot be used`, text: picture.error ?? "It cannot be read: replace the file." };
+    const text = picture.error ?? "It cannot be read: replace the file.";
+    return { icon: "warning", title: `${name} cannot be used`, text };
   }
 
   function showInstead(message) {
@@ -141,13 +142,11 @@ export function createOpening(tab, begins) {
     } else if (isPristine() && book.key !== keyOf(tab.name)) {
       book.key = keyOf(tab.name);
       reload();
-    } else if (!tab.editing && isIdle() && isForeign(tab.name)) reload();
-  }
-
-  /** Whether another program has changed the marks of a picture. */
-  function isForeign(name) {
-    const picture = state.picture(name);
-    return picture !== null && picture.state !== "reading" && picture.revision !== tab.saver.entry(name).revision;
+    } else if (!tab.editing && isIdle()) {
+      const picture = state.picture(tab.name);
+      const { revision } = tab.saver.entry(tab.name);
+      if (picture && picture.state !== "reading" && picture.revision !== revision) reload(); // changed by another program
+    }
   }
 
   /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */

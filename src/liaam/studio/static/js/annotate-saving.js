@@ -25,8 +25,7 @@ export function createSaving(tab) {
   /** Fetch the marks of a picture; null if the request fails. */
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
-  const put = (name, body) =>
-    state.saveMarks(name, body, { keepalive: JSON.stringify(body).length < KEEPALIVE });
+  const put = (name, body) => state.saveMarks(name, body, { keepalive: JSON.stringify(body).length < KEEPALIVE });
 
   const saver = new Saver({
     put, unsaved: new Unsaved(localStorage, state.project.id, page.name),
@@ -83,12 +82,6 @@ export function createSaving(tab) {
     }
   }
 
-  /** The template has changed: convert unsaved marks to it. */
-  async function keepUnsaved(changed, mapping) {
-    state.project.template = changed;
-    if (changed) await rebase(saver.dirty, mapping);
-  }
-
   /** Marks that an earlier page could not save; this page saves them from now on. Null if there are none. */
   async function inherited(name, marks) {
     if (saver.isStale(name)) {
@@ -115,5 +108,5 @@ export function createSaving(tab) {
     }
   }
 
-  return { saver, fetchMarks, tryToFetch, markUnchecked, change, decide, rebase, keepUnsaved, inherited, sendKept };
+  return { saver, fetchMarks, tryToFetch, markUnchecked, change, decide, rebase, inherited, sendKept };
 }

@@ -74,14 +74,10 @@ export function createTemplates(tab) {
 
   async function load(file) {
     const { width, height } = viewer;
-    try {
-      const template = await api.upload(api.url("template/file", { name: file.name }), file);
-      const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
-      if (!points) throw new Error(`${file.name} has no points: choose another file.`);
-      doc.load(file.name, template, points.map((p) => p && rounded(p)));
-    } catch (error) {
-      toast(error, "bad");
-    }
+    const template = await api.upload(api.url("template/file", { name: file.name }), file);
+    const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
+    if (!points) return toast(`${file.name} has no points: choose another file.`, "bad");
+    return doc.load(file.name, template, points.map((p) => p && rounded(p)));
   }
 
   async function done() {
@@ -92,7 +88,8 @@ export function createTemplates(tab) {
     // Taken now, because the template may be changed elsewhere while the dialog is open.
     const template = { ...drafts.templateOf(draft), revision: saved?.revision ?? null };
     const lost = mapping && drafts.consequences(draft, saved.names.length, state.project);
-    if (lost && !(await confirm("Change the template?", `${lost} This cannot be undone.`, "Change the template"))) return;
+    const text = `${lost} This cannot be undone.`;
+    if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
     panel.setBusy(true);
     try {
       await save(template, mapping, draft.points, { isFresh, isUnmoved });
@@ -115,7 +112,8 @@ export function createTemplates(tab) {
     try {
       const change = mapping ? { ...template, mapping } : template;
       const saved = await state.send((folder) => api.put(api.url("template"), { ...change, folder }));
-      await tab.saving.keepUnsaved(saved, mapping);
+      state.project.template = saved;
+      await tab.saving.rebase(tab.saver.dirty, mapping);
       known = JSON.stringify(saved);
       tab.opening.clear();
       await state.refresh();

@@ -29,40 +29,34 @@ export class Tab {
   drawn = { names: false, contours: true, ellipses: true };
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
+  container = h("div", { testid: "annotate-viewer" });
+  prompt = h("div.annotate-prompt", { hidden: true });
+  hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
+  cover = new Cover();
+  spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
+  alternative = h("p.visually-hidden", { id: "annotate-text" });
+  side = h("aside.side.annotate-side", { "aria-label": "Points" });
+  viewer = new Viewer(this.container, { label: "Picture with landmarks" });
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.app = app;
-    this.state = app.state;
+    const { state } = app;
+    this.state = state;
+    const { viewer } = this;
     app.selection = () => [...this.marking.selection];
     app.saved = () => this.saver.flush();
-    this.makePage();
-    this.makeParts();
-    root.classList.add("annotate");
-    root.append(h("div.workspace", this.toolbar.element, this.container), this.side);
-    this.listen();
-    this.expose();
-  }
-
-  makePage() {
-    this.container = h("div", { testid: "annotate-viewer" });
-    this.prompt = h("div.annotate-prompt", { hidden: true });
-    this.hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
-    this.cover = new Cover();
-    this.spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
-    this.viewer = new Viewer(this.container, { label: "Picture with landmarks" });
-    this.viewer.canvas.setAttribute("aria-describedby", "annotate-text");
-    this.alternative = h("p.visually-hidden", { id: "annotate-text" });
+    viewer.canvas.setAttribute("aria-describedby", "annotate-text");
     this.container.append(this.prompt, this.hint, this.cover.element, this.alternative, this.spoken);
-    this.side = h("aside.side.annotate-side", { "aria-label": "Points" });
-  }
-
-  makeParts() {
-    const { app, state, viewer } = this;
     this.say = (text) => { this.spoken.textContent = text; };
     this.marking = new Marking({
       template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
-      onpreview: () => viewer.redraw(), onplaced: (index) => this.goOn(index),
+      onpreview: () => viewer.redraw(),
+      onplaced: (index) => { // then select the next missing one
+        const next = nextMissing(this.marking.points, index);
+        this.marking.select([next < 0 ? index : next]);
+        this.sayPlace(index, next);
+      },
     });
     this.ruler = new ScaleBar(this.marking, {
       onturn: () => {
@@ -70,7 +64,10 @@ export class Tab {
         this.refresh();
       },
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
-      onshare: (bar, anyway) => this.shareBar(bar, anyway),
+      onshare: (bar, anyway) => { // with all that the list can show
+        const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
+        app.bulk.run("scaled", others, { bar, of: this.name, anyway });
+      },
     });
     this.commands = createCommands(this);
     this.status = createStatus(this);
@@ -86,6 +83,10 @@ export class Tab {
     this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
+    root.classList.add("annotate");
+    root.append(h("div.workspace", this.toolbar.element, this.container), this.side);
+    this.listen();
+    this.expose();
   }
 
   get template() { return this.state.project?.template ?? null; }
@@ -94,7 +95,6 @@ export class Tab {
   get wrong() { return this.state.picture(this.name)?.slip_points ?? []; }
   /** The document that gestures edit: the template, the scale bar that is being drawn, or the marks of the picture. */
   get doc() { return this.editing ? this.templates.doc : this.ruler.on ? this.ruler : this.marking; }
-
   focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
@@ -143,13 +143,6 @@ export class Tab {
     else this.saver.flush();
   }
 
-  /** Give the scale bar of the open picture to all others that the list can show. */
-  async shareBar(bar, anyway) {
-    const of = this.name;
-    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== of);
-    await this.app.bulk.run("scaled", others, { bar, of, anyway });
-  }
-
   leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
   /** The marks have changed: save and show them. */
@@ -158,24 +151,11 @@ export class Tab {
     this.refresh();
   }
 
-  /** The selection has changed. */
   chosen() {
     this.commands.escaped = false;
     this.panel.mark(this.marking);
     this.showHint();
     this.viewer.redraw();
-  }
-
-  /** After a point was placed, select the next missing one. */
-  goOn(index) {
-    const next = nextMissing(this.marking.points, index);
-    this.marking.select([next < 0 ? index : next]);
-    this.sayPlace(index, next);
-  }
-
-  startChanged() {
-    const { state } = this.marking;
-    if (this.opening.isPristine() && state.source !== "file" && state.source !== "proposal") this.opening.reload();
   }
 
   refresh() {
@@ -216,9 +196,8 @@ export class Tab {
   /** Describe the picture for screen readers. */
   describe() {
     const { editing, marking, name, templates } = this;
-    const own = marking.book ? descriptionOf(name, marking) : "No picture is open.";
-    const text = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.` : own;
-    this.alternative.textContent = text;
+    this.alternative.textContent = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.`
+      : marking.book ? descriptionOf(name, marking) : "No picture is open.";
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
 

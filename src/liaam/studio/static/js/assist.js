@@ -1,7 +1,7 @@
 // The model's help: training in the background, and the choice of the next picture.
 
 import { percent, several } from "./annotate-words.js";
-import { measureAll } from "./measure.js";
+import { measureAll } from "./review.js";
 import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon } from "./ui.js";
 
@@ -11,9 +11,7 @@ const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained
 const SHOWN = 5; // slips that are listed before training
 const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
-
-const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
-
+const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
 /** The pictures that a training uses, and those of them whose points look wrong. */
@@ -36,7 +34,7 @@ export const situation = ({ model, pictures }) =>
 
 /** What is not done yet, as a sentence; "" if all shown pictures are done and the model was trained on all of them. */
 export function unfinished({ pictures, model }) {
-  const open = pictures.filter((picture) => picture.state !== "done").length;
+  const open = pictures.length - countOf(pictures, "done");
   const left = pictures.map(({ name }) => name).filter((name) => name in (model?.left_out ?? {}));
   const parts = [
     open && `${several(open, "picture")} ${open === 1 ? "is" : "are"} not done`,
@@ -200,11 +198,8 @@ export function createAssist(app, commands) {
   async function stop() {
     cancel.disabled = true;
     failedAt = situation(state.project); // do not restart automatically what the user has stopped
-    try {
-      await state.send((folder) => api.delete(api.url("training"), { folder }));
-    } finally {
-      cancel.disabled = false;
-    }
+    const request = state.send((folder) => api.delete(api.url("training"), { folder }));
+    await request.finally(() => { cancel.disabled = false; });
   }
 
   /** Show why training failed, and do not retry automatically if it is for good; "": it did not fail. */
@@ -231,15 +226,18 @@ export function createAssist(app, commands) {
     const { project } = state;
     if (!project) return;
     const { pictures, model, training } = project;
-    const usable = pictures.filter((picture) => picture.state !== "broken").length;
+    const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
-    count.textContent = `${countDone(pictures)} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.textContent = `${countOf(pictures, "done")} of ${usable} done${left ? `, ${left} left out` : ""}`;
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     offered.hidden = !project.offered || model?.source !== "face";
     const runs = training?.state === "running";
     running.hidden = !runs;
-    if (runs) showProgress(training);
+    if (training?.total) progress.value = Math.round((100 * training.done) / training.total);
+    else progress.removeAttribute("value");
+    const doing = training?.what || "Training";
+    what.textContent = training?.total ? `${doing} (${training.done} of ${training.total})` : `${doing}…`;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
     train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
@@ -251,19 +249,13 @@ export function createAssist(app, commands) {
     note(project);
   }
 
-  function showProgress({ done, total, what: doing }) {
-    if (total) progress.value = Math.round((100 * done) / total);
-    else progress.removeAttribute("value");
-    const text = doing || "Training";
-    what.textContent = total ? `${text} (${done} of ${total})` : `${text}…`;
-  }
-
   function explain({ pictures, model, training }, done) {
     const here = state.picture();
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? (here?.slip ? `Possible slip: ${here.slip}. ${SLIP}` : ""));
+    const slip = here?.slip ? `Possible slip: ${here.slip}. ${SLIP}` : "";
+    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     if (fault) why.textContent = fault;

@@ -6,12 +6,10 @@ import { meanDistance } from "./fit-geometry.js";
 import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
 import { SourceTab } from "./fit-source.js";
 import { bounds } from "./points.js";
-import { button, h, icon, isPlain, press } from "./ui.js";
+import { button, h, icon, isPlain, press, runKey } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
-/** Methods to compare the default with at first: the best known. */
-const FAMILIAR = ["rgb", "grey"];
-
+const FAMILIAR = ["rgb", "grey"]; // methods to compare the default with at first: the best known
 const SMALL = 300; // css pixels of height below which the object fills a view
 
 /** One side: its method, its viewer and its result. */
@@ -35,7 +33,6 @@ class Side {
   }
 
   get method() { return this.select.value; }
-
   show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0); }
 
   take(fit) {
@@ -93,12 +90,18 @@ export class Tab extends SourceTab {
     const known = this.state.project.model?.methods ?? methods.map(({ name }) => name);
     const other = [...FAMILIAR, first].find((name) => known.includes(name)) ?? first;
     this.sides = [["left", first], ["right", other]].map(([name, method]) => new Side(name, methods, method, {
-      onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
+      onmethod: (side) => this._method(side),
+      draw: (ctx, viewer, side) => {
+        if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
+        if (side.fit) drawFit(ctx, viewer, side.fit, this.overlays.shown);
+      },
     }));
     this.left = this.sides[0];
     this.right = this.sides[1];
     this._build(root);
-    this._together();
+    const [left, right] = this.sides.map((side) => side.viewer);
+    for (const [one, other] of [[left, right], [right, left]]) // keep zoom and pan of both sides equal
+      one.addEventListener("view", () => one.width === other.width && other.setView(one.view));
     this.sources.addEventListener("ready", () => this.sides.forEach((side) => side.show(this.sources.current)));
     this.state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       if (this.sources.current?.name !== detail.name) return;
@@ -113,16 +116,10 @@ export class Tab extends SourceTab {
   get _works() { return Boolean(this.sources.current && this.state.project.model); }
 
   key(event) {
-    if (!isPlain(event)) return false;
-    const action = {
-      enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth(),
-    }[event.key.toLowerCase()];
-    if (!action) return this.overlays.key(event) || this.right.viewer.key(event);
-    action();
-    return true;
+    const keys = { enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth() };
+    return isPlain(event) && (runKey(event, keys) || this.overlays.key(event) || this.right.viewer.key(event));
   }
 
-  /** Fit with both methods at once. */
   async run() {
     if (!this._works) return;
     this._say("Fitting…");
@@ -197,8 +194,6 @@ export class Tab extends SourceTab {
     if (bad || text === "Fitting…") for (const side of this.sides) side.element.classList.remove("nearer");
   }
 
-  // The page.
-
   _build(root) {
     this.overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
     this._truthButton = button("Ground truth", {
@@ -223,14 +218,6 @@ export class Tab extends SourceTab {
     root.append(h("div.workspace.compare-tab", toolbar, this._pair, this._empty, foot));
   }
 
-  /** Keep zoom and pan of both sides equal. */
-  _together() {
-    const [left, right] = this.sides.map((side) => side.viewer);
-    for (const [one, other] of [[left, right], [right, left]]) {
-      one.addEventListener("view", () => one.width === other.width && other.setView(one.view, true));
-    }
-  }
-
   _redraw() {
     for (const { viewer } of this.sides) viewer.redraw();
   }
@@ -239,11 +226,6 @@ export class Tab extends SourceTab {
     this.showTruth = !this.showTruth;
     press(this._truthButton, this.showTruth);
     this._redraw();
-  }
-
-  _draw(ctx, viewer, side) {
-    if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
-    if (side.fit) drawFit(ctx, viewer, side.fit, this.overlays.shown);
   }
 
   _emptiness() {

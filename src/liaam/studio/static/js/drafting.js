@@ -57,10 +57,8 @@ export class Drafting {
 
   get names() { return this.draft.names; }
   get points() { return this.shown ?? this.draft.points; }
-  /** Whether clicks add points. */
   get placing() { return !this.layingOut; }
   get followsPointer() { return this.axis !== null; }
-  /** Whether there are points. */
   get started() { return this.names.length > 0; }
 
   framed() {
@@ -234,8 +232,8 @@ export class Drafting {
   }
 }
 
-/** The axis of symmetry over the picture. It is dragged by a grip near the top, since clicks elsewhere on the line place
- *  points. */
+/** The axis of symmetry over the picture. It is dragged by a grip near the top, since clicks elsewhere on the line
+ *  place points. */
 export class AxisGrip {
   /** x: of the axis, in pixels of the picture. */
   constructor(viewer, x) {

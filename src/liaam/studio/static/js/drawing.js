@@ -5,9 +5,7 @@ import { frameOf } from "./gestures.js";
 import { fitInto } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
-export const COLOURS = {
-  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f",
-};
+export const COLOURS = { placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f" };
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
 const LEAST_SCALE = 2; // screen pixels per picture pixel

@@ -3,22 +3,15 @@
 import { api } from "./api.js";
 import { roomy } from "./fit-draw.js";
 import { lightQuery } from "./relight.js";
-import { button, h, saveFile, whileBusy } from "./ui.js";
+import { button, h, saveFile } from "./ui.js";
 
 const EXPORTS = {
-  Landmarks: [
-    { what: "pts", label: "Landmarks .pts" },
-    { what: "ljson", label: "Landmarks .ljson" },
-    { what: "csv", label: "Table .csv" },
-    { what: "json", label: "Fit .json" },
-  ],
-  Pictures: [
-    { what: "overlay", label: "Picture with the fit" },
-    { what: "flat", label: "Without shading", layer: "flat" },
-    { what: "shading", label: "Shading", layer: "shading" },
-    { what: "relit", label: "Under the new light", layer: "flat" },
-  ],
+  Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
+  Pictures: {
+    overlay: "Picture with the fit", flat: "Without shading", shading: "Shading", relit: "Under the new light",
+  },
 };
+const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
 
 export class ExportMenu {
   /** `light()` returns the current light; `annotate()` saves the landmarks of the fit in the folder. */
@@ -35,7 +28,7 @@ export class ExportMenu {
       },
     });
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
-      h("div.fit-menu-group", h("h3.small.muted", title), items.map((item) => this._item(item))));
+      h("div.fit-menu-group", h("h3.small.muted", title), Object.entries(items).map((item) => this._item(...item))));
     // The browser closes it with Escape, or by a press elsewhere.
     this.panel = h("div.fit-menu", {
       popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
@@ -58,30 +51,34 @@ export class ExportMenu {
 
   close() { if (this.panel.isConnected) this.panel.hidePopover(); }
 
-  /** @param {{what: string, label: string, layer?: string}} item */
-  _item({ what, label, layer }) {
+  _item(what, label) {
     const link = h("a.button.ghost.small", {
       download: "", testid: `export-${what}`,
       onclick: (event) => {
         event.preventDefault(); // a plain link would show neither progress nor errors
-        whileBusy(link, async () => {
-          saveFile(...(await api.file(link.getAttribute("href"))));
-          this.close(); // it stays open until then
-        });
+        if (!link.ariaBusy) this._save(link);
       },
     }, label);
-    this._links.push({ link, what, layer });
+    this._links.push({ link, what });
     return link;
+  }
+
+  /** Fetch a file and save it; the menu stays open until then. */
+  async _save(link) {
+    link.ariaBusy = "true";
+    const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
+    saveFile(...file);
+    this.close();
   }
 
   /** Put the menu below its button, with the files of the fit under the current light. */
   _place() {
     const { right, bottom } = this.button.getBoundingClientRect();
     Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
-    for (const { link, what, layer } of this._fit ? this._links : []) {
+    for (const { link, what } of this._fit ? this._links : []) {
       const query = what === "relit" ? lightQuery(this._light()) : {};
       link.href = api.url("fits", this._fit.id, "export", { what, ...query });
-      link.hidden = Boolean(layer) && !this._fit.layers.includes(layer);
+      link.hidden = what in NEEDS && !this._fit.layers.includes(NEEDS[what]);
     }
   }
 }

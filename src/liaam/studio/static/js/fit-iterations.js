@@ -59,7 +59,6 @@ export class Iterations {
     this._go(this.index + by);
   }
 
-  /** Play, or pause. */
   toggle() {
     if (this._timer) return this.pause();
     if (this.iterations.length < 2) return;

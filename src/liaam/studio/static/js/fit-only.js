@@ -46,8 +46,8 @@ export function guestPanel(app) {
   const show = (project) => {
     element.hidden = !isGuest(project);
     const { name, n_points: count } = project.model ?? {};
-    words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no landmarks ` +
-      "are saved.";
+    words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no ` +
+      "landmarks are saved.";
   };
   return { element, show };
 }

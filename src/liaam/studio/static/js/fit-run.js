@@ -43,7 +43,6 @@ export class FitStore {
 
   /** The newest fit of a source with a method and the current model, or null. */
   recall(source, method) { return this.#kept.get(this.#key(source, method)) ?? null; }
-
   forget(fit) { this.#drop((kept) => kept.id === fit.id); }
 
   #drop(isStale) {
@@ -65,7 +64,6 @@ export function cleaned(fit) {
 
 /** Quality from which a fit is shown as good: fewer than one in five such fits is wrong. */
 export const SURE = 0.8;
-
 const percent = (fraction) => `${Math.round(100 * fraction)} %`;
 
 /** Assessment of a fit: {kind of its badge, title, advice or "", isSure: whether nothing speaks against it}. */
@@ -74,7 +72,8 @@ export function verdictOf(fit) {
   const isUnknown = quality == null;
   if (!ok) {
     const kind = status === "doubtful" || status === "max iterations" ? "warn" : "bad";
-    return { kind, title: status, advice: "Draw a box around the object, or drag the mean shape onto it:", isSure: false };
+    const advice = "Draw a box around the object, or drag the mean shape onto it:";
+    return { kind, title: status, advice, isSure: false };
   }
   const title = `${status}, quality ${isUnknown ? "unknown" : percent(quality)}`;
   const isSure = isUnknown || quality >= SURE;
@@ -104,7 +103,6 @@ export function significant(value, digits = 3) {
 
 /** An error in pixels or percent, to two decimals. */
 const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
-
 const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
 /** Facts about a fit as rows [term, value]. */
@@ -142,7 +140,8 @@ export function comparison(left, right, distance) {
   const { by } = compared(left, right) ?? {};
   const better = betterOf(left, right);
   const worse = better === left ? right : left;
-  const trained = left.trained_on ? " The model was trained on this picture, so its errors on new pictures are larger." : "";
+  const larger = " The model was trained on this picture, so its errors on new pictures are larger.";
+  const trained = left.trained_on ? larger : "";
   const apart = `The two fits are ${short(distance)} px apart on average.`;
   if (by === "copy") {
     const { method } = left.error.pixels < right.error.pixels ? left : right;

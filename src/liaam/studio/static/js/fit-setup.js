@@ -42,7 +42,8 @@ export class SetupPanel {
       "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => onmethod(summarise()),
     }, sorted.map(({ name }) => h("option", { value: name }, name)));
     summarise();
-    this._run = button("Fit", { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: onrun });
+    const look = { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run" };
+    this._run = button("Fit", { ...look, onclick: onrun });
     this._run.append(h("kbd.kbd", "Enter"));
     this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
     this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));

@@ -29,10 +29,8 @@ export class Source {
 
 let uploads = 0;
 
-/**
- * Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
- * "ready" when the server has it, "failed" with the error.
- */
+/** Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
+ *  "ready" when the server has it, "failed" with the error. */
 export class Sources extends EventTarget {
   constructor(state, pictures) {
     super();
@@ -62,8 +60,7 @@ export class Sources extends EventTarget {
 
   /** Show the selected picture of the folder again after an opened file. */
   backToFolder() {
-    this.current = null;
-    this._wanted = null;
+    this.current = this._wanted = null;
     this._follow();
   }
 

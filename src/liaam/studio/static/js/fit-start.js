@@ -29,47 +29,44 @@ export class BoxTool {
     this._drag = null;
   }
 
+  _show(box) {
+    this.box = box;
+    this.viewer.redraw();
+  }
+
   down(event, xy) {
-    const before = this.box;
+    const { box: before, viewer: { width, height, scale } } = this;
     const corners = before ? cornersOf(before) : [];
-    const near = nearest(corners, xy, handleReach(event) / this.viewer.scale);
+    const near = nearest(corners, xy, handleReach(event) / scale);
     const from = near < 0 ? xy : corners[(near + 2) % 4]; // while a corner is dragged, the opposite one stays
-    this._drag = { moves: near < 0 && before !== null && isInside(before, xy), from, before };
+    const moves = near < 0 && before !== null && isInside(before, xy);
+    const to = ([x, y]) => (moves ? boxMoved(before, [x - xy[0], y - xy[1]], width, height)
+      : boxBetween(from, [x, y], width, height));
+    this._drag = { before, to };
     return true;
   }
 
-  move(event, xy) {
-    if (!this._drag) return;
-    const { moves, from, before } = this._drag;
-    const { width, height } = this.viewer;
-    const by = [xy[0] - from[0], xy[1] - from[1]];
-    this.box = moves ? boxMoved(before, by, width, height) : boxBetween(from, xy, width, height);
-    this.viewer.redraw();
-  }
+  move(_event, xy) { if (this._drag) this._show(this._drag.to(xy)); }
 
   up() {
     if (!this._drag) return;
     const { before } = this._drag;
     this._drag = null;
-    if (!this.start) this.box = before; // a click or a very short drag
-    this.viewer.redraw();
+    this._show(this.start ? this.box : before); // otherwise it was a click, or a very short drag
     if (this.start && this.box !== before) this._ready();
   }
 
   cancel() {
-    if (this._drag) this.box = this._drag.before;
+    this._show(this._drag ? this._drag.before : this.box);
     this._drag = null;
-    this.viewer.redraw();
   }
 
   cursor() { return "crosshair"; }
 
   key(event) {
     const box = boxAfterKey(this.box, event, this.viewer.width, this.viewer.height);
-    if (!box) return false;
-    this.box = box;
-    this.viewer.redraw();
-    return true;
+    if (box) this._show(box);
+    return box !== null;
   }
 
   draw(ctx, viewer) {
@@ -112,7 +109,6 @@ export class MeanTool {
 
   /** Whether the last fit is hidden while the shape is placed. */
   get hidesFit() { return !this.fitted && this.placed !== null; }
-
   get points() { return this.shown ?? this.placed ?? []; }
   framed() { return indicesOf(this.points); }
   follow(_before, after) { return after; }

@@ -5,8 +5,7 @@ import {
   COLOURS, foldedTheta, measurable, paintInvariant, parseChroma, PHYSICAL, robustRange, sampleChroma, steadyRange,
   thetaAfterKey,
 } from "./invariant.js";
-import { FrameMeter } from "./fit-schedule.js";
-import { button, consume, h, segmented, slider } from "./ui.js";
+import { button, consume, FrameMeter, h, segmented, slider } from "./ui.js";
 
 const SIZE = 1024; // longest side of the requested chroma: full size for 640x480, and fast to draw for all pictures
 const USUAL = 118; // typical angle of real cameras in degrees, for pictures without a model or a fit
@@ -31,8 +30,13 @@ export class InvariantView {
 
   /** The image to draw, or null. */
   get image() {
-    if (this._chroma && this._dirty) this._paint();
-    return this._chroma && this.canvas;
+    if (!this._chroma || !this._dirty) return this._chroma && this.canvas;
+    const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
+    paintInvariant(this._chroma, this._radians, range, COLOURS[this.colours], this._pixels);
+    this.canvas.getContext("2d").putImageData(this._image, 0, 0);
+    this._dirty = false;
+    if (this._held) this.meter.tick();
+    return this.canvas;
   }
 
   /** Part of the picture that the image covers, in its pixels; null: all. */
@@ -111,14 +115,6 @@ export class InvariantView {
 
   get _radians() { return (this.theta * Math.PI) / 180; }
 
-  _paint() {
-    const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
-    paintInvariant(this._chroma, this._radians, range, COLOURS[this.colours], this._pixels);
-    this.canvas.getContext("2d").putImageData(this._image, 0, 0);
-    this._dirty = false;
-    if (this._held) this.meter.tick();
-  }
-
   _controls() {
     this._slider = slider({
       min: "0", max: "180", step: "0.1", testid: "theta-slider",
@@ -161,7 +157,7 @@ export class InvariantView {
     const [from, to] = PHYSICAL.map((degrees) => degrees / 180);
     const isApart = fit != null && (model == null || Math.abs(fit - model) > 0.05);
     this._marks.replaceChildren(...[
-      h("span.range", { title: "Angles of real cameras are between 90° and 135°", style: `--from: ${from}; --to: ${to}` }),
+      h("span.range", { title: "Angles of real cameras: between 90° and 135°", style: `--from: ${from}; --to: ${to}` }),
       model != null && mark("model", model), isApart && mark("fit", fit),
     ].filter(Boolean));
   }

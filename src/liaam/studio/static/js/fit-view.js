@@ -6,18 +6,17 @@ import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
 import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { FrameMeter } from "./fit-schedule.js";
 import { Light, lightQuery, linearLights } from "./relight.js";
 import { RoughLight } from "./rough-light.js";
-import { button, h, press, segmented, slider } from "./ui.js";
+import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const VIEWS = [
   { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one in the list." },
-  { name: "flat", label: "Flat", after: "Without shading", hint: "The object under the training light, without the shading " +
-    "of this picture." },
-  { name: "shading", label: "Shading", after: "Shading", hint: "The effect of the light: the picture divided by its flat " +
-    "appearance." },
+  { name: "flat", label: "Flat", after: "Without shading",
+    hint: "The object under the training light, without the shading of this picture." },
+  { name: "shading", label: "Shading", after: "Shading",
+    hint: "The effect of the light: the picture divided by its flat appearance." },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
   { name: "invariant", label: "Invariant", after: "Invariant" },
   { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over it." },
@@ -54,12 +53,21 @@ export class FitView {
     this.light = new Light(ambient);
     this.container.append(this.light.stage);
     this.light.addEventListener("change", () => this._relight());
-    this._build();
+    const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
+    this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
+    this.chooser = this._choice.element;
+    this.splitter = roomy(button("Before | after", {
+      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
+      title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
+    }));
+    this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
+    this.layers = this._layers();
+    this._hint = h("p.small.muted.fit-hint");
+    this._legend = h("div.fit-legend.small.muted");
+    this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
     this.show("picture");
   }
-
-  // Display.
 
   /** Show another picture; its layers are fetched when needed. */
   setSource(source) {
@@ -222,23 +230,6 @@ export class FitView {
     }
     this._moved = false;
     return this._isRough ? this._rough.canvas : this._images.get("relit");
-  }
-
-  // The page.
-
-  _build() {
-    const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
-    this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
-    this.chooser = this._choice.element;
-    this.splitter = roomy(button("Before | after", {
-      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
-      title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
-    }));
-    this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
-    this.layers = this._layers();
-    this._hint = h("p.small.muted.fit-hint");
-    this._legend = h("div.fit-legend.small.muted");
-    this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
   }
 
   /** The layers with their opacity: the view, and a button for each overlay. */

@@ -4,12 +4,11 @@ import { mismatch } from "./assist.js";
 import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
 import { emptyStage, guestPanel, isGuest } from "./fit-only.js";
-import { afterPaint } from "./fit-schedule.js";
 import { ResultPanel, SetupPanel } from "./fit-setup.js";
 import { SourceTab } from "./fit-source.js";
 import { BoxTool, MeanTool } from "./fit-start.js";
 import { FitView } from "./fit-view.js";
-import { fileField, h, isPlain } from "./ui.js";
+import { afterPaint, fileField, h, isPlain, runKey } from "./ui.js";
 
 export class Tab extends SourceTab {
   shortcuts = [
@@ -36,14 +35,19 @@ export class Tab extends SourceTab {
     this.overlays = this.view.overlays;
     this.box = new BoxTool(this.view.viewer, () => this.run());
     this.mean = new MeanTool(this.view.viewer);
-    this.iterations = new Iterations((index, last) => this._iterate(index, last));
+    this.iterations = new Iterations((index, last) =>
+      this.view.setIteration(last ? null : { shape: this.fit.iterations[index].shape, final: false }));
     this.exports = new ExportMenu({ light: () => this.view.light, annotate: () => useAsAnnotation(app, this.fit) });
     this.guest = guestPanel(app);
     this.result = new ResultPanel({
       onstart: (value) => {
         this._setStart(value);
         this._focus();
-      }, onnext: () => this._nextObject(),
+      },
+      onnext: () => { // of those that a search has found in the picture
+        this._objects.push(this._objects.shift());
+        this.run({ box: this._objects[0] });
+      },
     });
     this.setup = new SetupPanel({
       app, onback: () => this.sources.backToFolder(), onopen: () => this._file.click(),
@@ -51,7 +55,10 @@ export class Tab extends SourceTab {
       onmethod: (name) => this._setMethod(name), onrun: () => this.run(),
     });
     this._build(root);
-    this.sources.addEventListener("taken", (/** @type {any} */ { detail }) => this._early(detail.source));
+    this.sources.addEventListener("taken", (/** @type {any} */ { detail }) => {
+      this.lastDropMs = null;
+      if (this.visible && this.state.project.model) detail.source.method = this.method; // it is fitted with its upload
+    });
     this.sources.addEventListener("ready", () => this.view.setSource(this.sources.current));
     this.state.addEventListener("training", (/** @type {any} */ { detail }) => {
       if (detail.state === "done") this.state.refresh().catch(() => {});
@@ -59,8 +66,6 @@ export class Tab extends SourceTab {
     this.follow();
     this._expose();
   }
-
-  // Opening and leaving.
 
   /** @param {{view?: string}} options view: the view to show, if another than now */
   show({ view } = {}) {
@@ -75,19 +80,12 @@ export class Tab extends SourceTab {
   }
 
   key(event) {
-    if (!isPlain(event)) return false;
-    if (this._startTool()?.key(event)) return true;
-    const action = {
+    return isPlain(event) && (this._startTool()?.key(event) || runKey(event, {
       enter: () => this.run(), f: () => this.run(), v: () => this.view.cycle(event.shiftKey ? -1 : 1),
       s: () => this.view.toggleSplit(), o: () => this.view.fade(), p: () => this.iterations.toggle(),
       ",": () => this.iterations.step(-1), ".": () => this.iterations.step(1),
-    }[event.key.toLowerCase()];
-    if (!action) return this.view.key(event);
-    action();
-    return true;
+    }) || this.view.key(event));
   }
-
-  // Fitting.
 
   /** Fit the shown picture from a start, or the chosen one. Resolves once the fit is painted. */
   async run(given = null) {
@@ -115,18 +113,6 @@ export class Tab extends SourceTab {
     }
   }
 
-  /** Fit the next of the objects that a search has found in the picture. */
-  _nextObject() {
-    this._objects.push(this._objects.shift());
-    this.run({ box: this._objects[0] });
-  }
-
-  /** Let a dropped file be fitted with its upload. */
-  _early(source) {
-    this.lastDropMs = null;
-    if (this.visible && this.state.project.model) source.method = this.method;
-  }
-
   /** The tool of a manual start, or null. */
   _startTool() { return { box: this.box, mean: this.mean }[this.start] ?? null; }
 
@@ -141,17 +127,11 @@ export class Tab extends SourceTab {
     this.mean.fitted = Boolean(fit);
   }
 
-  _iterate(index, last) {
-    this.view.setIteration(last ? null : { shape: this.fit.iterations[index].shape, final: false });
-  }
-
   _forgotten(fit) {
     this.app.fits.forget(fit);
     this.app.toast("The server no longer has this fit, so the picture is fitted again.");
     this.run();
   }
-
-  // The source.
 
   _another(source) {
     this._objects = [];
@@ -184,8 +164,6 @@ export class Tab extends SourceTab {
     this._take(null);
     this._source();
   }
-
-  // The page.
 
   _build(root) {
     this._file = fileField((file) => this.app.adding.take([{ file, path: file.name }]), {

@@ -21,9 +21,7 @@ const KNOB = 26; // css pixels from the frame to the knobs
 const NUDGED = 1200; // milliseconds that the loupe stays after a key
 const STILL = 4; // maximum movement of a click, css pixels
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
-
 const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
-
 const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
 
 /** The frame of `indices` in css pixels: its box, and handles {kind, at, fixed} (fixed: the corner that stays). */
@@ -159,8 +157,9 @@ export class PointTool {
     const adds = event.shiftKey || event.ctrlKey || event.metaKey;
     const handle = handleAt(this.viewer, doc, event);
     const index = this.find(event, xy);
+    const framed = doc.framed();
     if (handle && index < 0)
-      return handle.kind === "move" ? dragging(doc, -1, doc.framed(), xy) : turning(this.viewer, doc, handle, doc.framed());
+      return handle.kind === "move" ? dragging(doc, -1, framed, xy) : turning(this.viewer, doc, handle, framed);
     if (index >= 0) {
       if (doc.press(index, event)) return { ...NOTHING };
       return this.grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);

@@ -59,8 +59,8 @@ export function robustRange({ red, green }, theta) {
   return { centre: (low + high) / 2, half: Math.max((high - low) / 2, LEAST_HALF) };
 }
 
-/** Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So nothing
- *  flickers, and an edge fades because the light cancels, not because the contrast changes. */
+/** Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So
+ *  nothing flickers, and an edge fades because the light cancels, not because the contrast changes. */
 export const steadyRange = (sample, theta, held) => ({ centre: robustRange(sample, theta).centre, half: held.half });
 
 /** Write the colours of the invariant image into the 32-bit pixels of an ImageData. Unusable pixels are hatched, to
@@ -85,7 +85,6 @@ export function paintInvariant({ width, height, values }, theta, { centre, half 
 }
 
 const packed = (r, g, b) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
-
 const HATCH_DARK = packed(52, 50, 58);
 const HATCH_LIGHT = packed(84, 80, 94);
 

@@ -10,6 +10,8 @@ import { isPlain, press, saveFile } from "./ui.js";
 const AT_ONCE = 3; // frames that the server works on
 
 export class Tab {
+  isFlat = false;
+  recorded = new Blob();
   shortcuts = [
     { keys: "P", what: "Play, pause" },
     { keys: "F", what: "Remove the shading" },
@@ -23,12 +25,15 @@ export class Tab {
     this.view = new LiveView(root, app, {
       camera: () => this.show({ camera: true }), file: (file) => this.show({ file }),
       stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
-      flat: () => this._switchFlat(), record: () => this._record(),
+      record: () => this._record(),
+      flat: () => {
+        this.isFlat = !this.isFlat;
+        press(this.view.tools.flat, this.isFlat);
+        if (video.paused && this.view.shown) this._frame(this.view.shown.time);
+      },
       save: () => saveFile(new Blob([this.track.csv()], { type: "text/csv" }), `${this.source.name}_track.csv`),
       seek: (time) => Object.assign(video, { currentTime: time }).pause(),
     });
-    this.isFlat = false;
-    this.recorded = new Blob();
     this._stop();
     const { source: { video }, view } = this;
     video.addEventListener("play", () => view.meter.reset());
@@ -86,8 +91,6 @@ export class Tab {
     this._before = this._missed = null;
   }
 
-  // Frames.
-
   async _begin() {
     const video = await api.post(api.url("live"), {}, { quiet: true });
     if (this.track.header !== video.header) this.track = new Track(video.header); // at first, or with another model
@@ -141,14 +144,6 @@ export class Tab {
     if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
   }
 
-  // Controls.
-
-  _switchFlat() {
-    this.isFlat = !this.isFlat;
-    press(this.view.tools.flat, this.isFlat);
-    if (this.source.video.paused && this.view.shown) this._frame(this.view.shown.time);
-  }
-
   /** Record the picture with what is drawn over it, until the next call. */
   _record() {
     if (this._recorder) return this._recorder.stop();
@@ -179,14 +174,12 @@ export class Tab {
     this._tell();
   }
 
-  _tell() { this.view.tell(this._verdict(), this.track); }
-
-  _verdict() {
-    const { view: { shown, meter }, source: { isOpen, isFile, video } } = this;
-    if (this._message) return { kind: "bad", text: this._message };
-    if (!shown) return { kind: "", text: isOpen ? "Searching…" : "No video." };
+  _tell() {
+    const { view: { shown, meter }, source: { isOpen, isFile, video }, isFlat, _message: fault } = this;
     const rate = meter.isFull && !video.paused ? meter.rate() : null;
-    return verdictOfFrame(shown, { isFile, isFlat: this.isFlat, rate });
+    const said = shown ? verdictOfFrame(shown, { isFile, isFlat, rate })
+      : { kind: "", text: isOpen ? "Searching…" : "No video." };
+    this.view.tell(fault ? { kind: "bad", text: fault } : said, this.track);
   }
 }
 

@@ -3,7 +3,6 @@
 export const RIM = "rgb(0 0 0 / 60%)";
 const CHI = Math.sqrt(-2 * Math.log(1 - 0.95)); // radius of a 95 % ellipse, standard deviations
 
-/** Stroke the path. */
 export function inked(ctx, colour, width, dash = []) {
   ctx.setLineDash(dash);
   ctx.strokeStyle = colour;
@@ -19,7 +18,6 @@ export function stroked(ctx, colour, width, dash = []) {
   inked(ctx, colour, width, dash);
 }
 
-/** Fill the path. */
 export function filled(ctx, colour) {
   ctx.fillStyle = colour;
   ctx.fill();
@@ -79,19 +77,14 @@ export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1
   points.forEach((point, i) => {
     const covariance = covariances?.[i];
     if (!point || !covariance) return;
-    const { radii, turn } = ellipse(covariance);
+    const [[a, b], [, c]] = covariance;
+    const spread = Math.hypot((a - c) / 2, b);
+    const turn = 0.5 * Math.atan2(2 * b, a - c);
     const [x, y] = viewer.toScreen(point);
-    const [major, minor] = radii.map((radius) => Math.min(radius * viewer.scale, 1e4));
+    const [major, minor] = [(a + c) / 2 + spread, (a + c) / 2 - spread].map((variance) =>
+      Math.min(CHI * Math.sqrt(Math.max(variance, 0)) * viewer.scale, 1e4));
     ctx.moveTo(x + major * Math.cos(turn), y + major * Math.sin(turn));
     ctx.ellipse(x, y, major, minor, turn, 0, 2 * Math.PI);
   });
   stroked(ctx, colour, width);
-}
-
-/** Radii and angle of the 95 % confidence ellipse of a Gaussian with covariance [[a, b], [b, c]]. */
-function ellipse([[a, b], [, c]]) {
-  const middle = (a + c) / 2;
-  const spread = Math.hypot((a - c) / 2, b);
-  const radius = (variance) => CHI * Math.sqrt(Math.max(variance, 0));
-  return { radii: [radius(middle + spread), radius(middle - spread)], turn: 0.5 * Math.atan2(2 * b, a - c) };
 }

@@ -19,7 +19,8 @@ export function createPointsPanel(tab) {
   const kept = localStorage.getItem(START_KEY) ?? "layout";
   const start = segmented("Start of pictures without points", STARTS, kept, (value) => {
     localStorage.setItem(START_KEY, value);
-    tab.startChanged();
+    const isOwn = ["file", "proposal"].includes(tab.marking.state?.source);
+    if (tab.opening.isPristine() && !isOwn) tab.opening.reload();
   });
   const edit = button("Edit template…", {
     icon: "edit", small: true, testid: "template-edit", onclick: () => tab.templates.edit(),

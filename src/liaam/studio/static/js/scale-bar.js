@@ -11,7 +11,6 @@ const KEY = "liaam-studio:scale-bar"; // the last length and unit
 const TICK = 6; // css pixels on each side of the line
 const LEAST = 1; // pixels between the ends
 const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
-
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
 
 export class ScaleBar {
@@ -38,7 +37,6 @@ export class ScaleBar {
   get editable() { return this.marking.editable; }
   get placing() { return this.editable; }
   get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
-
   framed() { return []; }
   press() { return false; }
   follow(_before, after) { return after; }

@@ -67,8 +67,6 @@ export function mountStrip(root, app) {
       h("div.row.strip-count", count, adder, several)),
     wall.element, bulk.element, list);
 
-  // Selecting -------------------------------------------------------------------------------------------------------
-
   /** Begin or end the selection of several pictures. */
   function select(on) {
     selecting = on;
@@ -150,8 +148,6 @@ export function mountStrip(root, app) {
       state.select(name);
     }
   }
-
-  // Items -----------------------------------------------------------------------------------------------------------
 
   const leftOut = () => state.project.model?.left_out ?? {};
 

@@ -68,7 +68,6 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     return [h("p", START), ...other, h("div.column", common, file, label)];
   }
 
-  /** Update the buttons and the instructions. */
   function refresh() {
     const { draft, saved, layingOut } = drafting;
     const open = draft.path >= 0;

@@ -23,7 +23,6 @@ export class Unsaved {
   }
 
   get(name) { return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name))); }
-
   delete(name) { attempt(() => this.storage.removeItem(this.prefix + name)); }
 
   names() {
@@ -40,12 +39,8 @@ export function keptDraft(folder) {
       const kept = attempt(() => JSON.parse(localStorage.getItem(key)));
       return kept?.names?.length === kept?.points?.length ? kept : null;
     },
-    set(draft) {
-      attempt(() => {
-        if (draft?.names.length) localStorage.setItem(key, JSON.stringify(draft));
-        else localStorage.removeItem(key);
-      });
-    },
+    set: (draft) => attempt(() => (
+      draft?.names.length ? localStorage.setItem(key, JSON.stringify(draft)) : localStorage.removeItem(key))),
   };
 }
 

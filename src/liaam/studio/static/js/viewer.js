@@ -5,7 +5,7 @@
 // on under the panels.
 
 import { look } from "./look.js";
-import { button, h, perFrame } from "./ui.js";
+import { button, h, perFrame, runKey } from "./ui.js";
 
 const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
 const EASE = 0.0016; // zoom per pixel of the wheel
@@ -106,10 +106,10 @@ export class Viewer extends EventTarget {
     return [this.left - left, this.top - top];
   }
 
-  /** Set the view to that of another viewer with a picture of the same size. */
-  setView(view, silent = false) {
+  /** Set the view to that of another viewer with a picture of the same size, which is told nothing. */
+  setView(view) {
     Object.assign(this, view);
-    this._changed(silent);
+    this._changed(true);
   }
 
   get view() {
@@ -147,15 +147,13 @@ export class Viewer extends EventTarget {
   /** Handle a key of the view; return whether it was handled. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
-    const work = {
+    return runKey(event, {
       "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit(),
       a: () => {
         this.look.open = !this.look.open;
         (this.look.open ? this.look.querySelector("input") : this.canvas).focus();
       },
-    }[event.key.toLowerCase()];
-    work?.();
-    return Boolean(work);
+    });
   }
 
   /** Size of the area that no panel covers, css pixels. */
