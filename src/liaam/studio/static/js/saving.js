@@ -187,7 +187,8 @@ export class Saver {
     const { current, template } = (error.status === 409 && error.body) || {};
     if (template && !current) {
       this.mark(entry, "failing", error.message);
-      return this.options.onTemplate(name);
+      this.options.onTemplate(name); // not awaited: it waits for this request
+      return undefined;
     }
     if (current) {
       entry.deleted = current.revision === null && entry.revision !== null;
