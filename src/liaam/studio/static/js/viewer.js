@@ -106,7 +106,7 @@ export class Viewer extends EventTarget {
     return [this.left - left, this.top - top];
   }
 
-  /** Set the view to that of another viewer with a picture of the same size, which is told nothing. */
+  /** Set the view to that of another viewer with a picture of the same size, without the event "view". */
   setView(view) {
     Object.assign(this, view);
     this._changed(true);
