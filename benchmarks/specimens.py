@@ -25,7 +25,6 @@ from liaam.io import Landmarks, read_collection
 N_LABELLED = 50
 SCALE = 0.005  # millimetres a pixel
 MEASURES = "distance:1-2 angle:1-2-3 area:3-4-5-6"
-ON_A_PAGE = 16  # pictures of the wall
 
 N_DONE = f"{PICTURES}.filter(({{state}}) => state === 'done').length"
 IS_TRAINED = "window.liaamStudio.state.project.model"
@@ -35,6 +34,12 @@ IS_FITTED = f"!window.liaamStudio.state.project.fitting && !{PICTURES}.some(({{s
 HAS_GONE_ON = """name => window.liaamStudio.annotate.name() !== name
   || window.liaamStudio.state.picture(name).state === 'done'"""
 HAS_SLIP = "name => Boolean(window.liaamStudio.state.picture(name).slip)"
+ON_A_PAGE = """() => {
+  const seen = document.querySelector("[data-testid=strip]").getBoundingClientRect();
+  return [...document.querySelectorAll("[data-testid=strip] [data-name]")]
+    .map((item) => item.getBoundingClientRect())
+    .filter(({top, bottom}) => top >= seen.top - 1 && bottom <= seen.bottom + 1).length;
+}"""
 POINTS = "url => fetch(url).then((answer) => answer.json()).then(({points}) => points)"
 
 
@@ -126,8 +131,9 @@ def look_at_wall(person: Person) -> None:
     person.page.wait_for_timeout(1500)
     shoot(person, "wall")
     order, opened = person.page.evaluate("() => window.liaamStudio.state.order"), 0
-    for first in range(0, len(order), ON_A_PAGE):
-        names = order[first : first + ON_A_PAGE]
+    on_a_page = person.page.evaluate(ON_A_PAGE)
+    for first in range(0, len(order), on_a_page):
+        names = order[first : first + on_a_page]
         person.did["glance"] += len(names)
         points = {name: person.page.evaluate(POINTS, f"/api/pictures/{name}/landmarks") for name in names}
         wrong = [name for name in names if person.error(name, points[name]).max() > SEEN_ON_WALL]
@@ -135,8 +141,9 @@ def look_at_wall(person: Person) -> None:
         for name in wrong:
             person.click_on(f"[data-testid=strip] [data-name='{name}']")
             person.correct()
-            person.key("g")
-        person.key("Shift+Enter")
+            if name != wrong[-1]:
+                person.key("g")
+        person.key("Shift+Enter")  # also from the last that was opened
         person.page.wait_for_timeout(500)  # until the next pictures are drawn
         if wrong:  # a person takes longer for a page than the check and the training
             person.wait(f"() => {IS_CHECKED}")
@@ -158,11 +165,11 @@ def finish(person: Person) -> tuple[int, int]:
         name = person.opened()
         moved = person.correct()
         opened, dragged = opened + 1, dragged + moved
-        if not moved and person.page.evaluate(HAS_SLIP, name):  # one that is none
-            person.click("check")
+        is_none = not moved and person.page.evaluate(HAS_SLIP, name)
+        person.key("Enter")
+        if is_none:
             person.sign()
             person.wait(f"name => !({HAS_SLIP})(name)", name)
-        person.key("Enter")
         person.wait(HAS_GONE_ON, name)
     return opened, dragged
 

@@ -195,6 +195,13 @@ def test_new_pictures_are_accepted_on_the_wall(serve, page, folder, portrait_mod
     assert violations(page) == {}
     left = [picture["name"] for picture in pictures_of(page) if picture["state"] == "proposed"]
     assert len(left) < 12 and qualities[1][1] in left  # which is further up
+    page.keyboard.press("Home")
+    page.evaluate("() => { document.querySelector('[data-testid=strip]').scrollTop = 0; }")
+    page.locator(f"[data-testid=strip] [data-name='{qualities[1][1]}']").click()
+    wait_for(page, "() => window.liaamStudio.annotate.source() === 'proposal'")
+    page.keyboard.press("Shift+Enter")  # back to the wall, and accept what is in view there
+    wait_for_state(page, qualities[1][1], "done")
+    assert page.locator("[data-testid=wall-page]").is_visible()
 
 
 def test_points_that_were_placed_anew_since_a_look_are_not_accepted(serve, page, folder, portrait_model):
@@ -254,3 +261,10 @@ def test_a_slip_is_shown_beside_the_picture_and_before_training(serve, page, fol
     dialog.locator("[data-testid=look-at-slips]").click()
     assert page.evaluate("() => window.liaamStudio.state.project.training.state") == "idle"
     assert annotate(page, "name()") == "portrait-03.png"
+    page.locator("[data-testid=annotate-viewer] canvas").first.focus()
+    page.keyboard.press("Enter")  # the points are right
+    page.locator("[data-testid=who]").fill("Ada")
+    page.locator("[data-testid=who-save]").click()
+    wait_for(page, "() => window.liaamStudio.state.picture('portrait-03.png').checked === 'Ada'")
+    wait_for(page, "() => !window.liaamStudio.state.picture('portrait-03.png').slip")
+    assert annotate(page, "name()") != "portrait-03.png"

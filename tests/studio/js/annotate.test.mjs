@@ -4,7 +4,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { nameIn } from "./modules/address.js";
+import { nameIn } from "./modules/state.js";
 import * as assist from "./modules/assist.js";
 import { loupePlace } from "./modules/drawing.js";
 import { shownValue } from "./modules/look.js";

@@ -7,7 +7,7 @@ import { test } from "node:test";
 import * as words from "./modules/annotate-words.js";
 import { createOpening } from "./modules/annotate-opening.js";
 import { Drafting } from "./modules/drafting.js";
-import { FirstMarks } from "./modules/first-marks.js";
+import { FirstMarks } from "./modules/annotate-opening.js";
 import { History } from "./modules/history.js";
 import { Marking } from "./modules/marking.js";
 import { layoutIn } from "./modules/points.js";

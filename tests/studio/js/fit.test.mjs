@@ -8,7 +8,7 @@ import { fileNameIn } from "./modules/api.js";
 import { shareAfterKey } from "./modules/divider.js";
 import * as geometry from "./modules/fit-geometry.js";
 import { betterOf, cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
-import { FrameMeter } from "./modules/fit-schedule.js";
+import { FrameMeter } from "./modules/ui.js";
 import { useAsAnnotation } from "./modules/fit-export.js";
 import { Sources } from "./modules/fit-source.js";
 import { BoxTool, MeanTool } from "./modules/fit-start.js";

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import test from "node:test";
 
-import { FrameMeter } from "./modules/fit-schedule.js";
+import { FrameMeter } from "./modules/ui.js";
 import { isJump, parseRow, sentSize, Track, verdictOfFrame } from "./modules/live-track.js";
 
 const [header, found, lost] = readFileSync(process.env.LIAAM_ROWS, "utf8").split(/(?<=\n)/);

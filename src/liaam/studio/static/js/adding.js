@@ -11,7 +11,6 @@ const AT_ONCE = 4; // files sent at a time
 const SHOWN = 3; // reasons in the summary
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/i;
 const UNSAVED = /^\{"kind":"liaam-studio-unsaved"/;
-
 const suffixOf = (path) => /\.[^./]+$/.exec(path.toLowerCase())?.[0] ?? "";
 const stemOf = (path) => path.slice(0, path.length - suffixOf(path).length);
 const isVideo = ({ file, path }, { videos }) => file.type.startsWith("video/") || videos.includes(suffixOf(path));
@@ -63,8 +62,12 @@ export function summary({ pictures, known, landmarks, placed, refused }) {
 export function createAdding(app) {
   const { state } = app;
 
+  const complain = (error) => toast(error, "bad");
+
   /** Take in files: [{file, path}]. A single picture is only shown if the open tab fits pictures. */
-  async function take(items) {
+  const take = (items) => takeAll(items).catch(complain);
+
+  async function takeAll(items) {
     const { formats } = state.project;
     const wanted = items.filter(({ path }) => !IGNORED.test(path));
     if (wanted.length === 1 && formats.pictures.includes(suffixOf(wanted[0].path)) && app.showsPictures())
@@ -73,16 +76,13 @@ export function createAdding(app) {
     const video = wanted.find((item) => isVideo(item, formats));
     const rest = [];
     for (const item of wanted) {
-      if (suffixOf(item.path) === ".json" && UNSAVED.test(await item.file.slice(0, 99).text())) await restore(item.file);
+      const isWork = suffixOf(item.path) === ".json" && UNSAVED.test(await item.file.slice(0, 99).text());
+      if (isWork) await restore(item.file).catch(complain);
       else if (item !== model && item !== video) rest.push(item);
     }
     if (rest.length) await add(rest);
-    try {
-      if (model) await openModel(app, model.file);
-      if (video) app.openTab("live", { file: video.file });
-    } catch (error) {
-      toast(error, "bad");
-    }
+    if (model) await openModel(app, model.file);
+    if (video) app.openTab("live", { file: video.file });
   }
 
   /** Add files to the folder: pictures first, since landmarks belong to them. */
@@ -98,8 +98,7 @@ export function createAdding(app) {
         state.adding = { done: items.length - queue.length, total: items.length };
         state.dispatchEvent(new Event("fitting"));
         try {
-          const { size } = items[i].file;
-          if (size > limits.upload_bytes)
+          if (items[i].file.size > limits.upload_bytes)
             throw new Error(`${names[i]} is larger than ${Math.round(limits.upload_bytes / 1e6)} MB: put it into the folder`);
           const { kind, known } = await api.upload(api.url("files", { name: names[i] }), items[i].file, { quiet: true });
           result[known ? "known" : kind === "picture" ? "pictures" : "landmarks"] += 1;
@@ -118,16 +117,11 @@ export function createAdding(app) {
   }
 
   async function restore(file) {
-    try {
-      const left = takeWork(localStorage, state.project.id, await file.text(), file.name);
-      if (!left) return location.reload();
-      toast(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`, "bad");
-    } catch (error) {
-      toast(error, "bad");
-    }
+    const left = takeWork(localStorage, state.project.id, await file.text(), file.name);
+    if (!left) return location.reload();
+    return complain(`${left} of the items in ${file.name} were left out: this page has unsaved work on them, too.`);
   }
 
-  /** Let the person choose files to add. */
   function choose() {
     const { pictures, landmarks, videos } = state.project.formats;
     const accept = [...pictures, ...landmarks, ...videos, ".liaam"].join();
@@ -142,7 +136,7 @@ const carriesFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes(
 
 /** take([{file, path}]): files were dropped or pasted. */
 export function acceptFiles(take) {
-  const takeAll = (transfer) => filesIn(transfer).then(take).catch((error) => toast(error, "bad"));
+  const takeAll = (transfer) => filesIn(transfer).then(take, (error) => toast(error, "bad"));
   let depth = 0; // number of nested elements under a drag
   const words = h("p", icon("upload", 28), "Drop pictures, folders, landmark files, a model or a video");
   const overlay = h("div.dropping", { hidden: true, "aria-hidden": "true" }, words);
@@ -151,15 +145,14 @@ export function acceptFiles(take) {
     depth = Math.max(0, now);
     overlay.hidden = depth === 0;
   };
-  addEventListener("dragenter", (event) => carriesFiles(event) && enter(depth + 1));
-  addEventListener("dragleave", (event) => carriesFiles(event) && enter(depth - 1));
-  addEventListener("dragover", (event) => {
-    if (!carriesFiles(event)) return;
+  const on = (type, work) => addEventListener(type, (event) => carriesFiles(event) && work(event));
+  on("dragenter", () => enter(depth + 1));
+  on("dragleave", () => enter(depth - 1));
+  on("dragover", (event) => {
     event.preventDefault();
     event.dataTransfer.dropEffect = "copy";
   });
-  addEventListener("drop", (event) => {
-    if (!carriesFiles(event)) return;
+  on("drop", (event) => {
     event.preventDefault();
     enter(0);
     takeAll(event.dataTransfer);

@@ -2,11 +2,14 @@
 
 import { called, missingText, several, UNTOUCHED } from "./annotate-words.js";
 import { allDone, nextOf, unfinished } from "./assist.js";
+import { act } from "./bulk.js";
 import { placed } from "./points.js";
 
+const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
+  "load a template with left and right in its names.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
-/** @param {import("./annotate.js").AnnotateTab} tab */
+/** @param {import("./annotate.js").Tab} tab */
 export function createCommands(tab) {
   const { app, state, marking, viewer, say } = tab;
   let warned = null; // picture with a warning about missing points
@@ -31,12 +34,16 @@ export function createCommands(tab) {
   /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
   async function leaveUnchecked() {
     const { name } = tab;
-    if (warned !== name) {
-      warn(UNTOUCHED);
-      return;
-    }
+    if (warned !== name) return warn(UNTOUCHED);
     await tab.saving.markUnchecked(name);
     if (tab.name === name) goNext();
+  }
+
+  /** Go on from points that look wrong, and were left as they are: the person has checked them. */
+  async function passSlip() {
+    const { name } = tab;
+    const checked = await act(app, "checked", [name]);
+    if (checked.length && tab.name === name) goNext();
   }
 
   async function goNext() {
@@ -48,13 +55,18 @@ export function createCommands(tab) {
     const next = nextOf(state, known);
     if (next) {
       state.select(next.name);
-      tab.focus();
-      return;
+      return tab.focus();
     }
     tab.leavePicture(name);
     await saver.flush(); // updates the states of the pictures
     const left = unfinished({ pictures: state.pictures, model: state.project.model });
     app.toast(left || `${allDone(state.folder)} Open Fit to try the model.`, left ? "info" : "good");
+  }
+
+  /** Change the selected points that are placed, and say what work() returns. */
+  function toChosen(work) {
+    const chosen = marking.chosenPlaced;
+    if (chosen.length) say(`${called(marking.names, chosen)} ${work()}`);
   }
 
   const commands = {
@@ -84,12 +96,7 @@ export function createCommands(tab) {
     },
 
     toggleMirrored() {
-      if (!tab.template?.mirror) {
-        const remedy = "Mirror pairs new points only: add them with Mirror on, or load a template with left and right in " +
-          "its names.";
-        app.toast(`The template has no mirrored points. ${remedy}`);
-        return;
-      }
+      if (!tab.template?.mirror) return void app.toast(NOT_MIRRORED);
       marking.mirrored = !marking.mirrored;
       tab.toolbar.press("mirror", marking.mirrored);
       say(marking.mirrored ? "Mirrored points move together" : "Points move separately");
@@ -107,9 +114,7 @@ export function createCommands(tab) {
       say(`${several(tab.doc.selection.size, "point")} selected`);
     },
 
-    ruler() {
-      if (commands.marks) tab.ruler.start();
-    },
+    ruler: () => tab.ruler.start(),
 
     escape() {
       tab.tool.cancel();
@@ -127,32 +132,22 @@ export function createCommands(tab) {
 
     travel(way) {
       tab.tool.cancel();
-      if (tab.editing) {
-        tab.templates.doc.travel(way);
-        return;
-      }
+      if (tab.editing) return tab.templates.doc.travel(way);
       const what = marking.travel(way);
       if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
     },
 
     flip() {
-      if (!commands.marks) return;
       marking.flip();
       say("Flipped left and right");
     },
 
-    toggleInvisible() {
-      const chosen = marking.chosenPlaced;
-      if (!commands.marks || !chosen.length) return;
-      say(`${called(marking.names, chosen)} ${marking.toggleInvisible() ? "invisible" : "visible"}`);
-    },
+    toggleInvisible: () => toChosen(() => (marking.toggleInvisible() ? "invisible" : "visible")),
 
-    removeChosen() {
-      const chosen = marking.chosenPlaced;
-      if (!commands.marks || !chosen.length) return;
+    removeChosen: () => toChosen(() => {
       marking.removeChosen();
-      say(`${called(marking.names, chosen)} cleared`);
-    },
+      return "cleared";
+    }),
 
     placeChosen() {
       const index = marking.placeChosen(viewer);
@@ -160,22 +155,14 @@ export function createCommands(tab) {
     },
 
     accept() {
-      if (!commands.marks) {
-        commands.skip(); // there is nothing to accept
-        return;
-      }
-      if (marking.state.source === "layout") {
-        leaveUnchecked();
-        return;
-      }
+      if (!commands.marks) return commands.skip(); // there is nothing to accept
+      if (marking.state.source === "layout") return void leaveUnchecked();
       marking.accept();
       const left = marking.missing;
-      if (left.length && warned !== tab.name) {
-        marking.select([left[0]]);
-        warn(missingText(marking.names, left)); // once, since points may be left out on purpose
-        return;
-      }
-      goNext();
+      const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
+      if (!left.length || warned === tab.name) return void (isSlip ? passSlip() : goNext());
+      marking.select([left[0]]);
+      return warn(missingText(marking.names, left)); // once, since points may be left out on purpose
     },
 
     /** Save the mean shape as it is, after asking. */

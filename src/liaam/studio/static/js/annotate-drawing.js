@@ -1,10 +1,8 @@
 // Drawings of the Annotate tab over the open picture.
 
-import { AxisGrip } from "./axis-grip.js";
-import {
-  COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText,
-} from "./drawing.js";
-import { discs, drawEllipses, stroked } from "./overlays.js";
+import { AxisGrip } from "./drafting.js";
+import { COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText } from "./drawing.js";
+import { discs, drawEllipses, inked, stroked } from "./overlays.js";
 import { bounds, indicesOf } from "./points.js";
 
 const CLOSE = 24; // css pixels between points from which on there is room for ellipses and for points of full size
@@ -20,9 +18,8 @@ function spacing(viewer, points) {
 export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
   const { points, suggested, selection, active, invisible, names } = marking;
   const room = spacing(viewer, points) / CLOSE;
-  if (marking.state.source === "proposal" && show.ellipses && room > 1) {
+  if (marking.state.source === "proposal" && show.ellipses && room > 1)
     drawEllipses(ctx, viewer, points, marking.book.covariances, { colour: COLOURS.proposed, width: 1.1 });
-  }
   if (show.contours) drawPaths(ctx, viewer, points, marking.template.contours, suggested);
   const radius = Math.min(4, Math.max(1.8, 4 * room));
   drawMarks(ctx, viewer, { points, invisible, selection, active, hovered: tool.hovered, suggested, radius });
@@ -34,9 +31,8 @@ export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
   const few = [[...selection], isClear ? wrong : []].flatMap((some) => (some.length <= NAMED ? some : []));
   const named = show.names ? indicesOf(points) : [...new Set([...few, tool.hovered].filter((i) => i >= 0))];
   drawNames(ctx, viewer, points, names, named);
-  if (marking.placing && !viewer.isLoupe && tool.pointer && !tool.gesture && tool.hovered < 0) {
+  if (marking.placing && !viewer.isLoupe && tool.pointer && !tool.gesture && tool.hovered < 0)
     drawText(ctx, names[active], tool.pointer.at[0] + 14, tool.pointer.at[1] + 16);
-  }
 }
 
 /** Draw the box of a gesture, and the loupe. */
@@ -69,11 +65,7 @@ function drawNextLine(ctx, viewer, draft, at) {
   ctx.beginPath();
   ctx.moveTo(...viewer.toScreen(last));
   ctx.lineTo(...at);
-  ctx.setLineDash([3, 4]);
-  ctx.strokeStyle = COLOURS.placed;
-  ctx.lineWidth = 1.2;
   ctx.globalAlpha = 0.7;
-  ctx.stroke();
-  ctx.setLineDash([]);
+  inked(ctx, COLOURS.placed, 1.2, [3, 4]);
   ctx.globalAlpha = 1;
 }

@@ -5,6 +5,7 @@ import { placed } from "./points.js";
 
 export const SHORTCUTS = [
   { keys: "Enter", what: "Accept the points and open the picture that helps the model most" },
+  { keys: "Shift+Enter", what: "After a picture opened from the wall: return, and accept what is in view there" },
   { keys: "N", what: "Open it without accepting" },
   { keys: "Tab Shift+Tab", what: "Next, previous point (Escape, then Tab: leave the picture)" },
   { keys: "← → ↑ ↓", what: "Move the selected points by 1 px (Shift: 10, Alt: 0.1)" },
@@ -26,29 +27,24 @@ export const SHORTCUTS = [
 
 const CONTROLS = "button, a, label, input, summary, [role=tab]";
 const WITH_ARROWS = "input, [role=listbox], [role=radiogroup], [role=tab]";
-
 const isIn = (event, selector) => event.target instanceof Element && Boolean(event.target.closest(selector));
 
-/** Handles a key of the tab; returns whether it was handled.
- *  @param {import("./annotate.js").AnnotateTab} tab */
+/** Handles a key; returns whether it was handled. @param {import("./annotate.js").Tab} tab */
 export function createKeys(tab) {
   const { commands, viewer, marking } = tab;
   const always = {
     l: () => commands.flick("names"), k: () => commands.flick("contours"), e: () => commands.flick("ellipses"),
-    b: () => commands.toggleBox(), h: () => commands.hideMarks(true), escape: () => commands.escape(),
-    r: () => { tab.tool.magnifies = !tab.tool.magnifies; }, n: () => commands.skip(),
+    b: commands.toggleBox, h: () => commands.hideMarks(true), escape: commands.escape, n: commands.skip,
+    r: () => { tab.tool.magnifies = !tab.tool.magnifies; },
   };
   const marks = {
-    v: () => commands.toggleInvisible(), x: () => commands.toggleMirrored(), m: () => commands.flip(),
-    p: () => commands.placeChosen(), s: () => commands.ruler(), delete: () => commands.removeChosen(),
-    backspace: () => commands.removeChosen(),
+    v: commands.toggleInvisible, x: commands.toggleMirrored, m: commands.flip, p: commands.placeChosen,
+    s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
   };
 
   /** Tab selects the next point while the picture has the focus. Past the last, or after Escape, the focus moves on. */
-  function tabKey(event) {
-    if (event.target !== viewer.canvas || !commands.marks || commands.escaped) return false;
-    return commands.stepPoint(event.shiftKey ? -1 : 1);
-  }
+  const tabKey = ({ target, shiftKey }) =>
+    target === viewer.canvas && commands.marks && !commands.escaped && commands.stepPoint(shiftKey ? -1 : 1);
 
   function arrow(event) {
     const { doc, editing } = tab;
@@ -76,7 +72,7 @@ export function createKeys(tab) {
     else if (event.key.startsWith("Arrow")) return arrow(event);
     else if (event.key === "Enter" && !command) {
       if (isIn(event, CONTROLS)) return false;
-      commands.accept();
+      if (!event.shiftKey || tab.editing || !tab.state.wall.resume()) commands.accept();
     } else if (command || event.altKey) return false;
     else if (tab.editing && tab.templates.key(letter)) return true;
     else {

@@ -1,13 +1,18 @@
 // Opening pictures in the Annotate tab: fetches them with their marks from the server or from an earlier page.
 
-import { FirstMarks } from "./first-marks.js";
 import { createFirstScreen } from "./first-screen.js";
 import { History } from "./history.js";
-import { nextMissing, sameMarks } from "./points.js";
+import { layoutIn, meanLayout, nextMissing, sameMarks } from "./points.js";
 import { h, icon } from "./ui.js";
 
+const UNREACHABLE = {
+  title: "The server is not reachable",
+  text: "Start 'liaam studio' again, and open the address that it prints. Your changes are kept.",
+};
+const LAYOUT_OF = 8; // number of done pictures in the mean layout
+
 /** begins() -> the start of pictures without points, "layout" or "click".
- *  @param {import("./annotate.js").AnnotateTab} tab */
+ *  @param {import("./annotate.js").Tab} tab */
 export function createOpening(tab, begins) {
   const { state, marking, viewer, cover } = tab;
   const fetchMarks = (name) => tab.saving.fetchMarks(name);
@@ -29,10 +34,7 @@ export function createOpening(tab, begins) {
     tab.name = name;
     marking.open(null);
     const fault = whyNot(name);
-    if (fault) {
-      showInstead(fault);
-      return;
-    }
+    if (fault) return showInstead(fault);
     cover.hide();
     tab.refresh();
     try {
@@ -46,10 +48,8 @@ export function createOpening(tab, begins) {
       else await take(name, marks, own);
     } catch (error) {
       if (own !== turn) return;
-      const isGone = error.status === 0;
-      const again = "Start 'liaam studio' again, and open the address that it prints. Your changes are kept.";
-      const title = isGone ? "The server is not reachable" : `${name} cannot be opened`;
-      showInstead({ icon: "warning", title, text: isGone ? again : error.message });
+      const instead = error.status === 0 ? UNREACHABLE : { title: `${name} cannot be opened`, text: error.message };
+      showInstead({ icon: "warning", ...instead });
     }
   }
 
@@ -84,8 +84,9 @@ export function createOpening(tab, begins) {
     const same = old && (saver.isDirty(name) || (before.source === shown.source && sameMarks(before, shown)));
     const book = {
       history: same ? old.history : new History(shown), covariances: marks.covariances ?? null,
-      doubtful: marks.doubtful, key: keyOf(name), tag: state.picture(name)?.tag,
+      doubtful: marks.doubtful, key: keyOf(name), tag: state.picture(name)?.tag, seen: null,
     };
+    book.seen = book.history.state; // as it was opened
     books.set(name, book);
     marking.open(book);
     // If points are placed one after another, continue with the first missing one.
@@ -115,7 +116,7 @@ export function createOpening(tab, begins) {
   async function sharpen() {
     const { name } = tab;
     const bitmap = await tab.app.pictures.sharper(name, viewer.scale * devicePixelRatio);
-    if (bitmap && tab.name === name) viewer.setSource(bitmap);
+    if (bitmap && tab.name === name) viewer.setPicture(bitmap, viewer.width, viewer.height);
   }
 
   /** Whether neither a gesture nor a save is in progress. */
@@ -141,15 +142,11 @@ export function createOpening(tab, begins) {
     } else if (isPristine() && book.key !== keyOf(tab.name)) {
       book.key = keyOf(tab.name);
       reload();
-    } else if (!tab.editing && isIdle() && isForeign(tab.name)) {
-      reload();
+    } else if (!tab.editing && isIdle()) {
+      const picture = state.picture(tab.name);
+      const { revision } = tab.saver.entry(tab.name);
+      if (picture && picture.state !== "reading" && picture.revision !== revision) reload(); // changed by another program
     }
-  }
-
-  /** Whether another program has changed the marks of a picture. */
-  function isForeign(name) {
-    const picture = state.picture(name);
-    return picture !== null && picture.state !== "reading" && picture.revision !== tab.saver.entry(name).revision;
   }
 
   /** A picture's landmarks were changed elsewhere, or the changes of this page were discarded. */
@@ -161,12 +158,54 @@ export function createOpening(tab, begins) {
     else reload();
   }
 
-  function clear() {
+  const clear = () => {
     books.clear();
     first.forget();
+  };
+  return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
+}
+
+/** Marks that a picture opens with: its own, the model's proposal, or the mean of the done pictures. */
+export class FirstMarks {
+  /** fetchMarks(name) -> Promise of the server's marks; begins() -> "layout" or "click". */
+  constructor({ state, fetchMarks, begins }) {
+    this.state = state;
+    this.fetchMarks = fetchMarks;
+    this.begins = begins;
+    this.shapes = new Map(); // name -> promise of the marks of a done picture
   }
 
-  return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
+  /** The landmarks of a picture, or of all, have changed. */
+  forget(name = null) {
+    if (name === null) this.shapes.clear();
+    else this.shapes.delete(name);
+  }
+
+  /** {points, invisible, source, bar} for a picture, from the server's marks. */
+  async of(name, { points, invisible, source, width, height, bar = null }) {
+    const { names } = this.state.project.template;
+    const fits = points.length === names.length; // a file may belong to another template
+    if (fits && (source === "file" || source === "proposal")) return { points, invisible: invisible ?? [], source, bar };
+    const layout = this.begins() === "click" ? null : await this.layout(name, width, height);
+    const own = layout ? { points: layout, source: "layout" } : { points: names.map(() => null), source: "none" };
+    return { ...own, invisible: [], bar };
+  }
+
+  /** Mean of the done pictures, or else the template's layout; null if there is neither. */
+  async layout(name, width, height) {
+    const { template, pictures } = this.state.project;
+    const done = pictures.filter((picture) => picture.state === "done" && picture.name !== name).slice(0, LAYOUT_OF);
+    const shapes = await Promise.all(done.map((picture) => this.learn(picture.name)));
+    const whole = shapes.filter((shape) => shape?.source === "file" && shape.points.length === template.names.length);
+    return meanLayout(whole, width, height) ?? layoutIn(template.points, width, height);
+  }
+
+  /** Marks of a done picture; null if they cannot be fetched, so that it is left out of the mean. */
+  learn(name) {
+    const fetched = () => this.fetchMarks(name).catch(() => { this.shapes.delete(name); return null; });
+    if (!this.shapes.has(name)) this.shapes.set(name, fetched());
+    return this.shapes.get(name);
+  }
 }
 
 /** A message in place of a picture that cannot be shown: an icon, a title and a remedy. */
@@ -181,7 +220,5 @@ export class Cover {
     this.element.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
   }
 
-  hide() {
-    this.element.hidden = true;
-  }
+  hide() { this.element.hidden = true; }
 }

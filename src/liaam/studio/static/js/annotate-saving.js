@@ -15,11 +15,9 @@ const DELETED = {
   text: "was deleted, renamed or moved since this tab read it.", what: "landmark file",
 };
 
-/** onstatus(state, message); onsaved(name): landmarks were saved; onforeign(name): they were changed elsewhere;
- *  ontheirs(name): the user discarded the changes of this page.
- *  @param {{app: App, [handler: string]: any}} options */
-export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
-  const { api, state, toast, ui } = app;
+/** @param {import("./annotate.js").Tab} tab */
+export function createSaving(tab) {
+  const { api, state, toast, ui } = tab.app;
   const page = new Page();
   let deciding = false;
   const template = () => state.project?.template ?? null;
@@ -27,21 +25,18 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
   /** Fetch the marks of a picture; null if the request fails. */
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
+  const put = (name, body) => state.saveMarks(name, body, { keepalive: JSON.stringify(body).length < KEEPALIVE });
+
   const saver = new Saver({
     put, unsaved: new Unsaved(localStorage, state.project.id, page.name),
     template: () => template() && { names: template().names, revision: template().revision },
-    onStatus: onstatus, onConflict: decide, onForeign: onforeign, onTemplate: templateMoved,
-    onLost: (_name, sentence) => toast(sentence, "bad"),
+    onStatus: (what, message) => tab.status.show(what, message), onConflict: decide, onTemplate: templateMoved,
+    onForeign: (name) => tab.opening.foreign(name), onLost: (_name, sentence) => toast(sentence, "bad"),
     onSaved: (name, { picture }) => {
-      onsaved(name);
+      tab.opening.first.forget(name);
       if (picture) state.update(picture);
     },
   });
-
-  function put(name, body) {
-    const options = { keepalive: JSON.stringify(body).length < KEEPALIVE };
-    return state.saveMarks(name, body, options);
-  }
 
   /** Mark a picture whose mean shape was not moved. */
   async function markUnchecked(name) {
@@ -67,7 +62,7 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
     deciding = false;
     if (choice === null) return; // undecided: the status line shows a button to decide
     await saver.resolveConflict(name, choice);
-    if (choice === "theirs") ontheirs(name);
+    if (choice === "theirs") tab.opening.foreign(name, true);
   }
 
   /** The server refused marks of an earlier template: fetch the new one and convert them. */
@@ -87,12 +82,6 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
     }
   }
 
-  /** The template has changed: convert unsaved marks to it. */
-  async function keepUnsaved(changed, mapping) {
-    state.project.template = changed;
-    if (changed) await rebase(saver.dirty, mapping);
-  }
-
   /** Marks that an earlier page could not save; this page saves them from now on. Null if there are none. */
   async function inherited(name, marks) {
     if (saver.isStale(name)) {
@@ -108,16 +97,16 @@ export function createSaving({ app, onstatus, onsaved, onforeign, ontheirs }) {
     return null;
   }
 
-  /** Save the marks that an earlier page could not save. reopen(name) -> Promise of whether the picture is open, in
-   *  which case it has restored its marks itself. */
-  async function sendKept(reopen) {
+  /** Save the marks that an earlier page could not save. */
+  async function sendKept() {
     for (const name of saver.unsaved.names()) {
       if (!state.picture(name) || !template() || saver.isDirty(name)) continue;
-      if (await reopen(name)) continue;
-      const marks = await tryToFetch(name);
+      const isOpen = name === tab.name; // then loading its marks restores those that were not saved
+      const marks = isOpen ? null : await tryToFetch(name);
       if (marks) await inherited(name, marks);
+      if (isOpen && tab.opening.isPristine()) await tab.opening.reload();
     }
   }
 
-  return { saver, fetchMarks, tryToFetch, markUnchecked, change, decide, rebase, keepUnsaved, inherited, sendKept };
+  return { saver, fetchMarks, tryToFetch, markUnchecked, change, decide, rebase, inherited, sendKept };
 }

@@ -10,7 +10,7 @@ import { keptDraft } from "./unsaved.js";
 const KEPT = "Your changes are still here: check them, then press Done";
 const sentence = (text) => (/[.!?]$/.test(text) ? text : `${text}.`);
 
-/** @param {import("./annotate.js").AnnotateTab} tab */
+/** @param {import("./annotate.js").Tab} tab */
 export function createTemplates(tab) {
   const { app, state, marking, viewer } = tab;
   const { api, toast, confirm } = app;
@@ -45,8 +45,7 @@ export function createTemplates(tab) {
   function edit() {
     if (!marking.book) return;
     const { points, template } = marking;
-    const guess = placed(points).length
-      ? expected(template.points ?? points, points)
+    const guess = placed(points).length ? expected(template.points ?? points, points)
       : layoutIn(template.points, viewer.width, viewer.height);
     tab.saver.flush();
     tab.tool.cancel();
@@ -75,43 +74,32 @@ export function createTemplates(tab) {
 
   async function load(file) {
     const { width, height } = viewer;
-    try {
-      const template = await api.upload(api.url("template/file", { name: file.name }), file);
-      const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
-      if (!points) throw new Error(`${file.name} has no points: choose another file.`);
-      doc.load(file.name, template, points.map((p) => p && rounded(p)));
-    } catch (error) {
-      toast(error, "bad");
-    }
+    const template = await api.upload(api.url("template/file", { name: file.name }), file);
+    const points = layoutIn(template.points, width, height, 1); // unchanged if the file belongs to this picture
+    if (!points) return toast(`${file.name} has no points: choose another file.`, "bad");
+    return doc.load(file.name, template, points.map((p) => p && rounded(p)));
   }
 
   async function done() {
     const { draft, saved, isFresh, isUnmoved } = doc;
     const wrong = drafts.fault(draft);
-    if (wrong) {
-      panel.message.textContent = wrong;
-      return;
-    }
+    if (wrong) return panel.tell(wrong);
     const mapping = saved && drafts.rearranges(draft, saved.names.length) ? draft.origins : null;
     // Taken now, because the template may be changed elsewhere while the dialog is open.
     const template = { ...drafts.templateOf(draft), revision: saved?.revision ?? null };
-    if (mapping && !(await mayRewrite())) return;
+    const lost = mapping && drafts.consequences(draft, saved.names.length, state.project);
+    const text = `${lost} This cannot be undone.`;
+    if (lost && !(await confirm("Change the template?", text, "Change the template"))) return;
     panel.setBusy(true);
     try {
       await save(template, mapping, draft.points, { isFresh, isUnmoved });
       kept.set(null);
     } catch (error) {
-      panel.message.textContent = error.message;
+      panel.tell(error.message);
       toast(error, "bad");
     } finally {
       panel.setBusy(false);
     }
-  }
-
-  /** Ask whether landmark files may be rewritten, and the model removed. */
-  async function mayRewrite() {
-    const text = drafts.consequences(doc.draft, doc.saved.names.length, state.project);
-    return !text || confirm("Change the template?", `${text} This cannot be undone.`, "Change the template");
   }
 
   /** isFresh: the points are those of this picture, too, unless they are where they were loaded (isUnmoved). */
@@ -124,7 +112,8 @@ export function createTemplates(tab) {
     try {
       const change = mapping ? { ...template, mapping } : template;
       const saved = await state.send((folder) => api.put(api.url("template"), { ...change, folder }));
-      await tab.saving.keepUnsaved(saved, mapping);
+      state.project.template = saved;
+      await tab.saving.rebase(tab.saver.dirty, mapping);
       known = JSON.stringify(saved);
       tab.opening.clear();
       await state.refresh();
@@ -176,9 +165,7 @@ export function createTemplates(tab) {
       kept.set(null);
       doc.rebase(tab.template);
       toast(`The template was changed elsewhere. ${KEPT}.`);
-    } else if (!isFirst) {
-      toast("The template was changed elsewhere. The new version is shown.");
-    }
+    } else if (!isFirst) toast("The template was changed elsewhere. The new version is shown.");
     await tab.saving.rebase();
     if (drafting) return;
     leave();
@@ -202,7 +189,7 @@ export function createTemplates(tab) {
   addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
-    n: () => doc.startPath(), c: () => doc.close(), x: () => panel.toggleMirror(), p: () => doc.addInTheMiddle(),
+    n: () => doc.startPath(), c: () => doc.close(), x: panel.toggleMirror, p: () => doc.addInTheMiddle(),
     delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
     escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
   };
@@ -215,8 +202,7 @@ export function createTemplates(tab) {
     get prompt() {
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
       if (!doc.started) return "Click the first point of your template on this picture";
-      return doc.draft.path < 0
-        ? "Click the first point of the next path"
+      return doc.draft.path < 0 ? "Click the first point of the next path"
         : "Click the next point of this path – C closes it, N starts another";
     },
     /** Handle a key without modifiers; return whether it was handled. */

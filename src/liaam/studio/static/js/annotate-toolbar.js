@@ -2,14 +2,15 @@
 
 import { button, complaints, h, iconButton, press } from "./ui.js";
 
-/** act(event, work): runs the action of a button. Returns {element, refresh(), press(name, on)}. */
-export function createToolbar({ state, commands, status, act }) {
+/** @param {import("./annotate.js").Tab} tab */
+export function createToolbar(tab) {
+  const { state, commands, status } = tab;
   const tool = (label, icon, shortcut, work, more = {}) =>
-    iconButton(label, icon, (event) => act(event, work), { shortcut, ...more });
+    iconButton(label, icon, (event) => tab.act(event, work), { shortcut, ...more });
   const show = (name, title, face, shortcut, pressed) =>
     button(face.text ?? name, {
       icon: face.icon, iconOnly: !face.text, "aria-label": name, kind: "ghost", shortcut, pressed, title,
-      onclick: (event) => act(event, () => commands.flick(name.toLowerCase())),
+      onclick: (event) => tab.act(event, () => commands.flick(name.toLowerCase())),
     });
   const rule = () => h("span.rule", { "aria-hidden": "true" });
   const undo = tool("Undo", "undo", "Ctrl+Z", () => commands.travel("undo"), { testid: "undo" });
@@ -18,11 +19,10 @@ export function createToolbar({ state, commands, status, act }) {
   const contours = show("Contours", "Show the contours", { icon: "path" }, "K", true);
   const around = "Show ellipses that contain each point with 95 % probability";
   const ellipses = show("Ellipses", around, { icon: "target" }, "E", true);
-  const box = tool("Select with a box", "box", "B", () => commands.toggleBox(), { pressed: false });
-  const together = () => commands.toggleMirrored();
-  const mirror = tool("Move mirrored points together", "mirror", "X", together, { pressed: false });
-  const flip = tool("Flip left and right", "swap", "M", () => commands.flip());
-  const ruler = tool("Scale bar", "ruler", "S", () => commands.ruler(), {
+  const box = tool("Select with a box", "box", "B", commands.toggleBox, { pressed: false });
+  const mirror = tool("Move mirrored points together", "mirror", "X", commands.toggleMirrored, { pressed: false });
+  const flip = tool("Flip left and right", "swap", "M", commands.flip);
+  const ruler = tool("Scale bar", "ruler", "S", commands.ruler, {
     pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, and enter its length",
   });
   const switches = { names, contours, ellipses, box, mirror, ruler };
@@ -55,15 +55,16 @@ const TEXTS = {
 };
 const WRONG = ["offline", "failing", "refused", "conflict"];
 
-/** The status line of saving. say(text): announce to screen readers; ondecide(): resolve a conflict. */
-export function createStatus({ toast, say, ondecide }) {
+/** The status line of saving. @param {import("./annotate.js").Tab} tab */
+export function createStatus(tab) {
   const element = h("span.save-status", { dataset: { testid: "save-status", state: "saved" } }, TEXTS.saved);
-  const decide = button("Decide…", { small: true, hidden: true, onclick: ondecide });
-  const complain = complaints(toast);
+  const decide = button("Decide…", {
+    small: true, hidden: true, onclick: () => tab.saving.decide(tab.saver.conflicted),
+  });
+  const complain = complaints();
 
   return {
-    element,
-    button: decide,
+    element, button: decide,
     get state() { return element.dataset.state; },
     show(state, message) {
       const before = element.dataset.state;
@@ -73,8 +74,8 @@ export function createStatus({ toast, say, ondecide }) {
       complain(state === "refused" || state === "failing" ? `Not saved: ${message}` : "");
       decide.hidden = state !== "conflict";
       // Announce problems and their end, not every save.
-      if (WRONG.includes(state) && before !== state) say(element.title);
-      if (WRONG.includes(before) && state === "saved") say(TEXTS.saved);
+      if (WRONG.includes(state) && before !== state) tab.say(element.title);
+      if (WRONG.includes(before) && state === "saved") tab.say(TEXTS.saved);
     },
   };
 }

@@ -14,17 +14,12 @@ export function promptOf({ state, book, placing, names, active, missing }) {
   }
   if (state.source === "layout") return "Mean shape: move it into place by its frame, then drag single points";
   if (placing) return `Click ${names[active]}`;
-  const left = missing.length;
-  return left
-    ? `${left} ${left === 1 ? "point is" : "points are"} missing: select one in the list, then click its position`
-    : "";
+  const are = missing.length === 1 ? "point is" : "points are";
+  return missing.length ? `${missing.length} ${are} missing: select one in the list, then click its position` : "";
 }
 
-export function tallyOf({ points, missing, invisible }) {
-  const parts = [`${points.length - missing.length} of ${points.length}`];
-  if (invisible.size) parts.push(`${invisible.size} invisible`);
-  return parts.join(", ");
-}
+export const tallyOf = ({ points, missing, invisible }) =>
+  `${points.length - missing.length} of ${points.length}${invisible.size ? `, ${invisible.size} invisible` : ""}`;
 
 const SOURCES = {
   proposal: "proposed by the model", layout: "from the mean shape", none: "none placed yet", file: "placed by you",
@@ -38,11 +33,8 @@ export function descriptionOf(name, { points, missing, state }) {
 
 /** Position of a point; `next`: the point to place next, or -1. */
 export function placeOf({ names, points, invisible }, index, next = -1) {
-  const point = points[index];
-  const hidden = invisible.has(index) ? ", invisible" : "";
-  const here = point
-    ? `${names[index]}, ${point.map((v) => v.toFixed(1)).join(", ")}${hidden}`
-    : `${names[index]}, missing`;
+  const at = points[index]?.map((v) => v.toFixed(1)).join(", ") ?? "missing";
+  const here = `${names[index]}, ${at}${points[index] && invisible.has(index) ? ", invisible" : ""}`;
   return next < 0 ? here : `${here}. Next: ${names[next]}`;
 }
 
@@ -51,8 +43,7 @@ export const called = (names, indices) => (indices.length === 1 ? names[indices[
 
 /** Message about missing points, which may be left out on purpose. */
 export function missingText(names, left) {
-  const [what, them] =
-    left.length === 1 ? [`'${names[left[0]]}' is`, "it"] : [`${left.length} points are`, "them"];
+  const [what, them] = left.length === 1 ? [`'${names[left[0]]}' is`, "it"] : [`${left.length} points are`, "them"];
   return `${what} still missing here. Place ${them}, or press Enter again to continue without ${them}.`;
 }
 

@@ -22,49 +22,41 @@ import { Viewer } from "./viewer.js";
 
 const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
 
-export const mount = (root, app) => new AnnotateTab(root, app);
-
-export class AnnotateTab {
+export class Tab {
   shortcuts = SHORTCUTS;
   name = null; // name of the open picture
   visible = false;
   drawn = { names: false, contours: true, ellipses: true };
   boxing = false; // whether dragging selects with a box
   waiting = null; // timer of an announcement
+  container = h("div", { testid: "annotate-viewer" });
+  prompt = h("div.annotate-prompt", { hidden: true });
+  hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
+  cover = new Cover();
+  spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
+  alternative = h("p.visually-hidden", { id: "annotate-text" });
+  side = h("aside.side.annotate-side", { "aria-label": "Points" });
+  viewer = new Viewer(this.container, { label: "Picture with landmarks" });
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
     this.app = app;
-    this.state = app.state;
+    const { state } = app;
+    this.state = state;
+    const { viewer } = this;
     app.selection = () => [...this.marking.selection];
     app.saved = () => this.saver.flush();
-    this.makePage();
-    this.makeParts();
-    root.classList.add("annotate");
-    root.append(h("div.workspace", this.toolbar.element, this.container), this.side);
-    this.listen();
-    this.expose();
-  }
-
-  makePage() {
-    this.container = h("div", { testid: "annotate-viewer" });
-    this.prompt = h("div.annotate-prompt", { hidden: true });
-    this.hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
-    this.cover = new Cover();
-    this.spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
-    this.viewer = new Viewer(this.container, { label: "Picture with landmarks" });
-    this.viewer.canvas.setAttribute("aria-describedby", "annotate-text");
-    this.alternative = h("p.visually-hidden", { id: "annotate-text" });
+    viewer.canvas.setAttribute("aria-describedby", "annotate-text");
     this.container.append(this.prompt, this.hint, this.cover.element, this.alternative, this.spoken);
-    this.side = h("aside.side.annotate-side", { "aria-label": "Points" });
-  }
-
-  makeParts() {
-    const { app, state, viewer } = this;
     this.say = (text) => { this.spoken.textContent = text; };
     this.marking = new Marking({
       template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
-      onpreview: () => viewer.redraw(), onplaced: (index) => this.goOn(index),
+      onpreview: () => viewer.redraw(),
+      onplaced: (index) => { // then select the next missing one
+        const next = nextMissing(this.marking.points, index);
+        this.marking.select([next < 0 ? index : next]);
+        this.sayPlace(index, next);
+      },
     });
     this.ruler = new ScaleBar(this.marking, {
       onturn: () => {
@@ -72,33 +64,29 @@ export class AnnotateTab {
         this.refresh();
       },
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
-      onshare: (bar, anyway) => this.shareBar(bar, anyway),
+      onshare: (bar, anyway) => { // with all that the list can show
+        const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
+        app.bulk.run("scaled", others, { bar, of: this.name, anyway });
+      },
     });
-    const commands = createCommands(this);
-    this.commands = commands;
-    const ondecide = () => this.saving.decide(this.saver.conflicted);
-    this.status = createStatus({ toast: app.toast, say: this.say, ondecide });
-    this.toolbar = createToolbar({ state, commands, status: this.status, act: (event, work) => this.act(event, work) });
-    this.panel = createPointsPanel({
-      commands, onstart: () => this.startChanged(), onedit: () => this.templates.edit(),
-    });
+    this.commands = createCommands(this);
+    this.status = createStatus(this);
+    this.toolbar = createToolbar(this);
+    this.panel = createPointsPanel(this);
     this.opening = createOpening(this, () => this.panel.start);
-    this.saving = createSaving({
-      app, onstatus: (what, message) => this.status.show(what, message),
-      onsaved: (name) => this.opening.first.forget(name), onforeign: (name) => this.opening.foreign(name),
-      ontheirs: (name) => this.opening.foreign(name, true),
-    });
+    this.saving = createSaving(this);
     this.saver = this.saving.saver;
     this.templates = createTemplates(this);
     this.key = createKeys(this);
-    this.assist = createAssist({
-      app, accept: () => commands.accept(), skip: () => commands.skip(), confirm: () => commands.confirmLayout(),
-    });
-    const boxes = () => this.boxing;
-    this.review = createReview(app, (event, work) => this.act(event, work));
-    this.tool = new PointTool(viewer, () => this.doc, { boxes, onend: () => this.refresh() });
+    this.assist = createAssist(app, this.commands);
+    this.review = createReview(this);
+    this.tool = new PointTool(viewer, () => this.doc, { boxes: () => this.boxing, onend: () => this.refresh() });
     viewer.tool = this.tool;
     viewer.addLayer((ctx) => this.draw(ctx));
+    root.classList.add("annotate");
+    root.append(h("div.workspace", this.toolbar.element, this.container), this.side);
+    this.listen();
+    this.expose();
   }
 
   get template() { return this.state.project?.template ?? null; }
@@ -107,10 +95,7 @@ export class AnnotateTab {
   get wrong() { return this.state.picture(this.name)?.slip_points ?? []; }
   /** The document that gestures edit: the template, the scale bar that is being drawn, or the marks of the picture. */
   get doc() { return this.editing ? this.templates.doc : this.ruler.on ? this.ruler : this.marking; }
-
-  focus() {
-    this.viewer.canvas.focus({ preventScroll: true });
-  }
+  focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
   act(event, work) {
@@ -130,7 +115,7 @@ export class AnnotateTab {
     addEventListener("pagehide", () => saver.flush());
     document.addEventListener("keyup", (event) => event.key.toLowerCase() === "h" && commands.hideMarks(false));
     addEventListener("blur", () => commands.hideMarks(false));
-    setTimeout(() => this.saving.sendKept((name) => this.reopen(name)), 500);
+    setTimeout(() => this.saving.sendKept(), 500);
   }
 
   show() {
@@ -158,16 +143,7 @@ export class AnnotateTab {
     else this.saver.flush();
   }
 
-  /** Give the scale bar of the open picture to all others that the list can show. */
-  async shareBar(bar, anyway) {
-    const of = this.name;
-    const others = this.state.pictures.map(({ name }) => name).filter((name) => name !== of);
-    await this.app.bulk.run("scaled", others, { bar, of, anyway });
-  }
-
-  leavePicture(name) {
-    this.saver.flush(name).then(() => this.assist.left());
-  }
+  leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
   /** The marks have changed: save and show them. */
   changed() {
@@ -175,31 +151,11 @@ export class AnnotateTab {
     this.refresh();
   }
 
-  /** The selection has changed. */
   chosen() {
     this.commands.escaped = false;
     this.panel.mark(this.marking);
     this.showHint();
     this.viewer.redraw();
-  }
-
-  /** After a point was placed, select the next missing one. */
-  goOn(index) {
-    const next = nextMissing(this.marking.points, index);
-    this.marking.select([next < 0 ? index : next]);
-    this.sayPlace(index, next);
-  }
-
-  /** Whether a picture is open; if so, reload it, which restores its unsaved marks. */
-  async reopen(name) {
-    if (name !== this.name) return false;
-    if (this.opening.isPristine()) await this.opening.reload();
-    return true;
-  }
-
-  startChanged() {
-    const { state } = this.marking;
-    if (this.opening.isPristine() && state.source !== "file" && state.source !== "proposal") this.opening.reload();
   }
 
   refresh() {
@@ -240,15 +196,12 @@ export class AnnotateTab {
   /** Describe the picture for screen readers. */
   describe() {
     const { editing, marking, name, templates } = this;
-    const own = marking.book ? descriptionOf(name, marking) : "No picture is open.";
-    const text = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.` : own;
-    this.alternative.textContent = text;
+    this.alternative.textContent = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.`
+      : marking.book ? descriptionOf(name, marking) : "No picture is open.";
     this.viewer.canvas.setAttribute("aria-label", name ? `${name} with landmarks` : "Picture with landmarks");
   }
 
-  sayPlace(index, next = -1) {
-    this.say(placeOf(this.marking, index, next));
-  }
+  sayPlace(index, next = -1) { this.say(placeOf(this.marking, index, next)); }
 
   /** Announce moved points after a pause, so that a burst of keys does not flood a screen reader. */
   saySoon(indices) {

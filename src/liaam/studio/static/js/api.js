@@ -29,13 +29,9 @@ export const busy = new (class extends EventTarget {
   count = 0;
 
   /** Count a promise as work that the user waits for. */
-  async during(work) {
+  during(work) {
     this.add(1);
-    try {
-      return await work;
-    } finally {
-      this.add(-1);
-    }
+    return work.finally(() => this.add(-1));
   }
 
   add(by) {

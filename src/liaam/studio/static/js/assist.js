@@ -1,7 +1,7 @@
 // The model's help: training in the background, and the choice of the next picture.
 
 import { percent, several } from "./annotate-words.js";
-import { measureAll } from "./measure.js";
+import { measureAll } from "./review.js";
 import { openIn } from "./strip-filters.js";
 import { button, dialog, h, icon } from "./ui.js";
 
@@ -9,16 +9,13 @@ const LEAST = 3; // pictures needed for training
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
 const AUTO_AGAIN = 3; // pictures completed or changed after which it is trained again
 const SHOWN = 5; // slips that are listed before training
+const SLIP = "Move what is wrong, or press Enter if the points are right: they are then marked as checked.";
 const AUTO_KEY = "liaam-studio:auto-train";
-
-const countDone = (pictures) => pictures.filter((picture) => picture.state === "done").length;
-
+const countOf = (pictures, ...states) => pictures.filter(({ state }) => states.includes(state)).length;
 const openList = (of) => /** @type {HTMLSelectElement} */ (document.querySelector(of)).showPicker();
 
-/** The pictures that a training uses. */
+/** The pictures that a training uses, and those of them whose points look wrong. */
 const forTraining = (pictures) => pictures.filter(({ state, left_out: who }) => state === "done" && !who);
-
-/** The pictures for training whose points look wrong. */
 const slipped = (pictures) => forTraining(pictures).filter(({ slip }) => slip);
 
 /** Whether to train automatically. `failedAt`: the `situation` in which training last failed or was stopped. */
@@ -37,7 +34,7 @@ export const situation = ({ model, pictures }) =>
 
 /** What is not done yet, as a sentence; "" if all shown pictures are done and the model was trained on all of them. */
 export function unfinished({ pictures, model }) {
-  const open = pictures.filter((picture) => picture.state !== "done").length;
+  const open = pictures.length - countOf(pictures, "done");
   const left = pictures.map(({ name }) => name).filter((name) => name in (model?.left_out ?? {}));
   const parts = [
     open && `${several(open, "picture")} ${open === 1 ? "is" : "are"} not done`,
@@ -112,13 +109,9 @@ export function mismatch({ model, template }) {
   return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
-/**
- * Create the panel. accept(): accept the points and open the next picture; skip(): open it without accepting;
- * confirm(): the mean shape is right. Returns {element, notes: a panel of notices, sure: the button for confirm,
- * left(): a picture was left}.
- * @param {{app: App, [handler: string]: any}} options
- */
-export function createAssist({ app, accept, skip, confirm }) {
+/** Create the panel: {element, notes: a panel of notices, sure: the button that says that the mean shape is right,
+ *  left(): a picture was left}. @param {App} app */
+export function createAssist(app, commands) {
   const { api, state } = app;
   let failedAt = null;
   let asking = false;
@@ -126,10 +119,7 @@ export function createAssist({ app, accept, skip, confirm }) {
   let known = null; // the pictures that were left out of training, once all states are known
 
   const count = h("p.assist-count");
-  const bar = h("span");
-  const progress = h("div.progress", {
-    role: "progressbar", "aria-label": "Training", "aria-valuemin": 0, "aria-valuemax": 100,
-  }, bar);
+  const progress = h("progress.progress", { "aria-label": "Training", max: 100 });
   const what = h("p.small.muted", { role: "status" });
   const cancel = button("Cancel", { small: true, kind: "ghost", testid: "training-cancel", onclick: stop });
   const running = h("div.column.assist-running", { testid: "training-progress", hidden: true },
@@ -144,16 +134,16 @@ export function createAssist({ app, accept, skip, confirm }) {
   });
   const often = `Train when ${AUTO_FIRST} pictures are done, and again after every ${AUTO_AGAIN} more`;
   const next = button("Accept and continue", {
-    icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: accept,
+    icon: "check", kind: "primary", shortcut: "Enter", testid: "accept-next", onclick: commands.accept,
     title: "Accept these points and open the picture that helps the model most",
   });
   next.append(h("kbd.kbd", { "aria-hidden": "true" }, "⏎"));
   const pass = button("Skip", {
-    small: true, kind: "ghost", shortcut: "N", testid: "skip-next", onclick: skip,
+    small: true, kind: "ghost", shortcut: "N", testid: "skip-next", onclick: commands.skip,
     title: "Open the next picture and leave this one unchanged",
   });
   const sure = button("The points are right…", {
-    small: true, hidden: true, testid: "confirm-layout", onclick: confirm,
+    small: true, hidden: true, testid: "confirm-layout", onclick: commands.confirmLayout,
     title: "Save the mean shape although no point was moved",
   });
   const why = h("p.small.muted", { testid: "why-next" });
@@ -164,6 +154,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     h("div.row", go("Review", "review", () => state.dispatchEvent(new Event("to-review"))),
       go("Measure", "measure", () => measureAll(app)), go("Export", "export", () => openList("[data-testid=export-all]")),
       go("Fit", "fit", () => app.openTab("fit")), go("Try live", "live", () => app.openTab("live"))));
+  const decline = () => api.delete(api.url("model", "face")).then(() => state.refresh());
   const other = button("Use other points…", { small: true, kind: "ghost", testid: "decline-face", onclick: decline });
   const offered = h("p.small.muted", { hidden: true },
     "These are the points of the face model that comes with liaam. ", other);
@@ -204,19 +195,11 @@ export function createAssist({ app, accept, skip, confirm }) {
     }
   }
 
-  async function decline() {
-    await api.delete(api.url("model", "face"));
-    await state.refresh();
-  }
-
   async function stop() {
     cancel.disabled = true;
     failedAt = situation(state.project); // do not restart automatically what the user has stopped
-    try {
-      await state.send((folder) => api.delete(api.url("training"), { folder }));
-    } finally {
-      cancel.disabled = false;
-    }
+    const request = state.send((folder) => api.delete(api.url("training"), { folder }));
+    await request.finally(() => { cancel.disabled = false; });
   }
 
   /** Show why training failed, and do not retry automatically if it is for good; "": it did not fail. */
@@ -243,19 +226,21 @@ export function createAssist({ app, accept, skip, confirm }) {
     const { project } = state;
     if (!project) return;
     const { pictures, model, training } = project;
-    const usable = pictures.filter((picture) => picture.state !== "broken").length;
+    const usable = pictures.length - countOf(pictures, "broken");
     const left = Object.keys(model?.left_out ?? {}).length;
-    count.textContent = `${countDone(pictures)} of ${usable} done${left ? `, ${left} left out` : ""}`;
+    count.textContent = `${countOf(pictures, "done")} of ${usable} done${left ? `, ${left} left out` : ""}`;
     const done = forTraining(pictures).length;
     element.hidden = !project.template;
     offered.hidden = !project.offered || model?.source !== "face";
     const runs = training?.state === "running";
     running.hidden = !runs;
-    if (runs) showProgress(training);
+    if (training?.total) progress.value = Math.round((100 * training.done) / training.total);
+    else progress.removeAttribute("value");
+    const doing = training?.what || "Training";
+    what.textContent = training?.total ? `${doing} (${training.done} of ${training.total})` : `${doing}…`;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
-    train.title = done < LEAST
-      ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
+    train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
       : stale || "Train the model on all done pictures";
     train.classList.toggle("primary", !model && done >= LEAST && !runs && !auto.checked);
     end.hidden = !pictures.length || done < LEAST || nextToTeach(pictures, null) !== null || slipped(pictures).length > 0;
@@ -264,22 +249,13 @@ export function createAssist({ app, accept, skip, confirm }) {
     note(project);
   }
 
-  function showProgress({ done, total, what: doing }) {
-    const value = total ? Math.round((100 * done) / total) : null;
-    progress.classList.toggle("unknown", value === null);
-    bar.style.width = value === null ? "" : `${value}%`;
-    if (value === null) progress.removeAttribute("aria-valuenow");
-    else progress.setAttribute("aria-valuenow", String(value));
-    const text = doing || "Training";
-    what.textContent = total ? `${text} (${done} of ${total})` : `${text}…`;
-  }
-
   function explain({ pictures, model, training }, done) {
     const here = state.picture();
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? (here?.slip ? `Possible slip: ${here.slip}.` : ""));
+    const slip = here?.slip ? `Possible slip: ${here.slip}. ${SLIP}` : "";
+    const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
     if (fault) why.textContent = fault;
@@ -293,8 +269,6 @@ export function createAssist({ app, accept, skip, confirm }) {
     else why.textContent = "Train the model to let it place points for you.";
   }
 
-  const trainIfNeeded = () => shouldTrain(state.project, { auto: auto.checked, failedAt }) && start(false);
-
   /** Train between two pictures, when no point is being moved. */
   async function left() {
     known = null; // train once the landmarks have been checked
@@ -307,7 +281,7 @@ export function createAssist({ app, accept, skip, confirm }) {
     const { pictures, training, checked } = state.project;
     if (asking || training?.state === "running" || !checked || pictures.some(({ state: is }) => is === "reading")) return;
     const now = JSON.stringify(pictures.filter(({ left_out: who }) => who).map(({ name }) => name));
-    if (now !== known) trainIfNeeded();
+    if (now !== known && shouldTrain(state.project, { auto: auto.checked, failedAt })) start(false);
     known = now;
   }
 

@@ -40,16 +40,14 @@ export async function act({ state, api, toast, saved }, did, names, { more = {},
   return answer.changed;
 }
 
-/** The bar of actions; chosen() -> names; onall(): choose all shown pictures; onend(): end the selection; ondone(): an action
- *  was applied. */
+/** The bar of actions; chosen() -> names; onall(): choose all that are shown; onend(): end the selection; ondone():
+ *  after an action. */
 export function createBulk({ app, chosen, onall, onend, ondone }) {
   let last = null; // {did, names} to undo
   const count = h("span.small.grow", { "aria-live": "polite" });
   const choice = menu("Action…", labelsOf(ACTIONS), async (did) => {
     if (did !== "deleted" || (await mayDelete(chosen()))) run(did, chosen());
-  }, {
-    "aria-label": "Action on the selected pictures", testid: "bulk-action",
-  });
+  }, { "aria-label": "Action on the selected pictures", testid: "bulk-action" });
   const takeBack = (did) => ACTIONS[did].undo && ((names) => run(ACTIONS[did].undo, names));
   const undo = iconButton("Undo", "undo", () => takeBack(last.did)(last.names), {
     kind: "", small: true, disabled: true, testid: "bulk-undo",

@@ -4,22 +4,13 @@ import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, offer, Overlays } from "./fit-draw.js";
 import { meanDistance } from "./fit-geometry.js";
 import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
+import { SourceTab } from "./fit-source.js";
 import { bounds } from "./points.js";
-import { button, h, icon, isPlain, press } from "./ui.js";
+import { button, h, icon, isPlain, press, runKey } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
-/** Methods to compare the default with at first: the best known. */
-const FAMILIAR = ["rgb", "grey"];
-
+const FAMILIAR = ["rgb", "grey"]; // methods to compare the default with at first: the best known
 const SMALL = 300; // css pixels of height below which the object fills a view
-
-const SHORTCUTS = [
-  { keys: "Enter F", what: "Fit with both methods" },
-  { keys: "X", what: "Swap the sides" },
-  { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
-];
-
-export const mount = (root, app) => new CompareTab(root, app);
 
 /** One side: its method, its viewer and its result. */
 class Side {
@@ -42,10 +33,7 @@ class Side {
   }
 
   get method() { return this.select.value; }
-
-  show(source) {
-    this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0);
-  }
+  show(source) { this.viewer.setPicture(source?.image ?? null, source?.width ?? 0, source?.height ?? 0); }
 
   take(fit) {
     this.fit = fit;
@@ -86,67 +74,52 @@ class Side {
   }
 }
 
-class CompareTab {
-  shortcuts = SHORTCUTS;
+export class Tab extends SourceTab {
+  shortcuts = [
+    { keys: "Enter F", what: "Fit with both methods" },
+    { keys: "X", what: "Swap the sides" },
+    { keys: "C L M E T", what: "Show contours, points, mesh, ellipses, ground truth" },
+  ];
+  truth = null;
+  showTruth = true;
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
-    this.app = app;
-    this.state = app.state;
-    this.sources = app.sources;
-    this.visible = false;
-    this.truth = null;
-    this.showTruth = true;
+    super(app);
     const { methods, default_method: first } = this.state.project;
     const known = this.state.project.model?.methods ?? methods.map(({ name }) => name);
     const other = [...FAMILIAR, first].find((name) => known.includes(name)) ?? first;
     this.sides = [["left", first], ["right", other]].map(([name, method]) => new Side(name, methods, method, {
-      onmethod: (side) => this._method(side), draw: (ctx, viewer, side) => this._draw(ctx, viewer, side),
+      onmethod: (side) => this._method(side),
+      draw: (ctx, viewer, side) => {
+        if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
+        if (side.fit) drawFit(ctx, viewer, side.fit, this.overlays.shown);
+      },
     }));
     this.left = this.sides[0];
     this.right = this.sides[1];
     this._build(root);
-    this._together();
-    this.sources.addEventListener("change", () => this._source());
+    const [left, right] = this.sides.map((side) => side.viewer);
+    for (const [one, other] of [[left, right], [right, left]]) // keep zoom and pan of both sides equal
+      one.addEventListener("view", () => one.width === other.width && other.setView(one.view));
     this.sources.addEventListener("ready", () => this.sides.forEach((side) => side.show(this.sources.current)));
-    this.sources.addEventListener("failed", (/** @type {any} */ { detail }) => {
-      if (this.visible) this._say(detail.error.message, true);
-    });
-    this.state.addEventListener("project", () => this._project());
     this.state.addEventListener("landmarks", (/** @type {any} */ { detail }) => {
       if (this.sources.current?.name !== detail.name) return;
       this._truth();
       if (this.visible) this.run();
     });
-    this._project();
+    this.follow();
     window.liaamStudio.compare = { left: this.left, right: this.right };
-  }
-
-  show() {
-    this.visible = true;
-    this.sources.watch(this);
-    this._source();
-  }
-
-  hide() {
-    this.visible = false;
-    this.sources.leave(this);
   }
 
   /** Whether there are a picture and a model to fit. */
   get _works() { return Boolean(this.sources.current && this.state.project.model); }
 
   key(event) {
-    if (!isPlain(event)) return false;
-    const action = {
-      enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth(),
-    }[event.key.toLowerCase()];
-    if (!action) return this._overlays.key(event) || this.right.viewer.key(event);
-    action();
-    return true;
+    const keys = { enter: () => this.run(), f: () => this.run(), x: () => this.swap(), t: () => this._toggleTruth() };
+    return isPlain(event) && (runKey(event, keys) || this.overlays.key(event) || this.right.viewer.key(event));
   }
 
-  /** Fit with both methods at once. */
   async run() {
     if (!this._works) return;
     this._say("Fitting…");
@@ -178,22 +151,26 @@ class CompareTab {
     if (this._works && (await side.run(this.app.fits, this.sources.current))) this._verdict();
   }
 
-  _source() {
-    const source = this.sources.current;
-    if (this._seen !== source) {
-      this._seen = source;
-      this.truth = null;
-      for (const side of this.sides) {
-        side.reset();
-        side.show(source);
-        if (source) side.viewer.fit();
-      }
+  _another(source) {
+    this.truth = null;
+    for (const side of this.sides) {
+      side.reset();
+      side.show(source);
+      if (source) side.viewer.fit();
     }
-    this._emptiness();
-    if (!source || !this.visible) return;
+  }
+
+  _showFit() {
     this._truth();
     if (!this.left.fit && !this.right.fit) this.run();
   }
+
+  _anotherModel() {
+    this.sides.forEach((side) => side.reset());
+    if (this.visible) this.run();
+  }
+
+  _refused(error) { this._say(error.message, true); }
 
   async _truth() {
     const source = this.sources.current;
@@ -202,19 +179,6 @@ class CompareTab {
     this.truth = marks?.source === "file" && marks.points.some(Boolean) ? marks.points : null;
     this._truthButton.disabled = !this.truth;
     this._redraw();
-  }
-
-  _project() {
-    const { model } = this.state.project;
-    const number = model?.number ?? null;
-    const another = this._number !== undefined && this._number !== number;
-    this._number = number;
-    this._overlays.hasContours = Boolean(model?.contours.length);
-    this.sides.forEach((side) => offer(side.select, model));
-    this._emptiness();
-    if (!another) return;
-    this.sides.forEach((side) => side.reset());
-    if (this.visible) this.run();
   }
 
   _verdict() {
@@ -230,10 +194,8 @@ class CompareTab {
     if (bad || text === "Fitting…") for (const side of this.sides) side.element.classList.remove("nearer");
   }
 
-  // The page.
-
   _build(root) {
-    this._overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
+    this.overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
     this._truthButton = button("Ground truth", {
       small: true, shortcut: "T", pressed: this.showTruth, disabled: true, testid: "compare-truth",
       title: "Show the known landmarks of the picture as crosses", onclick: () => this._toggleTruth(),
@@ -249,19 +211,11 @@ class CompareTab {
     });
     this._name = h("span.fit-source-name");
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "Compare" },
-      this._runButton, swap, h("span.rule"), this._overlays.buttons, this._truthButton, h("span.grow"), this._name);
+      this._runButton, swap, h("span.rule"), this.overlays.buttons, this._truthButton, h("span.grow"), this._name);
     this._pair = h("div.compare-pair", this.left.element, this.right.element);
     this._empty = h("div.empty.big");
     const foot = h("div.compare-foot", this._verdictText);
     root.append(h("div.workspace.compare-tab", toolbar, this._pair, this._empty, foot));
-  }
-
-  /** Keep zoom and pan of both sides equal. */
-  _together() {
-    const [left, right] = this.sides.map((side) => side.viewer);
-    for (const [one, other] of [[left, right], [right, left]]) {
-      one.addEventListener("view", () => one.width === other.width && other.setView(one.view, true));
-    }
   }
 
   _redraw() {
@@ -274,13 +228,9 @@ class CompareTab {
     this._redraw();
   }
 
-  _draw(ctx, viewer, side) {
-    if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
-    if (side.fit) drawFit(ctx, viewer, side.fit, this._overlays.shown);
-  }
-
   _emptiness() {
     const works = this._works;
+    this.sides.forEach((side) => offer(side.select, this.state.project.model));
     this._pair.hidden = !works;
     this._empty.hidden = works;
     this._runButton.disabled = !works;

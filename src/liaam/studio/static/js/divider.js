@@ -1,6 +1,6 @@
 // The line between before and after. It is dragged, or moved with the arrow keys.
 
-import { consume, h } from "./ui.js";
+import { grip, h } from "./ui.js";
 
 /** Position of the line, as a fraction of the width, after a key; null for other keys. */
 export function shareAfterKey(share, { key, shiftKey = false }) {
@@ -16,10 +16,14 @@ export class Divider {
     this._onmove = onmove;
     this._before = h("span.fit-divider-label.before");
     this._after = h("span.fit-divider-label.after");
-    this.element = h("div.fit-divider", {
-      role: "slider", tabindex: "0", hidden: true, "aria-orientation": "horizontal", "aria-valuemin": "0",
-      "aria-valuemax": "100", testid, onpointerdown: (event) => this._down(event),
-      onpointermove: (event) => this._move(event), onkeydown: (event) => this._key(event),
+    this.element = grip("div.fit-divider", {
+      hidden: true, "aria-orientation": "horizontal", "aria-valuemin": "0", "aria-valuemax": "100", testid,
+      onmove: (event) => this._set(viewer.place(event)[0] / viewer.container.clientWidth),
+      onkey: (event) => {
+        const next = shareAfterKey(this.share, event);
+        if (next !== null) this._set(next);
+        return next !== null;
+      },
     },
     h("span.fit-divider-line"), h("span.fit-divider-grip", { "aria-hidden": "true" }, "‹ ›"),
     this._before, this._after);
@@ -28,7 +32,6 @@ export class Divider {
   }
 
   get visible() { return !this.element.hidden; }
-
   set visible(now) { this.element.hidden = !now; }
 
   /** Position of the line in the canvas, css pixels. */
@@ -50,24 +53,5 @@ export class Divider {
     this._before.hidden = this.share < 0.08;
     this._after.hidden = this.share > 0.92;
     this._onmove();
-  }
-
-  _down(event) {
-    if (event.button !== 0) return;
-    this.element.setPointerCapture(event.pointerId);
-    this.element.focus({ preventScroll: true });
-    consume(event);
-  }
-
-  _move(event) {
-    if (!this.element.hasPointerCapture(event.pointerId)) return;
-    this._set(this.viewer.place(event)[0] / this.viewer.container.clientWidth);
-  }
-
-  _key(event) {
-    const next = shareAfterKey(this.share, event);
-    if (next === null) return;
-    consume(event);
-    this._set(next);
   }
 }

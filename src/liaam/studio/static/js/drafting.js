@@ -2,12 +2,14 @@
 // document that gestures edit (see gestures.js).
 
 import { called, several } from "./annotate-words.js";
-import { AxisGrip } from "./axis-grip.js";
+import { COLOURS, drawText } from "./drawing.js";
 import { History } from "./history.js";
+import { filled, inked } from "./overlays.js";
 import { flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
 
 const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on it
+const GRIP_REACH = 20; // css pixels
 
 export class Drafting {
   editable = true;
@@ -55,10 +57,8 @@ export class Drafting {
 
   get names() { return this.draft.names; }
   get points() { return this.shown ?? this.draft.points; }
-  /** Whether clicks add points. */
   get placing() { return !this.layingOut; }
   get followsPointer() { return this.axis !== null; }
-  /** Whether there are points. */
   get started() { return this.names.length > 0; }
 
   framed() {
@@ -162,13 +162,8 @@ export class Drafting {
     return true;
   }
 
-  close() {
-    this.endPath(true, "close path", "Path closed");
-  }
-
-  startPath() {
-    this.endPath(false, "new path", "The next point starts a new path");
-  }
+  close() { this.endPath(true, "close path", "Path closed"); }
+  startPath() { this.endPath(false, "new path", "The next point starts a new path"); }
 
   endPath(closed, what, said) {
     if (this.draft.path < 0) return;
@@ -176,9 +171,7 @@ export class Drafting {
     this.say(said);
   }
 
-  flip() {
-    this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip");
-  }
+  flip() { this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip"); }
 
   /** Add a point in the middle of the view, to be moved with keys. */
   addInTheMiddle() {
@@ -236,5 +229,34 @@ export class Drafting {
   endLayout() {
     this.select([]);
     this.apply({ ...this.draft, layout: null }, "put in place");
+  }
+}
+
+/** The axis of symmetry over the picture. It is dragged by a grip near the top, since clicks elsewhere on the line
+ *  place points. */
+export class AxisGrip {
+  /** x: of the axis, in pixels of the picture. */
+  constructor(viewer, x) {
+    this.viewer = viewer;
+    const top = viewer.toScreen([0, 0])[1];
+    this.at = [viewer.toScreen([x, 0])[0], Math.min(Math.max(top, 0) + 16, viewer.container.clientHeight - 16)];
+  }
+
+  /** Whether a position in the picture lies under the grip. */
+  isAt(xy) {
+    const [x, y] = this.viewer.toScreen(xy);
+    return Math.hypot(x - this.at[0], y - this.at[1]) <= GRIP_REACH;
+  }
+
+  draw(ctx) {
+    const [x, y] = this.at;
+    ctx.beginPath();
+    ctx.moveTo(x, 0);
+    ctx.lineTo(x, this.viewer.container.clientHeight);
+    inked(ctx, COLOURS.axis, 1.5, [8, 5]);
+    ctx.beginPath();
+    ctx.arc(x, y, 11, 0, 2 * Math.PI);
+    filled(ctx, COLOURS.axis);
+    drawText(ctx, "⇔", x, y, { align: "center" });
   }
 }

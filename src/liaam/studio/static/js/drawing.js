@@ -1,13 +1,11 @@
 // Drawing of points, names, the frame with its handles, and the loupe.
 
-import { contourPath, discs, drawContours, drawPoints, RIM, stroked } from "./overlays.js";
+import { contourPath, discs, drawContours, drawPoints, filled, inked, RIM, stroked } from "./overlays.js";
 import { frameOf } from "./gestures.js";
 import { fitInto } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
-export const COLOURS = {
-  placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f",
-};
+export const COLOURS = { placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f" };
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
 const LEAST_SCALE = 2; // screen pixels per picture pixel
@@ -24,11 +22,7 @@ export function drawMarks(ctx, viewer, view) {
   const isHollow = (i) => suggested || invisible.has(i);
   drawPoints(ctx, viewer, points.filter((_, i) => !isHollow(i)), { colour, radius });
   discs(ctx, viewer, points.filter((_, i) => isHollow(i)), radius);
-  if (suggested) {
-    // transparent, so that the picture can be checked through it
-    ctx.fillStyle = "rgb(111 211 255 / 35%)";
-    ctx.fill();
-  }
+  if (suggested) filled(ctx, "rgb(111 211 255 / 35%)"); // transparent, so that the picture can be checked through it
   stroked(ctx, colour, 1.5);
   discs(ctx, viewer, points.filter((_, i) => selection.has(i)), radius + 3.5);
   stroked(ctx, COLOURS.chosen, 1.8);
@@ -89,11 +83,8 @@ export function drawHandle(ctx, kind, /** @type {number[]} */ [x, y]) {
   ctx.beginPath();
   if (kind === "scale") ctx.rect(x - 5, y - 5, 10, 10);
   else ctx.arc(x, y, 9, 0, 2 * Math.PI);
-  ctx.fillStyle = "#fff";
-  ctx.fill();
-  ctx.strokeStyle = RIM;
-  ctx.lineWidth = 1.5;
-  ctx.stroke();
+  filled(ctx, "#fff");
+  inked(ctx, RIM, 1.5);
   if (kind === "scale") return;
   ctx.save();
   ctx.translate(x, y);
@@ -107,8 +98,7 @@ export function drawBox(ctx, viewer, [x0, y0, x1, y1]) {
   const [a, b] = [viewer.toScreen([x0, y0]), viewer.toScreen([x1, y1])];
   ctx.beginPath();
   ctx.rect(a[0], a[1], b[0] - a[0], b[1] - a[1]);
-  ctx.fillStyle = "rgb(255 255 255 / 12%)";
-  ctx.fill();
+  filled(ctx, "rgb(255 255 255 / 12%)");
   stroked(ctx, "#fff", 1, [4, 3]);
 }
 
@@ -144,8 +134,7 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   };
   ctx.save();
   circle();
-  ctx.fillStyle = "#1b2030";
-  ctx.fill();
+  filled(ctx, "#1b2030");
   ctx.clip();
   viewer.drawAs(ctx, { scale, left: cx - scale * (xy[0] + 0.5), top: cy - scale * (xy[1] + 0.5) });
   ctx.beginPath();
@@ -170,19 +159,14 @@ export function drawHint(canvas, layout, contours, lit, style) {
   ctx.scale(ratio, ratio);
   const view = { toScreen: (point) => point };
   const points = fitInto(layout, width, height, 0.85);
-  ctx.strokeStyle = style.getPropertyValue("--muted");
-  ctx.fillStyle = style.getPropertyValue("--muted");
-  ctx.lineWidth = 1.2;
+  const [muted, accent, panel] = ["--muted", "--accent", "--panel"].map((name) => style.getPropertyValue(name));
   ctx.globalAlpha = 0.7;
   contourPath(ctx, view, points, contours);
-  ctx.stroke();
+  inked(ctx, muted, 1.2);
   discs(ctx, view, points, 1.8);
-  ctx.fill();
+  filled(ctx, muted);
   ctx.globalAlpha = 1;
   discs(ctx, view, [points[lit]], 5);
-  ctx.fillStyle = style.getPropertyValue("--accent");
-  ctx.fill();
-  ctx.strokeStyle = style.getPropertyValue("--panel");
-  ctx.lineWidth = 1.5;
-  ctx.stroke();
+  filled(ctx, accent);
+  inked(ctx, panel, 1.5);
 }

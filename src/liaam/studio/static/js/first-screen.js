@@ -1,7 +1,7 @@
 // The first screen, of an empty folder: a photograph of a face under a lamp that follows the pointer, and ways to begin.
 
 import { directionAt } from "./fit-geometry.js";
-import { LampHandle } from "./lamp.js";
+import { LampHandle } from "./relight.js";
 import { perFrame, button, h, icon } from "./ui.js";
 
 const AMBIENT = [0.05, 0.065, 0.09]; // linear red, green and blue of the light from everywhere
@@ -11,7 +11,6 @@ const NEAR = 0.16; // distance over a ball of radius 1 of lamps whose light is m
 const FIRST = [-0.82, -0.3]; // where the lamp is at first
 const PHASES = { hard: 500, wipe: 1900, flat: 2600, end: 16000 }; // milliseconds: the wipe, then the lamp goes round
 const MIDDLE = [0.5, 0.47]; // of the face, as fractions of the picture
-
 const GAMMA = Uint8ClampedArray.from({ length: 2048 }, (_, i) => 255 * (i / 2047) ** (1 / 2.2));
 
 /** Light of lamps as a sum of layers, which make_first_screen.py has prepared. */

@@ -23,7 +23,6 @@ export class Overlays {
     this.show(new Set(shown));
   }
 
-  /** Show another set of overlays. */
   show(shown) {
     this.shown = shown;
     for (const each of this.buttons) press(each, shown.has(each.dataset.name) && !each.disabled);
@@ -78,9 +77,7 @@ export function offer(select, model) {
 }
 
 /** Terms and values as the entries of a <dl>. */
-export const entries = (rows) =>
-  rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
-
+export const entries = (rows) => rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
 const FAR = 1e4; // css pixels
 
 /** Fits are yellow like all landmarks; failed ones and those of low quality are orange and dashed. */

@@ -3,33 +3,22 @@
 import { api } from "./api.js";
 import { roomy } from "./fit-draw.js";
 import { lightQuery } from "./relight.js";
-import { button, h, saveFile, whileBusy } from "./ui.js";
+import { button, h, saveFile } from "./ui.js";
 
 const EXPORTS = {
-  Landmarks: [
-    { what: "pts", label: "Landmarks .pts" },
-    { what: "ljson", label: "Landmarks .ljson" },
-    { what: "csv", label: "Table .csv" },
-    { what: "json", label: "Fit .json" },
-  ],
-  Pictures: [
-    { what: "overlay", label: "Picture with the fit" },
-    { what: "flat", label: "Without shading", layer: "flat" },
-    { what: "shading", label: "Shading", layer: "shading" },
-    { what: "relit", label: "Under the new light", layer: "flat" },
-  ],
+  Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
+  Pictures: {
+    overlay: "Picture with the fit", flat: "Without shading", shading: "Shading", relit: "Under the new light",
+  },
 };
+const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
 
 export class ExportMenu {
   /** `light()` returns the current light; `annotate()` saves the landmarks of the fit in the folder. */
   constructor({ light, annotate }) {
     this._light = light;
     this._fit = null;
-    const onclick = () => this._toggle();
-    this.button = roomy(
-      button("Export", { icon: "download", small: true, disabled: true, testid: "export-menu", onclick }));
-    this.button.setAttribute("aria-expanded", "false");
-    this._links = new Map();
+    this._links = [];
     this._annotate = button("Use as annotation", {
       icon: "edit", kind: "ghost", small: true, testid: "export-annotation",
       title: "Save these landmarks beside the picture",
@@ -39,19 +28,17 @@ export class ExportMenu {
       },
     });
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
-      h("div.fit-menu-group", h("h3.small.muted", title), items.map((item) => this._item(item))));
-    this.panel = h("div.fit-menu", { hidden: true, role: "group", "aria-label": "Export" },
-      groups, h("div.fit-menu-group", this._annotate));
-    const onkeydown = (event) => {
-      if (event.key !== "Escape" || this.panel.hidden) return;
-      event.stopPropagation();
-      this.close();
-      this.button.focus();
-    };
-    const closeOutside = (target) => target && !this.element.contains(target) && this.close();
-    const onfocusout = (event) => closeOutside(event.relatedTarget);
-    this.element = h("div.fit-export", { onkeydown, onfocusout }, this.button, this.panel);
-    document.addEventListener("pointerdown", (event) => closeOutside(event.target));
+      h("div.fit-menu-group", h("h3.small.muted", title), Object.entries(items).map((item) => this._item(...item))));
+    // The browser closes it with Escape, or by a press elsewhere.
+    this.panel = h("div.fit-menu", {
+      popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
+      ontoggle: ({ newState }) => newState === "open" && this._links[0].link.focus(),
+    }, groups, h("div.fit-menu-group", this._annotate));
+    this.button = roomy(button("Export", {
+      icon: "download", small: true, disabled: true, testid: "export-menu", popoverTargetElement: this.panel,
+    }));
+    const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
+    this.element = h("div", { onfocusout }, this.button, this.panel);
   }
 
   /** Offer the files of a fit, or null. canAnnotate: whether its landmarks can be saved for a picture of the folder. */
@@ -62,43 +49,37 @@ export class ExportMenu {
     if (!fit) this.close();
   }
 
-  close() {
-    this.panel.hidden = true;
-    this.button.setAttribute("aria-expanded", "false");
-  }
+  close() { if (this.panel.isConnected) this.panel.hidePopover(); }
 
-  /** @param {{what: string, label: string, layer?: string}} item */
-  _item({ what, label, layer }) {
+  _item(what, label) {
     const link = h("a.button.ghost.small", {
       download: "", testid: `export-${what}`,
       onclick: (event) => {
         event.preventDefault(); // a plain link would show neither progress nor errors
-        whileBusy(link, () => this._save(link));
+        if (!link.ariaBusy) this._save(link);
       },
     }, label);
-    this._links.set(what, { link, layer });
+    this._links.push({ link, what });
     return link;
   }
 
   /** Fetch a file and save it; the menu stays open until then. */
   async _save(link) {
-    saveFile(...(await api.file(link.getAttribute("href"))));
+    link.ariaBusy = "true";
+    const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
+    saveFile(...file);
     this.close();
   }
 
-  _toggle() {
-    if (!this.panel.hidden) {
-      this.close();
-      return;
-    }
-    for (const [what, { link, layer }] of this._links) {
+  /** Put the menu below its button, with the files of the fit under the current light. */
+  _place() {
+    const { right, bottom } = this.button.getBoundingClientRect();
+    Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
+    for (const { link, what } of this._fit ? this._links : []) {
       const query = what === "relit" ? lightQuery(this._light()) : {};
       link.href = api.url("fits", this._fit.id, "export", { what, ...query });
-      link.hidden = Boolean(layer) && !this._fit.layers.includes(layer);
+      link.hidden = what in NEEDS && !this._fit.layers.includes(NEEDS[what]);
     }
-    this.panel.hidden = false;
-    this.button.setAttribute("aria-expanded", "true");
-    this.panel.querySelector("a").focus();
   }
 }
 

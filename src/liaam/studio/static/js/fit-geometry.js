@@ -17,10 +17,8 @@ export function boxBetween(/** @type {number[]} */ [ax, ay], /** @type {number[]
   ];
 }
 
-/** Whether a box is large enough to be intended. */
-export function isDrawn([x0, y0, x1, y1], least = 8) {
-  return x1 - x0 >= least && y1 - y0 >= least;
-}
+/** Whether a box is large enough to be intended. @param {number[]} box */
+export const isDrawn = ([x0, y0, x1, y1], least = 8) => x1 - x0 >= least && y1 - y0 >= least;
 
 /** Box after a key: arrows move it, comma and full stop resize it; null for other keys. */
 export function boxAfterKey(box, { key, shiftKey = false }, width, height) {
@@ -30,8 +28,8 @@ export function boxAfterKey(box, { key, shiftKey = false }, width, height) {
   const grow = step * GROWTH[key];
   if (move) return boxMoved([x0, y0, x1, y1], move.map((by) => step * by), width, height);
   if (!grow) return null;
-  if (x1 - x0 + 2 * grow < 8 || y1 - y0 + 2 * grow < 8) return [x0, y0, x1, y1];
-  return boxBetween([x0 - grow, y0 - grow], [x1 + grow, y1 + grow], width, height);
+  const grown = [x0 - grow, y0 - grow, x1 + grow, y1 + grow];
+  return isDrawn(grown) ? boxBetween(grown.slice(0, 2), grown.slice(2), width, height) : [x0, y0, x1, y1];
 }
 
 /** Box moved by [dx, dy] within the picture. */
@@ -67,8 +65,7 @@ export function directionAfterKey(direction, { key, shiftKey = false }) {
   return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]]);
 }
 
-/** Direction in words: "from the upper left, 42° off the view".
- *  @param {number[]} direction */
+/** Direction in words: "from the upper left, 42° off the view". @param {number[]} direction */
 export function directionInWords([x, y, z]) {
   const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
   if (angle < 5) return "from the front";
@@ -78,10 +75,8 @@ export function directionInWords([x, y, z]) {
   return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° off the view`;
 }
 
-/**
- * Curves of a fit's cost for a plot of width x height, x being the iteration. Each level has its own scale, because
- * costs are comparable within a level only.
- */
+/** Curves of a fit's cost for a plot of width x height, x being the iteration. Each level has its own scale, because
+ *  costs are comparable within a level only. */
 export function costRuns(iterations, width, height, margin = 4) {
   const n = iterations.length;
   const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);

@@ -8,12 +8,13 @@ const [WIDTH, HEIGHT] = [264, 58];
 const STEP = 140; // milliseconds per iteration while playing
 
 export class Iterations {
+  iterations = [];
+  index = 0;
+  _timer = null;
+
   /** `onmove(index, last)` is called to show an iteration. */
   constructor(onmove) {
     this._onmove = onmove;
-    this._timer = null;
-    this.iterations = [];
-    this.index = 0;
     this.slider = slider({
       min: "0", max: "0", value: "0", "aria-label": "Iteration", testid: "fit-iterations",
       oninput: () => this.step(Number(this.slider.value) - this.index),
@@ -58,12 +59,8 @@ export class Iterations {
     this._go(this.index + by);
   }
 
-  /** Play, or pause. */
   toggle() {
-    if (this._timer) {
-      this.pause();
-      return;
-    }
+    if (this._timer) return this.pause();
     if (this.iterations.length < 2) return;
     if (this.index === this.last) this._go(0);
     this._timer = setInterval(() => {
@@ -108,10 +105,8 @@ export class Iterations {
   _mark() {
     this.slider.value = String(this.index);
     const now = this.iterations[this.index];
-    if (!now) {
-      this.text.textContent = "The iterations of a fit appear here.";
-      return;
-    }
+    this.text.textContent = "The iterations of a fit appear here.";
+    if (!now) return;
     const { x, y } = this._points[this.index];
     this._cursor.setAttribute("transform", `translate(${x} 0)`);
     this._dot.setAttribute("transform", `translate(${x} ${y})`);

@@ -18,46 +18,36 @@ export async function openModel(app, file) {
 }
 
 /** What the Fit tab shows in place of a picture. */
-export class EmptyStage {
-  constructor(app, onopen) {
-    this._app = app;
-    this._words = h("p");
-    const open = button("Open a picture…", { icon: "upload", kind: "primary", onclick: onopen });
-    this.element = h("div.empty.big.fit-empty", icon("image", 56), h("h2", "A picture to fit"), this._words, open);
-  }
-
-  show(now) {
-    this.element.hidden = !now;
-    if (!now) return;
-    const listed = this._app.state.project.pictures.length ? "select one on the left, " : "";
-    const where = `${listed}drop one here, or open one`;
-    this._words.textContent = `Use any picture of the model's object: ${where}. It stays on this machine.`;
-  }
+export function emptyStage({ state }, onopen) {
+  const words = h("p");
+  const open = button("Open a picture…", { icon: "upload", kind: "primary", onclick: onopen });
+  const element = h("div.empty.big.fit-empty", icon("image", 56), h("h2", "A picture to fit"), words, open);
+  const show = (now) => {
+    element.hidden = !now;
+    const where = `${state.project.pictures.length ? "select one on the left, " : ""}drop one here, or open one`;
+    words.textContent = `Use any picture of the model's object: ${where}. It stays on this machine.`;
+  };
+  return { element, show };
 }
 
 /** The panel that says that the page only fits, and ends it. */
-export class GuestPanel {
-  constructor(app) {
-    this._app = app;
-    this._words = h("p.small.guest-words");
-    const leave = button("Leave", {
-      small: true, testid: "leave-guest", title: "Use the model of the folder again", onclick: () => this._leave(),
-    });
-    this.element = h("section.panel", { "aria-label": "Fit only", hidden: true, testid: "guest" },
-      h("div.panel-title", h("h2.grow", "Fit only"), leave), this._words);
-  }
-
-  show(project) {
-    const guest = isGuest(project) ? project.model : null;
-    this.element.hidden = !guest;
-    if (!guest) return;
-    this._words.textContent = `Pictures are fitted with ${guest.name}.liaam (${guest.n_points} points). `
-      + "Nothing is trained, and no landmarks are saved.";
-  }
-
-  async _leave() {
+export function guestPanel(app) {
+  const words = h("p.small.guest-words");
+  const onclick = async () => {
     await api.delete(api.url("model", "guest"));
-    await this._app.state.refresh();
-    this._app.openTab("annotate");
-  }
+    await app.state.refresh();
+    app.openTab("annotate");
+  };
+  const leave = button("Leave", {
+    small: true, testid: "leave-guest", title: "Use the model of the folder again", onclick,
+  });
+  const element = h("section.panel", { "aria-label": "Fit only", hidden: true, testid: "guest" },
+    h("div.panel-title", h("h2.grow", "Fit only"), leave), words);
+  const show = (project) => {
+    element.hidden = !isGuest(project);
+    const { name, n_points: count } = project.model ?? {};
+    words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no ` +
+      "landmarks are saved.";
+  };
+  return { element, show };
 }

@@ -3,11 +3,7 @@
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 
-/** Number of cached fits, so that an earlier picture shows its fit at once. The server keeps 64. */
-const KEPT = 32;
-
-/** Whether an error says that the server no longer has a fit. */
-export const isGone = (error) => error?.status === 404;
+const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
 export class FitStore {
   #kept = new Map();
@@ -46,21 +42,14 @@ export class FitStore {
   }
 
   /** The newest fit of a source with a method and the current model, or null. */
-  recall(source, method) {
-    return this.#kept.get(this.#key(source, method)) ?? null;
-  }
-
-  forget(fit) {
-    this.#drop((kept) => kept.id === fit.id);
-  }
+  recall(source, method) { return this.#kept.get(this.#key(source, method)) ?? null; }
+  forget(fit) { this.#drop((kept) => kept.id === fit.id); }
 
   #drop(isStale) {
     for (const [key, kept] of this.#kept) if (isStale(kept)) this.#kept.delete(key);
   }
 
-  #key(source, method) {
-    return `${source.key}|${method}|${this.state.project.model?.number ?? ""}`;
-  }
+  #key(source, method) { return `${source.key}|${method}|${this.state.project.model?.number ?? ""}`; }
 }
 
 /** A fit whose points are either [x, y] or null: a diverged fit may lack a coordinate. */
@@ -75,7 +64,6 @@ export function cleaned(fit) {
 
 /** Quality from which a fit is shown as good: fewer than one in five such fits is wrong. */
 export const SURE = 0.8;
-
 const percent = (fraction) => `${Math.round(100 * fraction)} %`;
 
 /** Assessment of a fit: {kind of its badge, title, advice or "", isSure: whether nothing speaks against it}. */
@@ -115,7 +103,6 @@ export function significant(value, digits = 3) {
 
 /** An error in pixels or percent, to two decimals. */
 const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
-
 const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
 /** Facts about a fit as rows [term, value]. */
@@ -160,14 +147,13 @@ export function comparison(left, right, distance) {
     const { method } = left.error.pixels < right.error.pixels ? left : right;
     return `The landmarks come from the fit with ${method}, so they do not show which fit is better. ${apart}`;
   }
-  if (by === "error" && !better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
   if (by === "error") {
+    if (!better) return `Equal errors: ${errorText(left)} and ${errorText(right)}.${trained}`;
     const errors = `${errorText(better)}, ${worse.method}: ${errorText(worse)}`;
     return `${better.method} is closer to the landmarks: ${errors}.${trained}`;
   }
-  if (by === "quality" && !better)
-    return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
   if (by === "quality") {
+    if (!better) return `No landmarks to compare with, and equal quality: ${percent(left.quality)}. ${apart}`;
     const values = `quality ${percent(better.quality)}, ${worse.method}: ${percent(worse.quality)}`;
     return `No landmarks to compare with. ${better.method} is more likely to be right: ${values}. ${apart}`;
   }

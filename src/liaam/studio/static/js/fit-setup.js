@@ -5,10 +5,7 @@ import { factsOf, verdictOf } from "./fit-run.js";
 import { button, h, iconButton, segmented } from "./ui.js";
 
 const STARTS = [
-  {
-    value: "auto", label: "Automatic", title: "Search the picture for the object",
-    hint: "The model searches the whole picture.",
-  },
+  { value: "auto", label: "Automatic", title: "Search the picture for the object", hint: "" },
   {
     value: "box", label: "Box", title: "Draw a box around the object",
     hint: "Draw a box around the object. Arrow keys move it, comma and full stop resize it, Enter fits.",
@@ -35,22 +32,18 @@ export class SetupPanel {
     this._hint = h("p.small.muted", { hidden: true });
     const { methods, default_method: first } = app.state.project;
     const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
-    const method = this._method = h("select.text", {
-      "aria-describedby": "fit-method-summary", testid: "fit-method",
-      onchange: () => {
-        summarise();
-        onmethod(method.value);
-      },
-    }, sorted.map(({ name }) => h("option", { value: name }, name)));
     const summary = h("p.small.muted.fit-method-summary", { id: "fit-method-summary" });
     const summarise = () => {
       const chosen = methods.find(({ name }) => name === method.value);
       summary.textContent = `${chosen.summary}${chosen.needs_colour ? " Needs colour." : ""}`;
+      return chosen.name;
     };
+    const method = this._method = h("select.text", {
+      "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => onmethod(summarise()),
+    }, sorted.map(({ name }) => h("option", { value: name }, name)));
     summarise();
-    this._run = button("Fit", {
-      icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: onrun,
-    });
+    const look = { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run" };
+    this._run = button("Fit", { ...look, onclick: onrun });
     this._run.append(h("kbd.kbd", "Enter"));
     this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
     this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
@@ -64,7 +57,7 @@ export class SetupPanel {
   set start(value) {
     this._starts.value = value;
     this._hint.textContent = STARTS.find((start) => start.value === value).hint;
-    this._hint.hidden = value === "auto";
+    this._hint.hidden = !this._hint.textContent;
   }
 
   set canRun(can) { this._run.disabled = !can; }
@@ -72,8 +65,7 @@ export class SetupPanel {
   /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does
    *  not match the template, or "". */
   show({ source, model, canGoBack, mismatch }) {
-    this._label.textContent = source?.name ?? "No picture";
-    this._label.title = source?.name ?? "";
+    this._label.textContent = this._label.title = source?.name ?? "No picture";
     this._back.hidden = !canGoBack;
     this._needsModel.hidden = Boolean(model);
     this._withModel.hidden = !model;

@@ -29,10 +29,8 @@ export class Source {
 
 let uploads = 0;
 
-/**
- * Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
- * "ready" when the server has it, "failed" with the error.
- */
+/** Holds the current source. Events: "taken" before the upload of a file starts, "change" when another source is shown,
+ *  "ready" when the server has it, "failed" with the error. */
 export class Sources extends EventTarget {
   constructor(state, pictures) {
     super();
@@ -58,14 +56,11 @@ export class Sources extends EventTarget {
     if (!this._isUpload || this._chosen) this._follow();
   }
 
-  leave(tab) {
-    this._watchers.delete(tab);
-  }
+  leave(tab) { this._watchers.delete(tab); }
 
   /** Show the selected picture of the folder again after an opened file. */
   backToFolder() {
-    this.current = null;
-    this._wanted = null;
+    this.current = this._wanted = null;
     this._follow();
   }
 
@@ -142,8 +137,55 @@ export class Sources extends EventTarget {
     this._say("change");
   }
 
-  _say(type, detail = {}) {
-    this.dispatchEvent(new CustomEvent(type, { detail }));
+  _say(type, detail = {}) { this.dispatchEvent(new CustomEvent(type, { detail })); }
+}
+
+/** A tab that fits the current source: Fit and Compare. */
+export class SourceTab {
+  visible = false;
+
+  /** @param {App} app */
+  constructor(app) {
+    this.app = app;
+    this.state = app.state;
+    this.sources = app.sources;
+  }
+
+  /** Follow the source and the model, once the page is built. @this {any} */
+  follow() {
+    this.sources.addEventListener("change", () => this._source());
+    this.sources.addEventListener("failed", ({ detail }) => this.visible && this._refused(detail.error));
+    this.state.addEventListener("project", () => this._project());
+    this._project();
+  }
+
+  show() {
+    this.visible = true;
+    this.sources.watch(this);
+    this._source();
+  }
+
+  hide() {
+    this.visible = false;
+    this.sources.leave(this);
+  }
+
+  /** There may be another source: show it, and its fit if the tab is open. @this {any} */
+  _source() {
+    const source = this.sources.current;
+    if (this._seen !== source) this._another((this._seen = source));
+    this._emptiness();
+    if (source && this.visible) this._showFit(source);
+  }
+
+  /** The project has changed, perhaps its model; then earlier fits are out of date. @this {any} */
+  _project() {
+    const { model } = this.state.project;
+    const isAnother = this._number !== (model?.number ?? null);
+    this._number = model?.number ?? null;
+    this.overlays.hasContours = Boolean(model?.contours.length);
+    this._emptiness();
+    if (isAnother) this._anotherModel(model);
   }
 }
 

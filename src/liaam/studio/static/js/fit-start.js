@@ -14,11 +14,12 @@ const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]}
 
 /** A box around the object; `ready` is called when it has been drawn. */
 export class BoxTool {
+  box = null;
+  _drag = null;
+
   constructor(viewer, ready) {
     this.viewer = viewer;
-    this.box = null;
     this._ready = ready;
-    this._drag = null;
   }
 
   get start() { return this.box && isDrawn(this.box) ? { box: this.box } : null; }
@@ -28,50 +29,44 @@ export class BoxTool {
     this._drag = null;
   }
 
+  _show(box) {
+    this.box = box;
+    this.viewer.redraw();
+  }
+
   down(event, xy) {
-    const before = this.box;
+    const { box: before, viewer: { width, height, scale } } = this;
     const corners = before ? cornersOf(before) : [];
-    const near = nearest(corners, xy, handleReach(event) / this.viewer.scale);
-    // While a corner is dragged, the opposite one stays.
-    if (near >= 0) this._drag = { moves: false, from: corners[(near + 2) % 4], before };
-    else this._drag = { moves: before !== null && isInside(before, xy), from: xy, before };
+    const near = nearest(corners, xy, handleReach(event) / scale);
+    const from = near < 0 ? xy : corners[(near + 2) % 4]; // while a corner is dragged, the opposite one stays
+    const moves = near < 0 && before !== null && isInside(before, xy);
+    const to = ([x, y]) => (moves ? boxMoved(before, [x - xy[0], y - xy[1]], width, height)
+      : boxBetween(from, [x, y], width, height));
+    this._drag = { before, to };
     return true;
   }
 
-  move(event, xy) {
-    if (!this._drag) return;
-    const { moves, from, before } = this._drag;
-    const { width, height } = this.viewer;
-    const by = [xy[0] - from[0], xy[1] - from[1]];
-    this.box = moves ? boxMoved(before, by, width, height) : boxBetween(from, xy, width, height);
-    this.viewer.redraw();
-  }
+  move(_event, xy) { if (this._drag) this._show(this._drag.to(xy)); }
 
   up() {
     if (!this._drag) return;
     const { before } = this._drag;
     this._drag = null;
-    if (!this.start) this.box = before; // a click or a very short drag
-    this.viewer.redraw();
+    this._show(this.start ? this.box : before); // otherwise it was a click, or a very short drag
     if (this.start && this.box !== before) this._ready();
   }
 
   cancel() {
-    if (this._drag) this.box = this._drag.before;
+    this._show(this._drag ? this._drag.before : this.box);
     this._drag = null;
-    this.viewer.redraw();
   }
 
-  cursor() {
-    return "crosshair";
-  }
+  cursor() { return "crosshair"; }
 
   key(event) {
     const box = boxAfterKey(this.box, event, this.viewer.width, this.viewer.height);
-    if (!box) return false;
-    this.box = box;
-    this.viewer.redraw();
-    return true;
+    if (box) this._show(box);
+    return box !== null;
   }
 
   draw(ctx, viewer) {
@@ -88,9 +83,10 @@ export class BoxTool {
 /** The mean shape: dragged, and scaled and rotated by the handles of its frame. It is a document that gestures edit
  *  (see gestures.js). */
 export class MeanTool {
+  fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
+
   constructor(viewer) {
     this.viewer = viewer;
-    this.fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
     this.use(null);
   }
 
@@ -113,16 +109,9 @@ export class MeanTool {
 
   /** Whether the last fit is hidden while the shape is placed. */
   get hidesFit() { return !this.fitted && this.placed !== null; }
-
   get points() { return this.shown ?? this.placed ?? []; }
-
-  framed() {
-    return indicesOf(this.points);
-  }
-
-  follow(_before, after) {
-    return after;
-  }
+  framed() { return indicesOf(this.points); }
+  follow(_before, after) { return after; }
 
   preview(points) {
     this.shown = points;
@@ -157,21 +146,10 @@ export class MeanTool {
     return handle !== null;
   }
 
-  move(event, xy) {
-    this._gesture?.move(xy, event);
-  }
-
-  up() {
-    this._gesture?.up();
-  }
-
-  cancel() {
-    this._gesture?.cancel();
-  }
-
-  cursor(event) {
-    return CURSORS[this._grasped(event)?.kind] ?? "";
-  }
+  move(event, xy) { this._gesture?.move(xy, event); }
+  up() { this._gesture?.up(); }
+  cancel() { this._gesture?.cancel(); }
+  cursor(event) { return CURSORS[this._grasped(event)?.kind] ?? ""; }
 
   /** Arrows move the shape, comma and full stop scale it, brackets rotate it. */
   key({ key, shiftKey }) {

@@ -5,39 +5,37 @@ import {
   COLOURS, foldedTheta, measurable, paintInvariant, parseChroma, PHYSICAL, robustRange, sampleChroma, steadyRange,
   thetaAfterKey,
 } from "./invariant.js";
-import { FrameMeter } from "./fit-schedule.js";
-import { button, consume, h, segmented, slider } from "./ui.js";
+import { button, consume, FrameMeter, h, segmented, slider } from "./ui.js";
 
-/** Longest side of the requested chroma: full size for 640x480, and fast to draw for all pictures. */
-const SIZE = 1024;
+const SIZE = 1024; // longest side of the requested chroma: full size for 640x480, and fast to draw for all pictures
+const USUAL = 118; // typical angle of real cameras in degrees, for pictures without a model or a fit
+const PAUSE = 350; // milliseconds after the last key until the contrast is adapted, as at the end of a drag
 
-/** Typical angle of real cameras in degrees, for pictures without a model or a fit. */
-const USUAL = 118;
+export class InvariantView {
+  meter = new FrameMeter();
+  theta = USUAL;
+  marks = { model: null, fit: null };
+  canvas = document.createElement("canvas");
+  colours = "grey";
+  _chroma = null;
+  _dirty = false; // whether the canvas is out of date
+  _held = null; // range of the colours while theta is dragged
+  _chosen = false; // whether theta was chosen for the picture
 
-/** Milliseconds after the last key until the contrast is adapted, as at the end of a drag. */
-const PAUSE = 350;
-
-export class InvariantView extends EventTarget {
   constructor(viewer) {
-    super();
     this.viewer = viewer;
-    this.meter = new FrameMeter();
-    this.theta = USUAL;
-    this.marks = { model: null, fit: null };
-    this.canvas = document.createElement("canvas");
-    this._chroma = null;
-    this._dirty = false;
-    this._held = null;
-    this._chosen = false;
-    this.colours = "grey";
     this.controls = this._controls();
     this._show();
   }
 
   /** The image to draw, or null. */
   get image() {
-    if (!this._chroma) return null;
-    if (this._dirty) this._paint();
+    if (!this._chroma || !this._dirty) return this._chroma && this.canvas;
+    const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
+    paintInvariant(this._chroma, this._radians, range, COLOURS[this.colours], this._pixels);
+    this.canvas.getContext("2d").putImageData(this._image, 0, 0);
+    this._dirty = false;
+    if (this._held) this.meter.tick();
     return this.canvas;
   }
 
@@ -70,14 +68,11 @@ export class InvariantView extends EventTarget {
   _take(chroma) {
     this._chroma = chroma;
     this._sample = sampleChroma(chroma);
-    this.canvas.width = chroma.width;
-    this.canvas.height = chroma.height;
+    Object.assign(this.canvas, { width: chroma.width, height: chroma.height });
     this._image = new ImageData(chroma.width, chroma.height);
     this._pixels = new Uint32Array(this._image.data.buffer);
-    this._context = this.canvas.getContext("2d");
-    const usable = measurable(chroma);
-    const lost = `${Math.round(100 * (1 - usable))} % too dark or overexposed (hatched)`;
-    this._note.textContent = usable < 0.5 ? lost : "";
+    const lost = 1 - measurable(chroma);
+    this._note.textContent = lost > 0.5 ? `${Math.round(100 * lost)} % too dark or overexposed (hatched)` : "";
     this._adaptContrast();
   }
 
@@ -120,14 +115,6 @@ export class InvariantView extends EventTarget {
 
   get _radians() { return (this.theta * Math.PI) / 180; }
 
-  _paint() {
-    const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
-    paintInvariant(this._chroma, this._radians, range, COLOURS[this.colours], this._pixels);
-    this._context.putImageData(this._image, 0, 0);
-    this._dirty = false;
-    if (this._held) this.meter.tick();
-  }
-
   _controls() {
     this._slider = slider({
       min: "0", max: "180", step: "0.1", testid: "theta-slider",
@@ -166,15 +153,12 @@ export class InvariantView extends EventTarget {
     const key = `${model}|${fit}`;
     if (this._marked === key) return;
     this._marked = key;
-    const placed = (element, places) => {
-      for (const [name, degrees] of Object.entries(places)) element.style.setProperty(name, String(degrees / 180));
-      return element;
-    };
-    const mark = (name, at) => placed(h("span.mark", { class: name, title: name }, name), { "--at": at });
-    const range = h("span.range", { title: "Angles of real cameras are between 90° and 135°" });
-    const marks = [placed(range, { "--from": PHYSICAL[0], "--to": PHYSICAL[1] })];
-    if (model != null) marks.push(mark("model", model));
-    if (fit != null && (model == null || Math.abs(fit - model) > 0.05)) marks.push(mark("fit", fit));
-    this._marks.replaceChildren(...marks);
+    const mark = (name, at) => h("span.mark", { class: name, title: name, style: `--at: ${at / 180}` }, name);
+    const [from, to] = PHYSICAL.map((degrees) => degrees / 180);
+    const isApart = fit != null && (model == null || Math.abs(fit - model) > 0.05);
+    this._marks.replaceChildren(...[
+      h("span.range", { title: "Angles of real cameras: between 90° and 135°", style: `--from: ${from}; --to: ${to}` }),
+      model != null && mark("model", model), isApart && mark("fit", fit),
+    ].filter(Boolean));
   }
 }

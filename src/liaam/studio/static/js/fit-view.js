@@ -3,69 +3,71 @@
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
 import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
-import { isGone, significant } from "./fit-run.js";
+import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { FrameMeter } from "./fit-schedule.js";
 import { Light, lightQuery, linearLights } from "./relight.js";
 import { RoughLight } from "./rough-light.js";
-import { button, h, press, segmented, slider } from "./ui.js";
+import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const VIEWS = [
   { name: "picture", label: "Picture", hint: "Drop or paste another picture here, or select one in the list." },
-  {
-    name: "flat", label: "Flat", after: "Without shading",
-    hint: "The object under the training light, without the shading of this picture.",
-  },
-  {
-    name: "shading", label: "Shading", after: "Shading",
-    hint: "The effect of the light: the picture divided by its flat appearance.",
-  },
+  { name: "flat", label: "Flat", after: "Without shading",
+    hint: "The object under the training light, without the shading of this picture." },
+  { name: "shading", label: "Shading", after: "Shading",
+    hint: "The effect of the light: the picture divided by its flat appearance." },
   { name: "residual", label: "Residual", after: "Residual", hint: "The difference between the picture and the model." },
   { name: "invariant", label: "Invariant", after: "Invariant" },
   { name: "relit", label: "Relight", after: "Relit", hint: "The object under other lamps: drag them over it." },
 ];
 
-/** Layers that look like pictures: brightness and contrast change them, too. In the others, colours are values. */
-const LIKE_PICTURES = ["flat", "relit"];
+const LIKE_PICTURES = ["flat", "relit"]; // brightness and contrast change them, too; in the others, colours are values
 
 /** Layers fetched from the server for a view, once per fit. */
 const FETCHED = { flat: ["flat"], shading: ["shading"], residual: ["residual"], relit: ["flat", "normals"] };
 const LAYER_SIZE = 1600;
-
 const REST = 150; // milliseconds after the last move of a lamp until the exact picture is fetched
 
 export class FitView {
+  source = null;
+  fit = null;
+  name = "picture";
+  iteration = null; // {shape, final} of the slider, null for the result
+  opacity = Object.fromEntries(VIEWS.map(({ name }) => [name, 1])); // of views and overlays
+  meter = new FrameMeter(); // of a dragged lamp
+  // Each view has its own overlays, since those of the picture would hide the others.
+  _drawn = new Map(VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
+  _images = new Map();
+  _faults = new Map(); // view -> error message of the server
+  _scales = new Map(); // view -> {limit, what} of its colours
+  _split = new Set(["flat", "relit"]); // views that are shown beside the picture
+
   /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
   constructor({ gone, ambient }) {
     this._gone = gone;
     this.container = h("div.fit-viewer", { testid: "fit-viewer" });
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
-    this.source = null;
-    this.fit = null;
-    this.name = "picture";
-    // Each view has its own overlays, since those of the picture would hide the others.
-    this._drawn = new Map(
-      VIEWS.map(({ name }) => [name, new Set(name === "picture" ? ["contours", "landmarks"] : [])]));
-    this.opacity = Object.fromEntries(VIEWS.map(({ name }) => [name, 1])); // of views and overlays
-    this.iteration = null; // {shape, final} of the slider, null for the result
-    this._images = new Map();
-    this._faults = new Map(); // view -> error message of the server
-    this._scales = new Map(); // view -> {limit, what} of its colours
-    this._split = new Set(["flat", "relit"]); // views that are shown beside the picture
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
     this.light = new Light(ambient);
     this.container.append(this.light.stage);
-    this.meter = new FrameMeter(); // of a dragged lamp
     this.light.addEventListener("change", () => this._relight());
-    this._build();
+    const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
+    this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
+    this.chooser = this._choice.element;
+    this.splitter = roomy(button("Before | after", {
+      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
+      title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
+    }));
+    this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
+    this.layers = this._layers();
+    this._hint = h("p.small.muted.fit-hint");
+    this._legend = h("div.fit-legend.small.muted");
+    this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
     this.viewer.addLayer((ctx, viewer) => this._draw(ctx, viewer));
     this.show("picture");
   }
-
-  // Display.
 
   /** Show another picture; its layers are fetched when needed. */
   setSource(source) {
@@ -81,9 +83,7 @@ export class FitView {
   setFit(fit) {
     this.fit = fit;
     this.iteration = null;
-    this._images.clear();
-    this._faults.clear();
-    this._scales.clear();
+    for (const known of [this._images, this._faults, this._scales]) known.clear();
     this._rough = null; // computes the relit picture in the browser
     this._moved = this._isRough = false; // whether it has not been painted since a lamp moved, and whether it is shown
     this._dropRelit();
@@ -101,8 +101,7 @@ export class FitView {
     this._choice.value = name;
     this.overlays.show(this._drawn.get(name));
     this._load();
-    this._dress();
-    this.viewer.redraw();
+    this._changed();
   }
 
   /** Choose the next or previous available view. */
@@ -119,8 +118,7 @@ export class FitView {
     if (this.name === "picture") this.show(["flat", "invariant"].find((name) => !this._why(name)) ?? "picture");
     if (isSplit) this._split.delete(this.name);
     else if (this.name !== "picture") this._split.add(this.name);
-    this._dress();
-    this.viewer.redraw();
+    this._changed();
   }
 
   key(event) {
@@ -177,11 +175,13 @@ export class FitView {
   /** Show the error of a view. If the server no longer has the fit, it is fitted again. */
   _failed(name, error, fit = null) {
     if (fit && fit !== this.fit) return;
-    if (fit && isGone(error)) {
-      this._gone(fit);
-      return;
-    }
+    if (fit && error.status === 404) return this._gone(fit);
     this._faults.set(name, error.message);
+    return this._changed();
+  }
+
+  /** Show the view, and its controls. */
+  _changed() {
     this._dress();
     this.viewer.redraw();
   }
@@ -232,23 +232,6 @@ export class FitView {
     return this._isRough ? this._rough.canvas : this._images.get("relit");
   }
 
-  // The page.
-
-  _build() {
-    const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
-    this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
-    this.chooser = this._choice.element;
-    this.splitter = roomy(button("Before | after", {
-      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
-      title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
-    }));
-    this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
-    this.layers = this._layers();
-    this._hint = h("p.small.muted.fit-hint");
-    this._legend = h("div.fit-legend.small.muted");
-    this.bar = h("div.fit-bar", this._hint, this._legend, this.invariant.controls);
-  }
-
   /** The layers with their opacity: the view, and a button for each overlay. */
   _layers() {
     const opacity = (label, of, testid) => slider({
@@ -267,8 +250,7 @@ export class FitView {
 
   _setOpacity(layer, opacity) {
     this.opacity[layer] = opacity;
-    this._dress();
-    this.viewer.redraw();
+    this._changed();
   }
 
   /** Make the view more transparent in steps, then opaque again. */
@@ -305,9 +287,8 @@ export class FitView {
     if (!scale) return;
     const shading = this.name === "shading";
     // Shading is a logarithm; show it as a multiple of the training light.
-    const [low, high] = shading
-      ? [`1/${significant(Math.exp(scale.limit))}`, `${significant(Math.exp(scale.limit))}×`]
-      : [`−${significant(scale.limit, 2)}`, `+${significant(scale.limit, 2)}`];
+    const most = shading ? significant(Math.exp(scale.limit)) : significant(scale.limit, 2);
+    const [low, high] = shading ? [`1/${most}`, `${most}×`] : [`−${most}`, `+${most}`];
     this._legend.replaceChildren(
       h("span", scale.what), h("span.number", low),
       h("span.fit-ramp", { class: this.name, role: "img", "aria-label": `Colours from ${low} to ${high}` }),

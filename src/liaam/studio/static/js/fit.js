@@ -2,96 +2,90 @@
 
 import { mismatch } from "./assist.js";
 import { ExportMenu, useAsAnnotation } from "./fit-export.js";
-import { hooksOf } from "./fit-hooks.js";
 import { Iterations } from "./fit-iterations.js";
-import { EmptyStage, GuestPanel, isGuest } from "./fit-only.js";
-import { afterPaint } from "./fit-schedule.js";
+import { emptyStage, guestPanel, isGuest } from "./fit-only.js";
 import { ResultPanel, SetupPanel } from "./fit-setup.js";
+import { SourceTab } from "./fit-source.js";
 import { BoxTool, MeanTool } from "./fit-start.js";
 import { FitView } from "./fit-view.js";
-import { fileField, h, isPlain } from "./ui.js";
+import { afterPaint, fileField, h, isPlain, runKey } from "./ui.js";
 
-const SHORTCUTS = [
-  { keys: "Enter F", what: "Fit" },
-  { keys: "V Shift+V", what: "Next, previous view" },
-  { keys: "S", what: "Before and after" },
-  { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
-  { keys: "O", what: "Make the view more transparent" },
-  { keys: ", .", what: "Previous, next iteration (or resize the start)" },
-  { keys: "P", what: "Play the iterations" },
-  { keys: "Arrows", what: "Change θ (Shift: 0.1°), the light, or the start" },
-];
-
-export const mount = (root, app) => new FitTab(root, app);
-
-class FitTab {
-  shortcuts = SHORTCUTS;
+export class Tab extends SourceTab {
+  shortcuts = [
+    { keys: "Enter F", what: "Fit" },
+    { keys: "V Shift+V", what: "Next, previous view" },
+    { keys: "S", what: "Before and after" },
+    { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
+    { keys: "O", what: "Make the view more transparent" },
+    { keys: ", .", what: "Previous, next iteration (or resize the start)" },
+    { keys: "P", what: "Play the iterations" },
+    { keys: "Arrows", what: "Change θ (Shift: 0.1°), the light, or the start" },
+  ];
+  start = "auto";
+  fit = null;
+  lastDropMs = null; // from the newest drop to the first frame painted with its fit
+  _objects = []; // boxes of several in the picture, that of the fit first
+  _run = 0; // number of the newest run, to drop answers of older ones
 
   /** @param {HTMLElement} root; @param {App} app */
   constructor(root, app) {
-    this.app = app;
-    this.state = app.state;
-    this.sources = app.sources;
-    this.visible = false;
-    this.start = "auto";
+    super(app);
     this.method = this.state.project.default_method;
-    this.fit = null;
-    this.lastDropMs = null;
-    this._objects = []; // boxes of several in the picture, that of the fit first
-    this._run = 0; // number of the newest run, to drop answers of older ones
     this.view = new FitView({ gone: (fit) => this._forgotten(fit), ambient: this.state.project.default_ambient });
+    this.overlays = this.view.overlays;
     this.box = new BoxTool(this.view.viewer, () => this.run());
     this.mean = new MeanTool(this.view.viewer);
-    this.iterations = new Iterations((index, last) => this._iterate(index, last));
+    this.iterations = new Iterations((index, last) =>
+      this.view.setIteration(last ? null : { shape: this.fit.iterations[index].shape, final: false }));
     this.exports = new ExportMenu({ light: () => this.view.light, annotate: () => useAsAnnotation(app, this.fit) });
-    this.guest = new GuestPanel(app);
-    const remedy = (value) => {
-      this._setStart(value);
-      this._focus();
-    };
-    this.result = new ResultPanel({ onstart: remedy, onnext: () => this._nextObject() });
+    this.guest = guestPanel(app);
+    this.result = new ResultPanel({
+      onstart: (value) => {
+        this._setStart(value);
+        this._focus();
+      },
+      onnext: () => { // of those that a search has found in the picture
+        this._objects.push(this._objects.shift());
+        this.run({ box: this._objects[0] });
+      },
+    });
     this.setup = new SetupPanel({
       app, onback: () => this.sources.backToFolder(), onopen: () => this._file.click(),
       onstart: (value) => this._setStart(value), onclick: () => this._startTool() && this._focus(),
       onmethod: (name) => this._setMethod(name), onrun: () => this.run(),
     });
     this._build(root);
-    this._listen();
-    window.liaamStudio.fit = hooksOf(this);
-    this._project();
+    this.sources.addEventListener("taken", (/** @type {any} */ { detail }) => {
+      this.lastDropMs = null;
+      if (this.visible && this.state.project.model) detail.source.method = this.method; // it is fitted with its upload
+    });
+    this.sources.addEventListener("ready", () => this.view.setSource(this.sources.current));
+    this.state.addEventListener("training", (/** @type {any} */ { detail }) => {
+      if (detail.state === "done") this.state.refresh().catch(() => {});
+    });
+    this.follow();
+    this._expose();
   }
-
-  // Opening and leaving.
 
   /** @param {{view?: string}} options view: the view to show, if another than now */
   show({ view } = {}) {
     if (view) this.view.show(view);
-    this.visible = true;
-    this.sources.watch(this);
-    this._source();
+    super.show();
   }
 
   hide() {
-    this.visible = false;
-    this.sources.leave(this);
+    super.hide();
     this.iterations.pause();
     this.exports.close();
   }
 
   key(event) {
-    if (!isPlain(event)) return false;
-    if (this._startTool()?.key(event)) return true;
-    const action = {
+    return isPlain(event) && (this._startTool()?.key(event) || runKey(event, {
       enter: () => this.run(), f: () => this.run(), v: () => this.view.cycle(event.shiftKey ? -1 : 1),
       s: () => this.view.toggleSplit(), o: () => this.view.fade(), p: () => this.iterations.toggle(),
       ",": () => this.iterations.step(-1), ".": () => this.iterations.step(1),
-    }[event.key.toLowerCase()];
-    if (!action) return this.view.key(event);
-    action();
-    return true;
+    }) || this.view.key(event));
   }
-
-  // Fitting.
 
   /** Fit the shown picture from a start, or the chosen one. Resolves once the fit is painted. */
   async run(given = null) {
@@ -119,22 +113,8 @@ class FitTab {
     }
   }
 
-  /** Fit the next of the objects that a search has found in the picture. */
-  _nextObject() {
-    this._objects.push(this._objects.shift());
-    this.run({ box: this._objects[0] });
-  }
-
-  /** Let a dropped file be fitted with its upload. */
-  _early(source) {
-    this.lastDropMs = null;
-    if (this.visible && this.state.project.model) source.method = this.method;
-  }
-
   /** The tool of a manual start, or null. */
-  _startTool() {
-    return { box: this.box, mean: this.mean }[this.start] ?? null;
-  }
+  _startTool() { return { box: this.box, mean: this.mean }[this.start] ?? null; }
 
   _take(fit) {
     this.fit = fit;
@@ -147,47 +127,26 @@ class FitTab {
     this.mean.fitted = Boolean(fit);
   }
 
-  _iterate(index, last) {
-    this.view.setIteration(last ? null : { shape: this.fit.iterations[index].shape, final: false });
-  }
-
   _forgotten(fit) {
     this.app.fits.forget(fit);
     this.app.toast("The server no longer has this fit, so the picture is fitted again.");
     this.run();
   }
 
-  // The source.
-
-  _listen() {
-    this.sources.addEventListener("taken", (/** @type {any} */ { detail }) => this._early(detail.source));
-    this.sources.addEventListener("change", () => this._source());
-    this.sources.addEventListener("ready", () => this.view.setSource(this.sources.current));
-    this.sources.addEventListener("failed", (/** @type {any} */ { detail }) => {
-      if (this.visible) this._refused(detail.error);
-    });
-    this.state.addEventListener("project", () => this._project());
-    this.state.addEventListener("training", (/** @type {any} */ { detail }) => {
-      if (detail.state === "done") this.state.refresh().catch(() => {});
-    });
+  _another(source) {
+    this._objects = [];
+    this._run += 1;
+    this._busy(false);
+    this.view.setSource(source);
+    this.box.clear();
+    this.mean.clear();
+    this._take(null);
+    if (source && !source.ofFolder) this._setStart("auto");
   }
 
-  /** The picture has changed: show it with its fit, or fit it if the start is automatic. */
-  _source() {
-    const source = this.sources.current;
-    if (this._seen !== source) {
-      this._seen = source;
-      this._objects = [];
-      this._run += 1;
-      this._busy(false);
-      this.view.setSource(source);
-      this.box.clear();
-      this.mean.clear();
-      this._take(null);
-      if (source && !source.ofFolder) this._setStart("auto");
-    }
-    this._emptiness();
-    if (!source || this.fit || !this.visible) return;
+  /** Show the picture's fit, or fit it if the start is automatic. */
+  _showFit(source) {
+    if (this.fit) return;
     const known = this.app.fits.recall(source, this.method);
     if (known) this._take(known);
     else if (this.state.project.model && this.start === "auto") this._runAtOnce(source);
@@ -199,23 +158,12 @@ class FitTab {
     if (fit && !source.ofFolder) this.lastDropMs ??= performance.now() - source.started;
   }
 
-  /** The project has changed, perhaps its model. */
-  _project() {
-    const { model } = this.state.project;
-    const number = model?.number ?? null;
-    const another = this._number !== number;
-    this._number = number;
-    this.view.overlays.hasContours = Boolean(model?.contours.length);
-    this._emptiness();
-    if (!another) return;
-    // The model has changed, so earlier fits are out of date.
+  _anotherModel(model) {
     this._run += 1;
     this.mean.use(model);
     this._take(null);
     this._source();
   }
-
-  // The page.
 
   _build(root) {
     this._file = fileField((file) => this.app.adding.take([{ file, path: file.name }]), {
@@ -223,7 +171,7 @@ class FitTab {
     });
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "View" },
       this.view.chooser, this.view.splitter, h("span.grow"), this.exports.element);
-    this._empty = new EmptyStage(this.app, () => this._file.click());
+    this._empty = emptyStage(this.app, () => this._file.click());
     const stage = h("div.fit-stage", this.view.container, this._empty.element);
     this._ofFits = [
       h("section.panel", { "aria-label": "Layers and their opacity" }, this.view.layers),
@@ -244,9 +192,7 @@ class FitTab {
   }
 
   /** Focus the picture, for its keys. */
-  _focus() {
-    this.view.viewer.canvas.focus({ preventScroll: true });
-  }
+  _focus() { this.view.viewer.canvas.focus({ preventScroll: true }); }
 
   _setStart(value) {
     this.start = value;
@@ -262,13 +208,10 @@ class FitTab {
   }
 
   _result() {
-    if (this.fit) {
-      this.result.show(this.fit, this._objects.length > 1);
-      return;
-    }
+    if (this.fit) return this.result.show(this.fit, this._objects.length > 1);
     const { model } = this.state.project;
     const what = this.sources.current ? "Not fitted yet." : "Open a picture to fit the model to it.";
-    this.result.showMessage("info", model ? what : "");
+    return this.result.showMessage("info", model ? what : "");
   }
 
   /** Show why the fit failed, also where the panel is away. */
@@ -296,5 +239,22 @@ class FitTab {
     this.view.container.classList.toggle("without", !source);
     this.view.bar.hidden = !source;
     this._empty.show(!source);
+  }
+
+  /** Hooks for browser tests and benchmarks: the displayed values, and frames per second of the newest drag. */
+  _expose() {
+    const [tab, { view }] = [this, this];
+    window.liaamStudio.fit = {
+      viewer: view.viewer, invariantFps: () => view.invariant.meter.rate(), relightFps: () => view.meter.rate(),
+      get lastDropMs() { return tab.lastDropMs; },
+      get fit() { return tab.fit; },
+      get view() { return view.name; },
+      get hasLayer() { return view._image() !== null; }, // whether the view's own image has come
+      get theta() { return view.invariant.theta; },
+      get light() { return { lamps: view.light.lamps, ambient: view.light.ambient, selected: view.light.selected }; },
+      get relightBusy() { return view._awaited !== null; },
+      get start() { return tab._startTool()?.start ?? null; },
+      get shownShape() { return view.iteration?.shape ?? tab.fit?.shape ?? null; },
+    };
   }
 }

@@ -21,9 +21,7 @@ const KNOB = 26; // css pixels from the frame to the knobs
 const NUDGED = 1200; // milliseconds that the loupe stays after a key
 const STILL = 4; // maximum movement of a click, css pixels
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
-
 const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
-
 const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
 
 /** The frame of `indices` in css pixels: its box, and handles {kind, at, fixed} (fixed: the corner that stays). */
@@ -92,10 +90,9 @@ export function turning(viewer, doc, handle, indices) {
         const factor = Math.max(distance(xy, fixed) / Math.max(distance(start, fixed), 1e-9), 0.02);
         points = turn(before, indices, fixed, 0, factor);
       } else {
-        const angle =
-          Math.atan2(xy[1] - fixed[1], xy[0] - fixed[0]) - Math.atan2(start[1] - fixed[1], start[0] - fixed[0]);
-        const step = Math.PI / 36;
-        points = turn(before, indices, fixed, event.shiftKey ? Math.round(angle / step) * step : angle);
+        const [from, to] = [start, xy].map(([x, y]) => Math.atan2(y - fixed[1], x - fixed[0]));
+        const step = event.shiftKey ? Math.PI / 36 : 0;
+        points = turn(before, indices, fixed, step ? Math.round((to - from) / step) * step : to - from);
       }
       doc.preview(points);
     },
@@ -122,18 +119,18 @@ function boxing(doc, start, adds) {
 /** The viewer's tool that edits the document `current()`.
  *  options.boxes() -> whether a drag on an empty place selects with a box; options.onend(): after every gesture. */
 export class PointTool {
-  /** @param {any} viewer; @param {() => any} current
-   *  @param {{boxes?: () => boolean, onend?: () => void}} options */
+  gesture = null;
+  hovered = -1;
+  pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys
+  magnifies = true; // whether the loupe shows where a click would place a point
+  pressed = null; // position of a press that started no gesture
+
+  /** @param {any} viewer; @param {() => any} current; @param {{boxes?: () => boolean, onend?: () => void}} options */
   constructor(viewer, current, { boxes = () => false, onend = () => {} } = {}) {
     this.viewer = viewer;
     this.current = current;
     this.boxes = boxes;
     this.onend = onend;
-    this.gesture = null;
-    this.hovered = -1;
-    this.pointer = null; // {at: css pixels, xy, type} of the last pointer that hovered, or of a point moved by keys
-    this.magnifies = true; // whether the loupe shows where a click would place a point
-    this.pressed = null; // position of a press that started no gesture
     viewer.canvas.addEventListener("pointerup", (event) => this.released(event));
     viewer.canvas.addEventListener("blur", () => this.leave());
   }
@@ -160,12 +157,9 @@ export class PointTool {
     const adds = event.shiftKey || event.ctrlKey || event.metaKey;
     const handle = handleAt(this.viewer, doc, event);
     const index = this.find(event, xy);
-    if (handle && index < 0) {
-      const indices = doc.framed();
-      return handle.kind === "move"
-        ? dragging(doc, -1, indices, xy)
-        : turning(this.viewer, doc, handle, indices);
-    }
+    const framed = doc.framed();
+    if (handle && index < 0)
+      return handle.kind === "move" ? dragging(doc, -1, framed, xy) : turning(this.viewer, doc, handle, framed);
     if (index >= 0) {
       if (doc.press(index, event)) return { ...NOTHING };
       return this.grab(doc, index, adds, xy, SLIP[event.pointerType] ?? SLIP.mouse);
@@ -177,15 +171,10 @@ export class PointTool {
   grab(doc, index, adds, xy, slip) {
     if (adds) {
       const chosen = new Set(doc.selection);
-      if (chosen.has(index)) chosen.delete(index);
-      else chosen.add(index);
+      if (!chosen.delete(index)) chosen.add(index);
       doc.select([...chosen], chosen.has(index) ? index : -1);
       if (!chosen.has(index)) return { ...NOTHING };
-    } else if (!doc.selection.has(index)) {
-      doc.select([index], index);
-    } else {
-      doc.select([...doc.selection], index);
-    }
+    } else doc.select(doc.selection.has(index) ? [...doc.selection] : [index], index);
     const at = this.viewer.toScreen(xy);
     const still = () => !adds && doc.selection.size > 1 && doc.select([index], index); // a click on one of several
     return dragging(doc, index, [...doc.selection], xy, (to) => distance(to, at) > slip, still);
@@ -230,9 +219,7 @@ export class PointTool {
     this.viewer.redraw();
   }
 
-  note(event, xy) {
-    this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType };
-  }
+  note(event, xy) { this.pointer = { at: this.viewer.place(event), xy, type: event.pointerType }; }
 
   /** What the loupe shows: the point of a gesture or of keys, or the place for a click; null without a loupe. */
   get loupe() {

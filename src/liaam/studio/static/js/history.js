@@ -34,7 +34,6 @@ export class History {
   /** Description of the step to undo, for the tooltip. */
   get undoes() { return this.past.at(-1)?.what ?? ""; }
   get redoes() { return this.future.at(-1)?.what ?? ""; }
-
   undo() { return this.travel(this.past, this.future); }
   redo() { return this.travel(this.future, this.past); }
 

@@ -3,24 +3,14 @@
 // The server sends the two logarithms once, as 16-bit integers. Each frame takes two products, a clamp and a look-up
 // per pixel. This module is independent of the page.
 
-/** Integer steps of the server's chroma per unit of natural logarithm. */
-export const STEPS = 4096;
-
-/** Value of an unusable pixel (too dark or overexposed). */
-export const MASKED = -32768;
-
-/** Minimum half width of the displayed range, so that it is not filled by the noise of a grey picture. */
-const LEAST_HALF = 0.02;
-
-/** Number of pixels for percentiles: 1 % of them are forty pixels, and they can be sorted in each frame. */
-const SAMPLED = 4096;
-
+export const STEPS = 4096; // integer steps of the server's chroma per unit of natural logarithm
+export const MASKED = -32768; // value of an unusable pixel (too dark or overexposed)
+const LEAST_HALF = 0.02; // half width of the displayed range, so that it is not filled by the noise of a grey picture
+const SAMPLED = 4096; // pixels for percentiles: 1 % of them are forty pixels, and they can be sorted in each frame
 const SHARE = 0.01;
 
-/**
- * Chroma of a picture from the server's bytes, little-endian: two uint32 (width, height), two float32 (covered width
- * and height of the picture from its upper left, in its pixels), then int16 (height, width, 2).
- */
+/** Chroma of a picture from the server's bytes, little-endian: two uint32 (width, height), two float32 (covered width
+ *  and height of the picture from its upper left, in its pixels), then int16 (height, width, 2). */
 export function parseChroma(buffer) {
   const found = buffer.byteLength;
   if (found < 16) throw new RangeError("The picture's chroma is incomplete: reload the page.");
@@ -69,16 +59,12 @@ export function robustRange({ red, green }, theta) {
   return { centre: (low + high) / 2, half: Math.max((high - low) / 2, LEAST_HALF) };
 }
 
-/**
- * Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So nothing
- * flickers, and an edge fades because the light cancels, not because the contrast changes.
- */
+/** Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So
+ *  nothing flickers, and an edge fades because the light cancels, not because the contrast changes. */
 export const steadyRange = (sample, theta, held) => ({ centre: robustRange(sample, theta).centre, half: held.half });
 
-/**
- * Write the colours of the invariant image into the 32-bit pixels of an ImageData. Unusable pixels are hatched, to
- * distinguish them from dark ones.
- */
+/** Write the colours of the invariant image into the 32-bit pixels of an ImageData. Unusable pixels are hatched, to
+ *  distinguish them from dark ones. */
 export function paintInvariant({ width, height, values }, theta, { centre, half }, colours, out) {
   const gain = 128 / (half * STEPS);
   const c = Math.cos(theta) * gain;
@@ -99,7 +85,6 @@ export function paintInvariant({ width, height, values }, theta, { centre, half 
 }
 
 const packed = (r, g, b) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
-
 const HATCH_DARK = packed(52, 50, 58);
 const HATCH_LIGHT = packed(84, 80, 94);
 
@@ -119,13 +104,8 @@ function colourTable(anchors) {
   });
 }
 
-export const COLOURS = {
-  grey: colourTable([[0, 0, 0], [255, 255, 255]]),
-  viridis: colourTable(VIRIDIS),
-};
-
-/** Range of the angles of real cameras, degrees. */
-export const PHYSICAL = [90, 135];
+export const COLOURS = { grey: colourTable([[0, 0, 0], [255, 255, 255]]), viridis: colourTable(VIRIDIS) };
+export const PHYSICAL = [90, 135]; // the angles of real cameras, degrees
 
 /** Angle after an arrow key, degrees; null for other keys. Shift moves in small steps. */
 export function thetaAfterKey(theta, { key, shiftKey = false }) {

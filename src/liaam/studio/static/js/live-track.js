@@ -4,13 +4,8 @@ import { verdictOf } from "./fit-run.js";
 
 const FACTS = 6; // columns before those of the points
 const PER_POINT = 7; // x, y, fitted x and y, variances and covariance
-
-/** Most pixels of a frame that is sent: at four bytes each, less than the server's limit of 2 MB. */
-const MOST = 480_000;
-
-/** Seconds between two frames from which on the object is searched anew. */
-const JUMP = 0.5;
-
+const MOST = 480_000; // pixels of a frame that is sent: at four bytes each, less than the server's limit of 2 MB
+const JUMP = 0.5; // seconds between two frames from which on the object is searched anew
 const SLOW = 15; // frames per second below which the user sees a message
 
 /** Size at which a video's frames are sent. */
@@ -21,7 +16,6 @@ export function sentSize(width, height) {
 
 /** Whether a frame does not follow the one before (seconds, or null), so that the motion before does not apply. */
 export const isJump = (before, time) => before === null || time <= before || time - before > JUMP;
-
 const isLost = (row) => row.includes(",lost,");
 
 /** A row as a fit to draw and to judge; a lost frame has no points. */
@@ -39,10 +33,8 @@ export function parseRow(row) {
 
 const key = (time) => Math.round(1000 * time);
 
-/**
- * What to say of a frame and its fit: {kind: "warn" or as that of a fit, text}; asked: whether the frame was sent to
- * remove its shading; rate: frames per second that are fitted, null while too few are counted.
- */
+/** What to say of a frame and its fit: {kind: "warn" or as that of a fit, text}; asked: whether the frame was sent to
+ *  remove its shading; rate: frames per second that are fitted, null while too few are counted. */
 export function verdictOfFrame({ fit, flat, asked }, { isFile, isFlat, rate }) {
   const warn = (text) => ({ kind: "warn", text });
   if (!fit.ok)
@@ -63,14 +55,8 @@ export class Track {
   }
 
   get lost() { return [...this.rows.values()].filter(isLost).length; }
-
-  set(time, row) {
-    this.rows.set(key(time), row);
-  }
-
-  at(time) {
-    return this.rows.get(key(time)) ?? null;
-  }
+  set(time, row) { this.rows.set(key(time), row); }
+  at(time) { return this.rows.get(key(time)) ?? null; }
 
   /** Time in seconds and kind of each frame: "good", "warn" or "bad", by its quality. */
   marks(sure) {

@@ -3,8 +3,7 @@
 import { Divider } from "./divider.js";
 import { drawFit, drawOver, entries, modelNeeded, Overlays } from "./fit-draw.js";
 import { SURE } from "./fit-run.js";
-import { FrameMeter } from "./fit-schedule.js";
-import { button, fileField, h, icon, perFrame, slider } from "./ui.js";
+import { button, fileField, FrameMeter, h, icon, perFrame, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
@@ -104,7 +103,6 @@ export class LiveView {
     this.delays = [...this.delays.slice(1 - LATELY), performance.now() - grabbed];
   }
 
-  /** Update the controls. */
   dress({ video, isOpen, isFile }, model) {
     this._needs.hidden = Boolean(model);
     for (const panel of this._panels) panel.hidden = !model;

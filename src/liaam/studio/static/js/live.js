@@ -9,17 +9,15 @@ import { isPlain, press, saveFile } from "./ui.js";
 
 const AT_ONCE = 3; // frames that the server works on
 
-const SHORTCUTS = [
-  { keys: "P", what: "Play, pause" },
-  { keys: "F", what: "Remove the shading" },
-  { keys: "R", what: "Record" },
-  { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
-];
-
-export const mount = (root, app) => new LiveTab(root, app);
-
-class LiveTab {
-  shortcuts = SHORTCUTS;
+export class Tab {
+  isFlat = false;
+  recorded = new Blob();
+  shortcuts = [
+    { keys: "P", what: "Play, pause" },
+    { keys: "F", what: "Remove the shading" },
+    { keys: "R", what: "Record" },
+    { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
+  ];
 
   constructor(root, app) {
     this.app = app;
@@ -27,12 +25,15 @@ class LiveTab {
     this.view = new LiveView(root, app, {
       camera: () => this.show({ camera: true }), file: (file) => this.show({ file }),
       stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
-      flat: () => this._switchFlat(), record: () => this._record(),
+      record: () => this._record(),
+      flat: () => {
+        this.isFlat = !this.isFlat;
+        press(this.view.tools.flat, this.isFlat);
+        if (video.paused && this.view.shown) this._frame(this.view.shown.time);
+      },
       save: () => saveFile(new Blob([this.track.csv()], { type: "text/csv" }), `${this.source.name}_track.csv`),
       seek: (time) => Object.assign(video, { currentTime: time }).pause(),
     });
-    this.isFlat = false;
-    this.recorded = new Blob();
     this._stop();
     const { source: { video }, view } = this;
     video.addEventListener("play", () => view.meter.reset());
@@ -55,19 +56,14 @@ class LiveTab {
   }
 
   hide() {
-    if (this.source.isFile) {
-      this.source.video.pause();
-      return;
-    }
+    if (this.source.isFile) return this.source.video.pause();
     const lost = several(this.track.rows.size, "frame");
     if (this.track.rows.size)
       this.app.toast(`The camera is off, and its track of ${lost} has ended. Next time, export it before you leave Live.`);
     this._stop(); // the camera is on only while the tab is open
   }
 
-  key(event) {
-    return isPlain(event) && this.view.key(event);
-  }
+  key(event) { return isPlain(event) && this.view.key(event); }
 
   async _start(open) {
     this._stop();
@@ -94,8 +90,6 @@ class LiveTab {
     this._inFlight = this._number = 0;
     this._before = this._missed = null;
   }
-
-  // Frames.
 
   async _begin() {
     const video = await api.post(api.url("live"), {}, { quiet: true });
@@ -150,14 +144,6 @@ class LiveTab {
     if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
   }
 
-  // Controls.
-
-  _switchFlat() {
-    this.isFlat = !this.isFlat;
-    press(this.view.tools.flat, this.isFlat);
-    if (this.source.video.paused && this.view.shown) this._frame(this.view.shown.time);
-  }
-
   /** Record the picture with what is drawn over it, until the next call. */
   _record() {
     if (this._recorder) return this._recorder.stop();
@@ -189,15 +175,11 @@ class LiveTab {
   }
 
   _tell() {
-    this.view.tell(this._verdict(), this.track);
-  }
-
-  _verdict() {
-    const { view: { shown, meter }, source: { isOpen, isFile, video } } = this;
-    if (this._message) return { kind: "bad", text: this._message };
-    if (!shown) return { kind: "", text: isOpen ? "Searching…" : "No video." };
+    const { view: { shown, meter }, source: { isOpen, isFile, video }, isFlat, _message: fault } = this;
     const rate = meter.isFull && !video.paused ? meter.rate() : null;
-    return verdictOfFrame(shown, { isFile, isFlat: this.isFlat, rate });
+    const said = shown ? verdictOfFrame(shown, { isFile, isFlat, rate })
+      : { kind: "", text: isOpen ? "Searching…" : "No video." };
+    this.view.tell(fault ? { kind: "bad", text: fault } : said, this.track);
   }
 }
 

@@ -15,11 +15,8 @@ export function shownValue(value, { brightness, contrast, gamma }) {
 }
 
 class Look extends EventTarget {
-  constructor() {
-    super();
-    this.values = NEUTRAL;
-    this.version = 0; // of what is drawn
-  }
+  values = NEUTRAL;
+  version = 0; // of what is drawn
 
   /** Use the values that were kept for a folder. */
   open(folder) {
@@ -54,6 +51,11 @@ class Look extends EventTarget {
     for (const curve of this._curves) curve.setAttribute("tableValues", table);
   }
 
+  _follow(show) {
+    this.addEventListener("change", show);
+    show();
+  }
+
   /** A button that opens the sliders. */
   control() {
     const rows = Object.entries(LABELS).map(([name, label]) => {
@@ -67,8 +69,7 @@ class Look extends EventTarget {
         text.textContent = `×${(2 ** this.values[name]).toFixed(2)}`;
         input.setAttribute("aria-valuetext", text.textContent);
       };
-      this.addEventListener("change", show);
-      show();
+      this._follow(show);
       return h("label", h("span", label), input, text);
     });
     const reset = button("Reset", { small: true, testid: "look-reset", onclick: () => this.set(NEUTRAL) });
@@ -76,9 +77,7 @@ class Look extends EventTarget {
       "aria-label": "Brightness and contrast", "aria-keyshortcuts": "A", title: "Brightness, contrast, gamma (A)",
       testid: "look",
     }, icon("adjust"));
-    const mark = () => face.classList.toggle("on", !this.isNeutral);
-    this.addEventListener("change", mark);
-    mark();
+    this._follow(() => face.classList.toggle("on", !this.isNeutral));
     const foot = h("div.row", h("p.small.muted.grow", "Only for looking"), reset);
     const box = h("details.look", face, h("div.look-box.glass", rows, foot));
     box.addEventListener("keydown", (event) => {

@@ -1,6 +1,5 @@
 // The frame of the page: tabs, theme, keys, and the status of training and of the connection.
 
-import { nameIn, opened, remember, tabIn } from "./address.js";
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
 import { isGuest } from "./fit-only.js";
@@ -9,7 +8,7 @@ import { Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
 import { PictureStore } from "./picture-store.js";
-import { State } from "./state.js";
+import { nameIn, opened, remember, State, tabIn } from "./state.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
 import { button, consume, h, iconButton, isPlain, isTyping, press, toast } from "./ui.js";
@@ -34,7 +33,6 @@ const COMMON_KEYS = [
 ];
 
 const PANELS = { i: ["strip"], d: ["side"], z: ["strip", "side"] }; // by key
-
 const state = new State();
 const tabs = new Map(); // name -> {root, tab, button}
 let open = null;
@@ -55,7 +53,7 @@ window.liaamStudio = { app, state };
 
 async function start() {
   waiting();
-  for (const { name } of TABS) import(`./${name}.js`).catch(() => {}); // load fetches them again and reports errors
+  for (const { name } of TABS) import(`./${name}.js`).catch(() => {}); // mountTabs reports errors
   try {
     await state.open();
   } catch (error) {
@@ -96,7 +94,12 @@ async function mountTabs() {
     }, label);
     bar.append(chooser);
     document.getElementById("stage").append(root);
-    return [name, { root, button: chooser, tab: await load(name, root) }];
+    const tab = await import(`./${name}.js`).then(({ Tab }) => new Tab(root, app)).catch((error) => {
+      console.error(error);
+      root.append(h("p.empty.error-text", `This tab failed to load: ${error.message}`));
+      return {}; // the other tabs must still work
+    });
+    return [name, { root, button: chooser, tab }];
   });
   for (const [name, tab] of await Promise.all(loaded)) tabs.set(name, tab);
   bar.addEventListener("keydown", (event) => {
@@ -116,32 +119,14 @@ function followGuest() {
   if (guest && open === "annotate") openTab("fit");
 }
 
-async function load(name, root) {
-  try {
-    return (await import(`./${name}.js`)).mount(root, app);
-  } catch (error) { // the other tabs must still work
-    console.error(error);
-    root.append(h("p.empty.error-text", `This tab failed to load: ${error.message}`));
-    return {};
-  }
-}
-
 function openTab(name, options = {}) {
   state.wall?.open(false);
-  if (!tabs.size) {
-    wanted = name;
-    return;
-  }
+  wanted = name;
+  if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
   if (name === "annotate" && isGuest(state.project)) name = "fit";
-  if (open === name) {
-    tabs.get(name).tab.show?.(options);
-    return;
-  }
-  if (open) {
-    tabs.get(open).tab.hide?.();
-    tabs.get(open).root.hidden = true;
-  }
+  if (open === name) return tabs.get(name).tab.show?.(options);
+  tabs.get(open)?.tab.hide?.();
   open = name;
   for (const [other, { root, button: chooser }] of tabs) {
     const on = other === name;

@@ -77,9 +77,7 @@ export class Marking {
   }
 
   /** Change the points in one undo step. */
-  commit(points, what, key = null) {
-    this.change({ points }, what, key);
-  }
+  commit(points, what, key = null) { this.change({ points }, what, key); }
 
   /** Change the marks in one undo step. This accepts a proposal, unless it changes the scale bar, but the mean shape only
    *  if a point moves. */
@@ -116,9 +114,7 @@ export class Marking {
     return this.mirrored ? withTwins(before, after, indices, this.template.mirror) : after;
   }
 
-  press() {
-    return false;
-  }
+  press() { return false; }
 
   adding(xy) {
     if (!this.placing) return null;

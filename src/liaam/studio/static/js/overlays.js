@@ -3,20 +3,26 @@
 export const RIM = "rgb(0 0 0 / 60%)";
 const CHI = Math.sqrt(-2 * Math.log(1 - 0.95)); // radius of a 95 % ellipse, standard deviations
 
-/** Stroke the path with a dark rim. */
-export function stroked(ctx, colour, width, dash = []) {
-  ctx.lineJoin = "round";
+export function inked(ctx, colour, width, dash = []) {
   ctx.setLineDash(dash);
-  ctx.strokeStyle = RIM;
-  ctx.lineWidth = width + 1.8;
-  ctx.stroke();
   ctx.strokeStyle = colour;
   ctx.lineWidth = width;
   ctx.stroke();
   ctx.setLineDash([]);
 }
 
-/** Draw contours. */
+/** Stroke the path with a dark rim. */
+export function stroked(ctx, colour, width, dash = []) {
+  ctx.lineJoin = "round";
+  inked(ctx, RIM, width + 1.8, dash);
+  inked(ctx, colour, width, dash);
+}
+
+export function filled(ctx, colour) {
+  ctx.fillStyle = colour;
+  ctx.fill();
+}
+
 export function drawContours(ctx, viewer, points, contours, { colour = "#ffd166", width = 1.6, dash = [] } = {}) {
   contourPath(ctx, viewer, points, contours);
   stroked(ctx, colour, width, dash);
@@ -37,11 +43,8 @@ export function contourPath(ctx, viewer, points, contours) {
 /** Draw points, all in one path, so that hundreds are as fast as ten. */
 export function drawPoints(ctx, viewer, points, { colour = "#ffd166", radius = 4 } = {}) {
   discs(ctx, viewer, points, radius);
-  ctx.fillStyle = colour;
-  ctx.fill();
-  ctx.lineWidth = 1.4;
-  ctx.strokeStyle = RIM;
-  ctx.stroke();
+  filled(ctx, colour);
+  inked(ctx, RIM, 1.4);
 }
 
 /** Make a path of a circle around each point; null has none. */
@@ -65,9 +68,7 @@ export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255
     ctx.lineTo(...at[c]);
     ctx.closePath();
   }
-  ctx.strokeStyle = colour;
-  ctx.lineWidth = width;
-  ctx.stroke();
+  inked(ctx, colour, width);
 }
 
 /** Draw the 95 % confidence ellipse of each landmark, all in one path. */
@@ -76,19 +77,14 @@ export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1
   points.forEach((point, i) => {
     const covariance = covariances?.[i];
     if (!point || !covariance) return;
-    const { radii, turn } = ellipse(covariance);
+    const [[a, b], [, c]] = covariance;
+    const spread = Math.hypot((a - c) / 2, b);
+    const turn = 0.5 * Math.atan2(2 * b, a - c);
     const [x, y] = viewer.toScreen(point);
-    const [major, minor] = radii.map((radius) => Math.min(radius * viewer.scale, 1e4));
+    const [major, minor] = [(a + c) / 2 + spread, (a + c) / 2 - spread].map((variance) =>
+      Math.min(CHI * Math.sqrt(Math.max(variance, 0)) * viewer.scale, 1e4));
     ctx.moveTo(x + major * Math.cos(turn), y + major * Math.sin(turn));
     ctx.ellipse(x, y, major, minor, turn, 0, 2 * Math.PI);
   });
   stroked(ctx, colour, width);
-}
-
-/** Radii and angle of the 95 % confidence ellipse of a Gaussian with covariance [[a, b], [b, c]]. */
-function ellipse([[a, b], [, c]]) {
-  const middle = (a + c) / 2;
-  const spread = Math.hypot((a - c) / 2, b);
-  const radius = (variance) => CHI * Math.sqrt(Math.max(variance, 0));
-  return { radii: [radius(middle + spread), radius(middle - spread)], turn: 0.5 * Math.atan2(2 * b, a - c) };
 }

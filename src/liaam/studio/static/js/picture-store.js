@@ -47,7 +47,8 @@ export class PictureStore {
     const { width, height } = await this.sizeOf(name, bitmap);
     const picture = { bitmap, sharp: size > SHOWN_SIZE, width, height, tag };
     this.pictures.set(name, picture);
-    this.forget(name);
+    for (const [other, { sharp }] of this.pictures) // keep only one sharp picture, which may take a hundred megabytes
+      if (other !== name && (this.pictures.size > KEPT || (sharp && picture.sharp))) this.pictures.delete(other);
     return picture;
   }
 
@@ -57,14 +58,5 @@ export class PictureStore {
     if (known?.width) return known;
     const isWhole = Math.max(bitmap.width, bitmap.height) < SHOWN_SIZE;
     return isWhole ? bitmap : api.get(api.url("pictures", name, "landmarks"));
-  }
-
-  forget(newest) {
-    const { sharp } = this.pictures.get(newest);
-    for (const [name, picture] of this.pictures) {
-      if (name === newest) continue;
-      // Keep only one sharp picture, which may take a hundred megabytes.
-      if (this.pictures.size > KEPT || (sharp && picture.sharp)) this.pictures.delete(name);
-    }
   }
 }

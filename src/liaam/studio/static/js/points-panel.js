@@ -8,19 +8,23 @@ const STARTS = [
   { value: "click", label: "Click each", title: "Click the points one after another" },
 ];
 
-/** onstart(): the start of new pictures has changed; onedit(): edit the template. */
-export function createPointsPanel({ commands, onstart, onedit }) {
-  const list = pointList((index, adds) => commands.chooseFromList(index, adds));
+/** @param {import("./annotate.js").Tab} tab */
+export function createPointsPanel(tab) {
+  const { commands } = tab;
+  const list = pointList(commands.chooseFromList);
   const tally = h("span.muted.small.grow");
   const act = (label, icon, shortcut, work) => iconButton(label, icon, work, { small: true, shortcut });
-  const hide = act("Visible or invisible", "eye-off", "V", () => commands.toggleInvisible());
-  const remove = act("Clear position", "trash", "Delete", () => commands.removeChosen());
+  const hide = act("Visible or invisible", "eye-off", "V", commands.toggleInvisible);
+  const remove = act("Clear position", "trash", "Delete", commands.removeChosen);
   const kept = localStorage.getItem(START_KEY) ?? "layout";
   const start = segmented("Start of pictures without points", STARTS, kept, (value) => {
     localStorage.setItem(START_KEY, value);
-    onstart();
+    const isOwn = ["file", "proposal"].includes(tab.marking.state?.source);
+    if (tab.opening.isPristine() && !isOwn) tab.opening.reload();
   });
-  const edit = button("Edit template…", { icon: "edit", small: true, testid: "template-edit", onclick: onedit });
+  const edit = button("Edit template…", {
+    icon: "edit", small: true, testid: "template-edit", onclick: () => tab.templates.edit(),
+  });
   const mark = ({ selection, active }) => {
     list.mark(selection, active);
     hide.disabled = remove.disabled = selection.size === 0;

@@ -3,23 +3,15 @@
 
 /** Step right and down of each arrow key. */
 export const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-
 const isPlaced = (point) => point !== null && point !== undefined;
-
 export const indicesOf = (points) => points.map((_, index) => index);
 export const placed = (points) => indicesOf(points).filter((index) => isPlaced(points[index]));
 export const missing = (points) => indicesOf(points).filter((index) => !isPlaced(points[index]));
 
-/** Round to a hundredth of a pixel, finer than a person can place a point.
- *  @param {number[]} point */
+/** Round to a hundredth of a pixel, finer than a person can place a point. @param {number[]} point */
 export const rounded = ([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 100) / 100];
-
 export const place = (points, index, xy) => points.map((point, i) => (i === index ? rounded(xy) : point));
-
-export function remove(points, indices) {
-  const gone = new Set(indices);
-  return points.map((point, i) => (gone.has(i) ? null : point));
-}
+export const remove = (points, indices) => points.map((point, i) => (indices.includes(i) ? null : point));
 
 function change(points, indices, update) {
   const result = points.slice();
@@ -39,31 +31,23 @@ export function turn(points, indices, centre, angle, factor = 1) {
 }
 
 export function bounds(points, indices = placed(points)) {
-  const own = indices.filter((i) => isPlaced(points[i]));
-  if (own.length === 0) return null;
-  const xs = own.map((i) => points[i][0]);
-  const ys = own.map((i) => points[i][1]);
+  const own = indices.map((i) => points[i]).filter(isPlaced);
+  if (!own.length) return null;
+  const [xs, ys] = [0, 1].map((axis) => own.map((point) => point[axis]));
   return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
 
 export const middleOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [(x0 + x1) / 2, (y0 + y1) / 2];
 
 export function centroid(points, indices = placed(points)) {
-  const own = indices.filter((i) => isPlaced(points[i]));
-  if (own.length === 0) return null;
-  const sum = own.reduce(([x, y], i) => [x + points[i][0], y + points[i][1]], [0, 0]);
-  return [sum[0] / own.length, sum[1] / own.length];
+  const own = indices.map((i) => points[i]).filter(isPlaced);
+  return own.length ? [0, 1].map((axis) => own.reduce((sum, point) => sum + point[axis], 0) / own.length) : null;
 }
 
-/** The placed points in a box of two opposite corners.
- *  @param {number[][]} points
- *  @param {number[]} corners */
+/** The placed points in a box of two opposite corners. @param {number[][]} points; @param {number[]} corners */
 export function inBox(points, [x0, y0, x1, y1]) {
-  const [left, right, top, bottom] = [Math.min(x0, x1), Math.max(x0, x1), Math.min(y0, y1), Math.max(y0, y1)];
-  return placed(points).filter((i) => {
-    const [x, y] = points[i];
-    return x >= left && x <= right && y >= top && y <= bottom;
-  });
+  const isBetween = (v, a, b) => v >= Math.min(a, b) && v <= Math.max(a, b);
+  return placed(points).filter((i) => isBetween(points[i][0], x0, x1) && isBetween(points[i][1], y0, y1));
 }
 
 /** The placed point nearest to xy within `radius`, or -1. Points in `preferred` count as closer, so that a selected
@@ -81,11 +65,8 @@ export function nearest(points, xy, radius, preferred = new Set()) {
 
 /** The first missing point after `index`, cyclically; -1 if all are placed. */
 export function nextMissing(points, index = -1) {
-  for (let step = 1; step <= points.length; step++) {
-    const i = (index + step + points.length) % points.length;
-    if (!isPlaced(points[i])) return i;
-  }
-  return -1;
+  const left = missing(points);
+  return left.find((i) => i > index) ?? left[0] ?? -1;
 }
 
 /** The least-squares similarity that maps `from` to `to`, over points placed in both: {a, b, x, y} maps (u, v) to
@@ -204,8 +185,7 @@ export function flip(points, mirror) {
   });
 }
 
-export const flipIndices = (indices, mirror) =>
-  mirror ? indices.map((i) => mirror[i]).sort((a, b) => a - b) : indices;
+export const flipIndices = (indices, mirror) => mirror ? indices.map((i) => mirror[i]).sort((a, b) => a - b) : indices;
 
 export function toggle(indices, changed) {
   const result = new Set(indices);
@@ -222,10 +202,8 @@ export const sameBar = (one, other) => JSON.stringify(one ?? null) === JSON.stri
 
 /** Whether two contents of a landmark file are equal up to rounding in the file. */
 export function sameMarks(one, other, tolerance = 0.006) {
-  const near = (p, q) => {
-    if (!isPlaced(p) || !isPlaced(q)) return isPlaced(p) === isPlaced(q);
-    return Math.abs(p[0] - q[0]) <= tolerance && Math.abs(p[1] - q[1]) <= tolerance;
-  };
+  const near = (p, q) => (isPlaced(p) && isPlaced(q) ? p.every((v, axis) => Math.abs(v - q[axis]) <= tolerance)
+    : isPlaced(p) === isPlaced(q));
   const same = one.points.length === other.points.length && one.invisible.join() === other.invisible.join() &&
     sameBar(one.bar, other.bar);
   return same && one.points.every((p, i) => near(p, other.points[i]));

@@ -1,9 +1,8 @@
 // Lamps that are moved over the object in the picture, and the relit picture.
 
-import { directionAt, directionInWords } from "./fit-geometry.js";
-import { LampHandle } from "./lamp.js";
+import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
 import { bounds, middleOf } from "./points.js";
-import { button, h, menu, slider } from "./ui.js";
+import { button, grip, h, menu, slider } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
 /** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
@@ -11,14 +10,13 @@ import { button, h, menu, slider } from "./ui.js";
 const BALL = 1.4; // diameter of the ball that lamps are on, relative to the object's box
 const LEAST = 120; // css pixels of its diameter
 const EDGE = 20; // css pixels between a lamp and the border of the view, if there is room
+const MOST = 8; // lamps that the server takes
 
-/** Most lamps that the server takes. */
-const MOST = 8;
-
-/** Sliders of a lamp. */
+/** Sliders of a lamp, and of all light. */
 const SLIDERS = [
   { key: "strength", label: "Strength", max: "3", what: "Strength of the lamp" },
   { key: "softness", label: "Softness", max: "1", what: "Softness of the lamp: a large lamp wraps around the object" },
+  { key: "ambient", label: "Ambient", max: "1", what: "Ambient light: from all directions" },
 ];
 
 /** A lamp at [x, y] over the object, from -1 to 1. */
@@ -57,6 +55,44 @@ export function lightQuery({ lamps, ambient }, size) {
   return { light: JSON.stringify({ lamps: sent, ambient }), ...(size ? { size } : {}) };
 }
 
+/** A lamp on a picture: its direction, as a place over a ball around the object. The parent element is as large as the
+ *  ball, or `middle` says where in it the ball is. onmove(direction); further attributes are those of the element. */
+export class LampHandle {
+  direction = [0, 0, 1];
+
+  constructor({ onmove, middle = [0.5, 0.5], ...attributes }) {
+    this.middle = middle;
+    this._onmove = onmove;
+    this.element = grip("div.lamp", {
+      "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
+      onkey: (event) => this.key(event), onmove: (event) => onmove(this.at(event)), ...attributes,
+    });
+  }
+
+  /** Direction to a place on the page. */
+  at({ clientX, clientY }) {
+    const { left, top, width, height } = this.element.parentElement.getBoundingClientRect();
+    const [u, v] = this.middle;
+    return directionAt([(2 * (clientX - left)) / width - 2 * u, (2 * (clientY - top)) / height - 2 * v]);
+  }
+
+  show(direction) {
+    this.direction = direction;
+    const [x, y, z] = direction;
+    this.element.style.left = `${100 * (this.middle[0] + x / 2)}%`;
+    this.element.style.top = `${100 * (this.middle[1] + y / 2)}%`;
+    this.element.setAttribute("aria-valuetext", directionInWords(direction));
+    this.element.setAttribute("aria-valuenow", String(Math.round((Math.acos(Math.min(z, 1)) * 180) / Math.PI)));
+  }
+
+  /** Move by an arrow key; return whether it was one. */
+  key(event) {
+    const next = directionAfterKey(this.direction, event);
+    if (next) this._onmove(next);
+    return next !== null;
+  }
+}
+
 /** The lamps over the picture, in `stage`, and the panel with their values. Event: "change". */
 export class Light extends EventTarget {
   /** ambient: initial fraction of ambient light. */
@@ -74,14 +110,10 @@ export class Light extends EventTarget {
     this.lamps = lamps.map((lamp) => ({ ...lamp }));
     this.ambient = ambient;
     this.selected = 0;
-    this._show();
+    this._changed();
   }
 
-  /** Move the selected lamp by an arrow key. */
-  key(event) {
-    return this._handles[this.selected].key(event);
-  }
-
+  key(event) { return this._handles[this.selected].key(event); }
   get hidden() { return this.element.hidden; }
   set hidden(on) { this.element.hidden = this.stage.hidden = on; }
 
@@ -115,46 +147,37 @@ export class Light extends EventTarget {
     });
     const lights = { "One lamp": this.first, ...PRESETS };
     const labels = Object.fromEntries(Object.keys(lights).map((name) => [name, name]));
-    const use = (name) => {
-      this.set(lights[name]);
-      this._changed();
-    };
-    const presets = menu("Presets…", labels, use, { "aria-label": "Preset lights", testid: "light-presets" });
-    this._sliders = SLIDERS.map((of) => this._slider(of, () => this.lamp[of.key], (to) => this._edit(of.key, to)));
-    const ambient = { label: "Ambient", max: "1", what: "Ambient light: from all directions", key: "ambient" };
-    this._sliders.push(this._slider(ambient, () => this.ambient, (value) => {
-      this.ambient = value;
-      this._changed();
-    }));
+    const presets = menu("Presets…", labels, (name) => this.set(lights[name]), {
+      "aria-label": "Preset lights", testid: "light-presets",
+    });
+    this._sliders = SLIDERS.map((of) => this._slider(of));
     const values = h("div.column.tight", this._words, h("div.row.tight", this._colour, this._add, this._remove));
     return h("section.panel.light", { "aria-label": "Light", hidden: true, testid: "light" },
       presets, values, this._sliders.map(({ element }) => element));
   }
 
-  _slider({ key, label, max, what }, get, set) {
+  _slider({ key, label, max, what }) {
     const input = slider({
       min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
-      oninput: () => set(Number(input.value)),
+      oninput: () => this._edit(key, Number(input.value)),
     });
     const text = h("span.number");
     const show = () => {
-      input.value = String(get());
-      text.textContent = `${Math.round(100 * get())} %`;
+      const value = key === "ambient" ? this.ambient : this.lamp[key];
+      input.value = String(value);
+      text.textContent = `${Math.round(100 * value)} %`;
     };
     return { element: h("label.light-slider.small", { title: what }, h("span", label), input, text), show };
   }
 
   _handle() {
-    const select = () => {
-      this.selected = this._handles.indexOf(handle);
-      this._show();
-    };
-    const move = (direction) => {
-      this.lamp.direction = direction;
-      this._changed();
-    };
     const handle = new LampHandle({
-      class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp", onfocus: select, onmove: move,
+      class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp",
+      onmove: (direction) => this._edit("direction", direction),
+      onfocus: () => {
+        this.selected = this._handles.indexOf(handle);
+        this._show();
+      },
     });
     return handle;
   }
@@ -166,7 +189,8 @@ export class Light extends EventTarget {
   }
 
   _edit(key, value) {
-    this.lamp[key] = value;
+    if (key === "ambient") this.ambient = value;
+    else this.lamp[key] = value;
     this._changed();
   }
 

@@ -1,9 +1,8 @@
-// Review of the open picture and of the folder: checked by whom, history, accuracy of the models, export of all.
+// Review of the open picture and of the folder: checks, history, accuracy of the models, and tables of all pictures.
 
 import { percent } from "./annotate-words.js";
 import { act } from "./bulk.js";
-import { measureAll } from "./measure.js";
-import { button, h, menu, saveFile } from "./ui.js";
+import { button, dialog, h, menu, saveFile } from "./ui.js";
 import { askName, whoAmI } from "./who.js";
 
 const DID = {
@@ -13,7 +12,6 @@ const DID = {
   scaled: "set the scale, with those of other pictures", unscaled: "took that scale back",
 };
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", measure: "Measurements (.csv)…" };
-
 export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
 
 /** What the newest bar of the chart means. */
@@ -25,15 +23,15 @@ export function accuracyText(versions) {
   return `${what}: ${on} held out from training.${others}`;
 }
 
-/** press(event, work): run the action of a button, after which Enter works in the picture again. */
-export function createReview(app, press) {
-  const { state, api } = app;
+/** @param {import("./annotate.js").Tab} tab */
+export function createReview(tab) {
+  const { app, app: { state, api } } = tab;
   const part = (testid, title, content, ontoggle) =>
     h("details.small", { name: "review", ontoggle, testid }, h("summary", title), content);
   const now = h("span.small.muted.grow", { role: "status", testid: "review-state" });
   const toggle = () => act(app, state.picture().checked ? "unchecked" : "checked", [state.current]);
   const check = button("Mark as checked", {
-    icon: "check", small: true, testid: "check", onclick: (event) => press(event, toggle),
+    icon: "check", small: true, testid: "check", onclick: (event) => tab.act(event, toggle),
   });
   const entries = h("ul.assist-lines");
   const history = part("history", "History", entries, () => fetchHistory());
@@ -87,4 +85,27 @@ export function createReview(app, press) {
   for (const event of ["project", "select"]) state.addEventListener(event, show);
   show();
   return element;
+}
+
+const KINDS = { 2: "distance", 3: "angle" }; // of so many selected points; more are an area
+
+/** The measure of points with indices from 0, as liaam measure takes it. */
+const measureOf = (indices) => `${KINDS[indices.length] ?? "area"}:${indices.map((i) => i + 1).join("-")}`;
+
+/** Ask what to measure, and save the table. */
+export async function measureAll({ api, state, selection }) {
+  const key = `liaam-studio:measures:${state.project.id}`;
+  const [known = "", scaled = ""] = JSON.parse(localStorage.getItem(key) ?? "[]");
+  const chosen = selection();
+  const value = known || measureOf(chosen.length > 1 ? chosen : [0, 1]);
+  const measures = h("input.text", { type: "text", testid: "measures", value });
+  const scale = h("input.text", { type: "text", testid: "measure-scale", value: scaled, placeholder: "in pixels" });
+  const body = h("div.column",
+    h("label.field", "Measures of points, by number or name", measures),
+    h("p.small.muted", "distance:1-5 angle:1-2-3 (at point 2) area:1-2-3-4, with spaces between."),
+    h("label.field", "Scale: length of a pixel, or two points and the length between them, such as 11-12=5", scale));
+  const save = { label: "Save the table", kind: "primary", value: "save", testid: "measure-save" };
+  if ((await dialog("Measure all pictures", body, [{ label: "Cancel", value: null }, save])) !== "save") return;
+  localStorage.setItem(key, JSON.stringify([measures.value, scale.value]));
+  saveFile(...(await api.file(api.url("measurements", { measures: measures.value, scale: scale.value }))));
 }

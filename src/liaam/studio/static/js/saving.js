@@ -12,7 +12,7 @@ const RETRY = [1000, 2000, 4000, 8000];
 function body({ sent, saved, revision, template }) {
   const { bar, ...points } = sent;
   const content = saved && sameBar(bar, saved.bar) ? points : sent;
-  return template?.revision === undefined ? { ...content, revision } : { ...content, revision, template: template.revision };
+  return { ...content, revision, ...(template?.revision === undefined ? {} : { template: template.revision }) };
 }
 
 const sizeOf = ({ width = null, height = null }) => ({ width, height });
@@ -39,12 +39,10 @@ const DEFAULTS = {
 export class Saver {
   /** @param {any} options
    *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. The request should outlive the
-   *  page (keepalive), so that a flush is enough when the page is closed;
-   *  unsaved: Unsaved; template() -> {names, revision} of the current template;
-   *  onStatus(state, message); onSaved(name, answer); onConflict(name, current);
-   *  onForeign(name): the landmarks were changed elsewhere;
-   *  onTemplate(name): the server has another template: update `template`, then call `rebase`;
-   *  onLost(name, sentence): unsaved marks cannot be saved */
+   *  page (keepalive), so that a flush is enough when the page is closed; unsaved: Unsaved;
+   *  template() -> {names, revision} of the current template; onStatus(state, message); onSaved(name, answer);
+   *  onConflict(name, current); onForeign(name): the landmarks were changed elsewhere; onTemplate(name): the server has
+   *  another template: update `template`, then call `rebase`; onLost(name, sentence): unsaved marks cannot be saved */
   constructor(options) {
     this.options = { ...DEFAULTS, ...options };
     this.unsaved = options.unsaved;
@@ -77,9 +75,7 @@ export class Saver {
   }
 
   /** Whether a picture has unsaved content. */
-  isDirty(name) {
-    return this.pending(name) !== null;
-  }
+  isDirty(name) { return this.pending(name) !== null; }
 
   /** Whether the unsaved content of a picture belongs to an earlier template. */
   isStale(name) {
@@ -191,7 +187,7 @@ export class Saver {
     const { current, template } = (error.status === 409 && error.body) || {};
     if (template && !current) {
       this.mark(entry, "failing", error.message);
-      this.options.onTemplate(name);
+      this.options.onTemplate(name); // not awaited: it waits for this request
       return undefined;
     }
     if (current) {
@@ -289,11 +285,10 @@ export class Saver {
     }
     entry.wanted = wanted;
     this.keep(name, entry);
-    if (ours) {
+    if (!ours) this.conflict(name, entry, current);
+    else {
       this.mark(entry, "saving");
       this.schedule(name, entry, 0);
-    } else {
-      this.conflict(name, entry, current);
     }
     return wanted;
   }

@@ -2,6 +2,7 @@
 // gestures edit (see gestures.js) while it is drawn; after that it is part of the marks.
 
 import { COLOURS, drawText } from "./drawing.js";
+import { inked } from "./overlays.js";
 import { rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
 
@@ -10,7 +11,6 @@ const KEY = "liaam-studio:scale-bar"; // the last length and unit
 const TICK = 6; // css pixels on each side of the line
 const LEAST = 1; // pixels between the ends
 const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
-
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
 
 export class ScaleBar {
@@ -37,7 +37,6 @@ export class ScaleBar {
   get editable() { return this.marking.editable; }
   get placing() { return this.editable; }
   get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
-
   framed() { return []; }
   press() { return false; }
   follow(_before, after) { return after; }
@@ -52,16 +51,11 @@ export class ScaleBar {
 
   /** The button: draw a bar, stop drawing, or change the bar that is there. */
   async start() {
-    if (this.on || !this.bar) {
-      this.turn(!this.on);
-      return;
-    }
+    if (this.on || !this.bar) return this.turn(!this.on);
     const { bar } = this;
-    const again = [
-      { label: "Remove", value: "remove", testid: "scale-remove" }, { label: "Draw again", value: "draw" },
-    ];
-    const [answer, change] = await this.ask(bar, again);
-    if (answer === "remove") this.set(null, "remove the scale bar");
+    const remove = { label: "Remove", value: "remove", testid: "scale-remove" };
+    const [answer, change] = await this.ask(bar, [remove, { label: "Draw again", value: "draw" }]);
+    if (answer === "remove") this.marking.change({ bar: null }, "remove the scale bar");
     else if (answer === "draw") this.turn(true);
     else if (answer) this.settle(answer, { ...bar, ...change }, "change the scale bar");
   }
@@ -87,21 +81,17 @@ export class ScaleBar {
 
   async finish() {
     const { ends, marking: { book } } = this;
-    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) {
-      this.preview([ends[0], null]);
-      return;
-    }
+    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
     if (this.marking.book !== book) return;
     this.turn(false);
     if (!answer) return;
-    const { length, unit } = bar;
-    localStorage.setItem(KEY, JSON.stringify({ length, unit }));
+    localStorage.setItem(KEY, JSON.stringify({ length: bar.length, unit: bar.unit }));
     this.settle(answer, { ends, ...bar }, "scale bar");
   }
 
   settle(answer, { anyway, ...bar }, what) {
-    this.set(bar, what);
+    this.marking.change({ bar }, what);
     if (answer === "share") this.onshare(bar, anyway);
   }
 
@@ -127,10 +117,6 @@ export class ScaleBar {
     return [answer, { length: Number(length.value), unit: unit.value, anyway: anyway.checked }];
   }
 
-  set(bar, what) {
-    this.marking.change({ bar }, what);
-  }
-
   draw(ctx, viewer) {
     const ends = (this.on ? this.ends : (this.bar?.ends ?? [])).filter(Boolean).map((end) => viewer.toScreen(end));
     if (!ends.length) return;
@@ -144,11 +130,8 @@ export class ScaleBar {
     }
     ctx.moveTo(x0, y0);
     ctx.lineTo(x1, y1);
-    for (const [colour, width] of [["rgb(0 0 0 / 75%)", 4.5], [COLOURS.placed, 2]]) {
-      ctx.strokeStyle = colour;
-      ctx.lineWidth = width;
-      ctx.stroke();
-    }
+    inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
+    inked(ctx, COLOURS.placed, 2);
     if (this.on || !this.bar) return;
     const text = `${this.bar.length} ${this.bar.unit}`;
     drawText(ctx, text, (x0 + x1) / 2 + 2 * Math.abs(nx), (y0 + y1) / 2 - 2 * Math.abs(ny) - 4, { align: "center" });

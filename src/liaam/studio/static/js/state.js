@@ -1,32 +1,55 @@
 // The page's copy of the project, updated by the server's events.
 
-import { nameIn, remember } from "./address.js";
 import { api, ApiError } from "./api.js";
 import { isIn } from "./strip-filters.js";
 import { complaints, toast } from "./ui.js";
+import { attempt } from "./unsaved.js";
 import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 
+// The page's address holds the tab and the picture: a reload keeps them, and Back and Forward move between them.
+
+const QUICK = 500; // milliseconds; faster changes, as by a held key, are one step
+
+let last = -QUICK;
+let isOpen = false; // whether the page has opened its first picture and tab
+
+/** The picture in an address; "" if the address is malformed. */
+export const nameIn = (hash) => attempt(() => decodeURIComponent(hash.slice(1)), "");
+export const tabIn = (search) => new URLSearchParams(search).get("tab");
+
+/** The page is open: from now on, changes of the address are steps of Back and Forward. */
+export function opened() { isOpen = true; }
+
+/** Put the tab or the picture into the address.
+ *  @param {{tab?: string, name?: string}} what */
+export function remember({ tab, name }) {
+  const address = new URL(location.href);
+  if (tab !== undefined) address.searchParams.set("tab", tab);
+  if (name !== undefined) address.hash = name ? encodeURIComponent(name) : "";
+  if (address.href === location.href) return; // after Back and Forward
+  const isStep = isOpen && performance.now() - last >= QUICK;
+  last = performance.now();
+  history[isStep ? "pushState" : "replaceState"](null, "", address);
+}
+
 export class State extends EventTarget {
-  constructor() {
-    super();
-    /** @type {Project | null} */
-    this.project = null;
-    this.current = null;
-    this.order = []; // names of the pictures as the list shows them
-    this.worstFirst = false; // whether that is by quality
-    this.folder = ""; // the subfolder that the list shows; "" for all
-    this.online = true;
-    this.wall = null; // the list as a grid; the list sets it
-    this.adding = null; // {done, total} of the files that are being added
-    this.restarted = false; // whether a new server refuses this page, which has the token of an earlier one
-    this.unsure = false; // whether another server, for another folder, may have taken over the port
-    this._indexed = null; // the project whose pictures are in _byName
-    this._byName = new Map();
-    this._refreshing = null;
-    this._again = false;
-  }
+  /** @type {Project | null} */
+  project = null;
+  current = null;
+  order = []; // names of the pictures as the list shows them
+  worstFirst = false; // whether that is by quality
+  folder = ""; // the subfolder that the list shows; "" for all
+  online = true;
+  wall = null; // the list as a grid; the list sets it
+  adding = null; // {done, total} of the files that are being added
+  restarted = false; // whether a new server refuses this page, which has the token of an earlier one
+  unsure = false; // whether another server, for another folder, may have taken over the port
+  _indexed = null; // the project whose pictures are in _byName
+  _byName = new Map();
+  _refreshing = null;
+  _again = false;
 
   /** Fetch the project and follow its changes. */
   async open() {
@@ -47,16 +70,10 @@ export class State extends EventTarget {
 
   /** Fetch the project again; calls during a fetch lead to one more. */
   refresh() {
-    if (this._refreshing) {
-      this._again = true;
-      return this._refreshing;
-    }
-    this._refreshing = this._fetch().finally(() => {
+    this._again = Boolean(this._refreshing);
+    this._refreshing ??= this._fetch().finally(() => {
       this._refreshing = null;
-      if (this._again) {
-        this._again = false;
-        this.refresh().catch(() => {});
-      }
+      if (this._again) this.refresh().catch(() => {});
     });
     return this._refreshing;
   }
@@ -199,7 +216,5 @@ export class State extends EventTarget {
     this._say("online", online);
   }
 
-  _say(type, detail = null) {
-    this.dispatchEvent(new CustomEvent(type, { detail }));
-  }
+  _say(type, detail = null) { this.dispatchEvent(new CustomEvent(type, { detail })); }
 }

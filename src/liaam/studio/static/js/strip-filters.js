@@ -20,11 +20,8 @@ export const FILTERS = {
 };
 
 export const ORDERS = { name: "Name", quality: "Quality, worst first", uncertainty: "Uncertainty" };
-
 export const folderOf = (name) => name.slice(0, Math.max(name.lastIndexOf("/"), 0));
-
 export const isIn = (name, folder) => !folder || name.startsWith(`${folder}/`);
-
 export const baseOf = (name) => name.slice(name.lastIndexOf("/") + 1);
 
 /** Why a picture is not used for training; null if it is. left: reasons of the current model, by name. */

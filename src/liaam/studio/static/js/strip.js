@@ -23,12 +23,11 @@ export function mountStrip(root, app) {
   const chosen = new Set(); // their names
   let anchor = null; // where a range of them begins
   let wallTop = 0; // how far the wall was scrolled
-  let onWay = false; // whether a picture was opened from the wall, to which a person then returns
 
   const choose = (label, name, onchange, labels = {}) =>
     h("select.text", {
       "aria-label": label, testid: `strip-${name}`,
-      onchange: ({ target }) => { onchange(target.value); onWay = false; show(); },
+      onchange: ({ target }) => { onchange(target.value); wall.onWay = false; show(); },
     }, optionsOf(labels));
   const filter = choose("Show", "filter", (value) => { wanted.filter = value; }, labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", (value) => { wanted.order = value; }, filters.ORDERS);
@@ -46,7 +45,7 @@ export function mountStrip(root, app) {
   });
   const wall = createWall({
     app, shown: () => pictures, accept: (names) => bulk.run("accepted", names), onchange: rebuild,
-    onworst: () => { onWay = false; state.order = []; show(); },
+    onworst: () => { wall.onWay = false; state.order = []; show(); },
     turn: () => {
       const { at, columns, room, size } = along();
       const rows = Math.floor(room / size);
@@ -68,14 +67,11 @@ export function mountStrip(root, app) {
       h("div.row.strip-count", count, adder, several)),
     wall.element, bulk.element, list);
 
-  // Selecting -------------------------------------------------------------------------------------------------------
-
   /** Begin or end the selection of several pictures. */
   function select(on) {
     selecting = on;
     press(several, on);
-    if (on) list.setAttribute("aria-multiselectable", "true");
-    else list.removeAttribute("aria-multiselectable");
+    list.ariaMultiSelectable = on ? "true" : null;
     mark(on && state.current ? [state.current] : []);
   }
 
@@ -88,7 +84,7 @@ export function mountStrip(root, app) {
 
   /** Make all items again, as those of the list or of the wall. */
   function rebuild() {
-    if (wall.on && !onWay) {
+    if (wall.on && !wall.onWay) {
       wallTop = 0;
       wanted.order = order.value = "quality";
       state.order = []; // sorted anew, and then it stays
@@ -119,7 +115,7 @@ export function mountStrip(root, app) {
 
   /** Open a picture; the wall gives way to it. */
   function enter(name) {
-    onWay = wall.on;
+    wall.onWay = wall.on;
     wall.open(false);
     state.select(name);
   }
@@ -153,8 +149,6 @@ export function mountStrip(root, app) {
     }
   }
 
-  // Items -----------------------------------------------------------------------------------------------------------
-
   const leftOut = () => state.project.model?.left_out ?? {};
 
   function make(picture) {
@@ -185,9 +179,8 @@ export function mountStrip(root, app) {
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
-    const element = make(picture);
-    items.set(name, { element, key });
-    return element;
+    items.set(name, { element: make(picture), key });
+    return items.get(name).element;
   }
 
   /** Size of an item along the list, where the visible part begins, its length, and the number of columns. */
@@ -242,7 +235,7 @@ export function mountStrip(root, app) {
   /** While pictures are added or fitted, and while a person is on the way through the wall, those in the list keep their
    *  places, and others come after them. */
   function inPlace(found) {
-    if (!state.adding && !state.project.fitting && !wall.on && !onWay) return found;
+    if (!state.adding && !state.project.fitting && !wall.on && !wall.onWay) return found;
     const places = new Map(state.order.map((name, i) => [name, i]));
     return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
   }
@@ -278,9 +271,7 @@ export function mountStrip(root, app) {
   }
 
   document.addEventListener("keydown", ({ key: pressed }) => {
-    if (pressed !== "Escape") return;
-    if (selecting) select(false);
-    else wall.open(false);
+    if (pressed === "Escape") selecting ? select(false) : wall.open(false);
   });
   state.addEventListener("to-review", () => {
     wanted.filter = filter.value = "review";

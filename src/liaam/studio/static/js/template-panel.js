@@ -68,7 +68,6 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     return [h("p", START), ...other, h("div.column", common, file, label)];
   }
 
-  /** Update the buttons and the instructions. */
   function refresh() {
     const { draft, saved, layingOut } = drafting;
     const open = draft.path >= 0;
@@ -85,7 +84,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
   }
 
   return {
-    element, message, mark: points.mark, showMirror, toggleMirror,
+    element, mark: points.mark, showMirror, toggleMirror, tell: (text) => { message.textContent = text; },
     render() {
       const { contours } = drafting.draft;
       points.render();

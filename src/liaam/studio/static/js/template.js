@@ -8,9 +8,8 @@
 import { several } from "./annotate-words.js";
 import { axisNormal, bounds, indicesOf, rounded } from "./points.js";
 
-export const EMPTY = Object.freeze({
-  names: [], points: [], contours: [], mirror: [], origins: [], path: -1, twinPath: -1,
-});
+export const EMPTY = Object.freeze(
+  { names: [], points: [], contours: [], mirror: [], origins: [], path: -1, twinPath: -1 });
 
 /** A draft of a saved template with its `points` on the picture, or null for its own layout. */
 export function draftOf(template, points = null) {
@@ -22,23 +21,17 @@ export function draftOf(template, points = null) {
   };
 }
 
-function freshName(names) {
-  let number = names.length + 1;
-  while (names.includes(`point ${number}`)) number += 1;
-  return `point ${number}`;
-}
-
 function appended(draft, xy) {
+  let number = draft.names.length + 1;
+  while (draft.names.includes(`point ${number}`)) number += 1;
   return {
-    ...draft, names: [...draft.names, freshName(draft.names)], points: [...draft.points, rounded(xy)],
+    ...draft, names: [...draft.names, `point ${number}`], points: [...draft.points, rounded(xy)],
     mirror: [...draft.mirror, draft.names.length], origins: [...draft.origins, null],
   };
 }
 
 const extend = (contours, path, index) =>
   contours.map((contour, k) => (k === path ? { ...contour, indices: [...contour.indices, index] } : contour));
-
-const twinsOf = (indices, mirror) => indices.map((i) => mirror[i]);
 
 /** Add a point to the current path and, if `axis` (x of a vertical line) is given, its twin. A point closer to the axis
  *  than `tolerance` is placed on it and is its own twin. */
@@ -55,7 +48,7 @@ export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
   next.mirror = next.mirror.map((twin, i) => (i === index ? index + 1 : i === index + 1 ? index : twin));
   if (next.twinPath >= 0) return { ...next, contours: extend(next.contours, next.twinPath, index + 1) };
   // The mirrored path starts with the twins of the path's points.
-  const indices = twinsOf(next.contours[next.path].indices, next.mirror);
+  const indices = next.contours[next.path].indices.map((i) => next.mirror[i]);
   return { ...next, contours: [...next.contours, { indices, closed: false }], twinPath: next.contours.length };
 }
 
@@ -63,9 +56,8 @@ export function addPoint(draft, xy, { axis = null, tolerance = 0 } = {}) {
 export function axisOf({ names, points, mirror }, width) {
   const box = bounds(points);
   const pairs = indicesOf(mirror).filter((i) => mirror[i] > i);
-  if (!pairs.length || Math.abs(axisNormal(points, mirror)[0]) < 0.9) {
+  if (!pairs.length || Math.abs(axisNormal(points, mirror)[0]) < 0.9)
     return box && names.length > 2 ? (box[0] + box[2]) / 2 : (width - 1) / 2;
-  }
   return pairs.reduce((sum, i) => sum + (points[i][0] + points[mirror[i]][0]) / 2, 0) / pairs.length;
 }
 
@@ -95,8 +87,7 @@ export function continuePath(draft, path) {
   const ended = newPath(draft);
   const contour = draft.contours[path];
   const at = ended.contours.findIndex((other) => other.indices === contour?.indices);
-  if (at < 0) return ended;
-  return { ...ended, contours: ended.contours.map((c, k) => (k === at ? { ...c, closed: false } : c)), path: at };
+  return at < 0 ? ended : { ...setClosed(ended, at, false), path: at };
 }
 
 /** Connect the current path to an existing point; a path contains a point once. */
@@ -110,10 +101,8 @@ export function connect(draft, index) {
 export const setClosed = (draft, path, closed) =>
   ({ ...draft, contours: draft.contours.map((c, k) => (k === path ? { ...c, closed } : c)) });
 
-export function removePath(draft, path) {
-  const ended = { ...draft, path: -1, twinPath: -1 };
-  return { ...ended, contours: draft.contours.filter((_, k) => k !== path) };
-}
+export const removePath = (draft, path) =>
+  ({ ...draft, path: -1, twinPath: -1, contours: draft.contours.filter((_, k) => k !== path) });
 
 export const rename = (draft, index, name) =>
   ({ ...draft, names: draft.names.map((old, i) => (i === index ? name : old)) });
@@ -180,13 +169,11 @@ export function mappingByNames(before, now) {
   return was.map((old, i) => (renamed ? i : old < 0 ? null : old));
 }
 
-/**
- * Convert marks of another template to the current one.
- * content: {points, invisible, bar}; before: names of its template, or null if unknown; now: names of the current one;
- * current: the picture's marks on the server, used for new points.
- * Returns {content, lost: names of placed points that the current template lacks}; content is null if the names are
- * unknown.
- */
+/** Convert marks of another template to the current one.
+ *  content: {points, invisible, bar}; before: names of its template, or null if unknown; now: names of the current one;
+ *  current: the picture's marks on the server, used for new points.
+ *  Returns {content, lost: names of placed points that the current template lacks}; content is null if the names are
+ *  unknown. */
 export function carried(content, before, now, current, mapping = null) {
   if (!before && !mapping) return { content: null, lost: content.points.map((_, i) => `point ${i + 1}`) };
   const origins = mapping ?? mappingByNames(before, now);

@@ -3,48 +3,38 @@
 
 (() => {
   const KEY = "liaam-theme";
-  const THEMES = ["light", "dark"];
   const PANELS = ["strip", "side"];
   const system = matchMedia("(prefers-color-scheme: dark)");
   const { dataset } = document.documentElement;
 
-  /** Use the storage; without it, the choice is lost with the page. */
-  function attempt(work) {
+  /** Read or write the storage; without it, the choice is lost with the page. */
+  function stored(key, value = null) {
     try {
-      return work();
+      if (value !== null) localStorage.setItem(key, value);
+      return localStorage.getItem(key);
     } catch {
-      return null;
+      return value;
     }
   }
 
-  const recall = (key) => attempt(() => localStorage.getItem(key));
-  const keep = (key, value) => attempt(() => localStorage.setItem(key, value));
-
   function show(theme) {
-    dataset.theme = THEMES.includes(theme) ? theme : system.matches ? "dark" : "light";
+    dataset.theme = ["light", "dark"].includes(theme) ? theme : system.matches ? "dark" : "light";
     dispatchEvent(new Event("theme"));
   }
 
-  system.addEventListener("change", () => show(recall(KEY)));
-  addEventListener("storage", ({ key }) => key === KEY && show(recall(KEY))); // chosen in another tab
+  system.addEventListener("change", () => show(stored(KEY)));
+  addEventListener("storage", ({ key }) => key === KEY && show(stored(KEY))); // chosen in another tab
   window.liaamTheme = {
     get isDark() { return dataset.theme === "dark"; },
-    toggle() {
-      const next = this.isDark ? "light" : "dark";
-      keep(KEY, next);
-      show(next);
-    },
+    toggle() { show(stored(KEY, this.isDark ? "light" : "dark")); },
   };
-  show(recall(KEY));
+  show(stored(KEY));
 
-  for (const name of PANELS) dataset[name] = recall(`liaam-${name}`) ?? "open";
+  for (const name of PANELS) dataset[name] = stored(`liaam-${name}`) ?? "open";
   /** Slide panels in, or away if any of them is open. */
   window.liaamPanels = (names = PANELS) => {
     const next = names.some((name) => dataset[name] !== "away") ? "away" : "open";
-    for (const name of names) {
-      dataset[name] = next;
-      keep(`liaam-${name}`, next);
-    }
+    for (const name of names) dataset[name] = stored(`liaam-${name}`, next);
     dispatchEvent(new Event("panels"));
   };
 })();

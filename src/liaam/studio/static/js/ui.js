@@ -1,12 +1,10 @@
 // Elements and controls shared by all tabs.
 
-/**
- * Create an element: h("p.small.muted", "text") or h("button.wide", {onclick: f, "aria-label": "…", testid: "x"},
- * "text", child). Attributes that are null or false, and such children, are left out.
- * @param {string} tag name with classes
- * @param {...any} rest attributes, if there are any, then children
- * @returns {any}
- */
+/** Create an element: h("p.small.muted", "text") or h("button.wide", {onclick: f, "aria-label": "…", testid: "x"},
+ *  "text", child). Attributes that are null or false, and such children, are left out.
+ *  @param {string} tag name with classes
+ *  @param {...any} rest attributes, if there are any, then children
+ *  @returns {any} */
 export function h(tag, ...rest) {
   const [name, ...classes] = tag.split(".");
   const element = document.createElement(name);
@@ -51,7 +49,6 @@ const ICONS = {
   ruler: "M3 15 15 3l6 6L9 21zM7 11l2 2M10 8l3 3M13 5l2 2", wall: "M4 4h6v6H4zM14 4h6v6h-6zM4 14h6v6H4zM14 14h6v6h-6z", spark: "M12 3l2 6 6 2-6 2-2 6-2-6-6-2 6-2z",
 };
 
-/** An element of an SVG. */
 export function svg(tag, attributes, ...children) {
   const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, String(value));
@@ -66,46 +63,24 @@ export const icon = (name, size = 16) =>
     "stroke-width": 2, "stroke-linecap": "round", "stroke-linejoin": "round", "aria-hidden": "true",
   }, svg("path", { d: ICONS[name] }));
 
-/**
- * A button. kind: "primary", "danger", "ghost"; small; pressed: true or false for toggles; iconOnly: show the label
- * only to screen readers and in the tooltip; shortcut: shown in the tooltip; testid.
- * @param {string} label
- * @param {Record<string, any>} options
- * @returns {HTMLButtonElement}
- */
+/** A button. kind: "primary", "danger", "ghost"; small; pressed: true or false for toggles; iconOnly: show the label
+ *  only to screen readers and in the tooltip; shortcut: shown in the tooltip; testid.
+ *  @param {string} label; @param {Record<string, any>} options; @returns {HTMLButtonElement} */
 export function button(label, options = {}) {
   const { icon: picture, kind = "", shortcut, small, pressed, iconOnly, disabled, title, ...others } = options;
-  return h(
-    "button.button",
-    {
-      type: "button", class: [kind, small && "small", iconOnly && "icon-only"].filter(Boolean).join(" "),
-      disabled: Boolean(disabled), "aria-pressed": pressed == null ? null : String(pressed),
-      "aria-label": iconOnly ? label : null, "aria-keyshortcuts": shortcut ?? null,
-      title: [title ?? (iconOnly ? label : ""), shortcut && `(${shortcut})`].filter(Boolean).join(" ") || null,
-      ...others,
-    },
-    picture && icon(picture),
-    !iconOnly && label,
-  );
+  return h("button.button", {
+    type: "button", class: [kind, small && "small", iconOnly && "icon-only"].filter(Boolean).join(" "),
+    disabled, "aria-pressed": pressed == null ? null : String(pressed),
+    "aria-label": iconOnly ? label : null, "aria-keyshortcuts": shortcut,
+    title: [title ?? (iconOnly ? label : ""), shortcut && `(${shortcut})`].filter(Boolean).join(" ") || null,
+    ...others,
+  }, picture && icon(picture), !iconOnly && label);
 }
 
-/** A small or large button that shows an icon only. */
 export const iconButton = (label, picture, onclick, options = {}) =>
   button(label, { icon: picture, iconOnly: true, kind: "ghost", onclick, ...options });
 
-/** Show whether a toggle is on. */
 export const press = (toggle, on) => toggle.setAttribute("aria-pressed", String(on));
-
-/** Do the work of a control that shows that it is busy; it cannot be started twice. */
-export async function whileBusy(control, work) {
-  if (control.getAttribute("aria-busy") === "true") return;
-  control.setAttribute("aria-busy", "true");
-  try {
-    await work();
-  } finally {
-    control.removeAttribute("aria-busy");
-  }
-}
 
 /** The event needs no further handling, neither by the page nor by the browser. */
 export function consume(event) {
@@ -175,10 +150,24 @@ export function segmented(label, choices, value, onchange, testid = null) {
   };
 }
 
-/**
- * Open a modal dialog; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body: element
- * or text. Resolves to the value of the chosen action, or null if the dialog was closed.
- */
+/** A slider's handle that is dragged or moved with keys: onmove(event) while it is dragged; onkey(event) -> whether it
+ *  has handled the key. */
+export function grip(tag, { onmove, onkey, ...attributes }, ...children) {
+  const element = h(tag, {
+    role: "slider", tabindex: "0", ...attributes, onkeydown: (event) => onkey(event) && consume(event),
+    onpointerdown: (event) => {
+      if (event.button !== 0) return;
+      element.setPointerCapture(event.pointerId);
+      element.focus({ preventScroll: true });
+      event.preventDefault();
+    },
+    onpointermove: (event) => element.hasPointerCapture(event.pointerId) && onmove(event),
+  }, children);
+  return element;
+}
+
+/** Open a modal dialog; actions: [{label, kind, value, testid, checks: whether its fields must be valid}]; body:
+ *  element or text. Resolves to the value of the chosen action, or null if the dialog was closed. */
 export function dialog(title, body, actions = [{ label: "Close", value: null }], { wide = false, undecided = false } = {}) {
   return new Promise((resolve) => {
     let chosen = null;
@@ -253,6 +242,13 @@ export function complaints(show = toast) {
 export const isPlain = ({ key, ctrlKey, metaKey, altKey, target }) =>
   !ctrlKey && !metaKey && !altKey && !(key === "Enter" && target.matches?.("button, a, [role=radio]"));
 
+/** Run the action of a key, if there is one; return whether there is. */
+export function runKey({ key }, actions) {
+  const action = actions[key.toLowerCase()];
+  action?.();
+  return Boolean(action);
+}
+
 const TYPED = "textarea, select, input:not([type=range], [type=checkbox], [type=radio], [type=button])";
 
 /** Whether the event's target is a text field. */
@@ -266,4 +262,40 @@ export function perFrame(work) {
     if (waiting === null) requestAnimationFrame(() => { const newest = waiting; waiting = null; work(...newest); });
     waiting = args;
   };
+}
+
+const GAP = 400; // milliseconds without a frame after which another drag begins
+
+/** Frames per second of the `most` newest frames of one drag; gap: milliseconds that end it. */
+export class FrameMeter {
+  #times = [];
+
+  constructor(most = 600, gap = GAP) {
+    this.most = most;
+    this.gap = gap;
+  }
+
+  /** Whether enough frames are counted. */
+  get isFull() { return this.#times.length === this.most; }
+  reset() { this.#times = []; }
+
+  tick(now = performance.now()) {
+    if (now - this.#times.at(-1) > this.gap) this.reset();
+    this.#times.push(now);
+    if (this.#times.length > this.most) this.#times.shift();
+  }
+
+  rate() {
+    const n = this.#times.length;
+    if (n < 2) return 0;
+    return (1000 * (n - 1)) / (this.#times[n - 1] - this.#times[0]);
+  }
+}
+
+/** Promise that resolves when the requested drawing has been painted. */
+export function afterPaint() {
+  const channel = new MessageChannel();
+  // The callback runs before the frame is painted; a task queued there runs after it.
+  requestAnimationFrame(() => channel.port2.postMessage(null));
+  return new Promise((resolve) => { channel.port1.onmessage = () => resolve(performance.now()); });
 }

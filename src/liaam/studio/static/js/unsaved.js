@@ -22,13 +22,8 @@ export class Unsaved {
     attempt(() => this.storage.setItem(this.prefix + name, JSON.stringify({ ...entry, page: this.page })));
   }
 
-  get(name) {
-    return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name)));
-  }
-
-  delete(name) {
-    attempt(() => this.storage.removeItem(this.prefix + name));
-  }
+  get(name) { return attempt(() => JSON.parse(this.storage.getItem(this.prefix + name))); }
+  delete(name) { attempt(() => this.storage.removeItem(this.prefix + name)); }
 
   names() {
     const keys = attempt(() => Object.keys(this.storage), []);
@@ -44,12 +39,8 @@ export function keptDraft(folder) {
       const kept = attempt(() => JSON.parse(localStorage.getItem(key)));
       return kept?.names?.length === kept?.points?.length ? kept : null;
     },
-    set(draft) {
-      attempt(() => {
-        if (draft?.names.length) localStorage.setItem(key, JSON.stringify(draft));
-        else localStorage.removeItem(key);
-      });
-    },
+    set: (draft) => attempt(() => (
+      draft?.names.length ? localStorage.setItem(key, JSON.stringify(draft)) : localStorage.removeItem(key))),
   };
 }
 

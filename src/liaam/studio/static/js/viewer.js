@@ -5,7 +5,7 @@
 // on under the panels.
 
 import { look } from "./look.js";
-import { button, h } from "./ui.js";
+import { button, h, perFrame, runKey } from "./ui.js";
 
 const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
 const EASE = 0.0016; // zoom per pixel of the wheel
@@ -13,27 +13,30 @@ const GLOW_SIZE = 8; // pixels
 const SHARP_FROM = 3; // zoom from which pixels are shown as squares
 
 export class Viewer extends EventTarget {
+  tool = null;
+  source = null;
+  width = 0;
+  height = 0;
+  scale = 1;
+  left = 0; // position of the picture's corner, css pixels
+  top = 0;
+  isLoupe = false; // whether the loupe is being drawn
+  look = look.control();
+  _layers = [];
+  _pointers = new Map();
+  _taken = null; // id of the pointer that the tool has
+  _fitted = true;
+  _space = false;
+  _scaled = null; // {canvas, what, at}: the scaled picture, cached
+  _glow = h("div.viewer-glow"); // shows a tiny copy of the picture, as tones around it
+  _zoomText = h("span.number", { "aria-hidden": "true" }, "100 %");
+  redraw = perFrame(() => this._draw());
+
   constructor(container, { label = "Picture" } = {}) {
     super();
     this.container = container;
     this.canvas = h("canvas", { tabindex: "0", role: "application", "aria-label": label });
-    this.tool = null;
-    this.source = null;
-    this.width = this.height = 0;
-    this.scale = 1;
-    this.left = this.top = 0; // position of the picture's corner, css pixels
-    this._layers = [];
-    this._pointers = new Map();
-    this._taken = null;
-    this._fitted = true;
-    this._waiting = false;
-    this._space = false;
-    this._scaled = null; // {canvas, what, at}: the scaled picture, cached
-    this._glow = h("div", { class: "viewer-glow" }); // shows a tiny copy of the picture, as tones around it
-    this.isLoupe = false; // whether the loupe is being drawn
-    this._zoomText = h("span", { class: "number", "aria-hidden": "true" }, "100 %");
     container.classList.add("viewer");
-    this.look = look.control();
     const tool = (label, icon, shortcut, onclick) =>
       button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
     container.append(this._glow, this.canvas, h("div.viewer-zoom", { role: "group", "aria-label": "View" },
@@ -66,12 +69,6 @@ export class Viewer extends EventTarget {
     this.top = h / 2 - (this.scale * (top + bottom)) / 2;
     this._fitted = false;
     this._changed();
-  }
-
-  /** Replace the source of the picture; the view stays. */
-  setSource(source) {
-    this.source = source;
-    this.redraw();
   }
 
   fit() {
@@ -109,10 +106,10 @@ export class Viewer extends EventTarget {
     return [this.left - left, this.top - top];
   }
 
-  /** Set the view to that of another viewer with a picture of the same size. */
-  setView(view, silent = false) {
+  /** Set the view to that of another viewer with a picture of the same size, without the event "view". */
+  setView(view) {
     Object.assign(this, view);
-    this._changed(silent);
+    this._changed(true);
   }
 
   get view() {
@@ -120,9 +117,7 @@ export class Viewer extends EventTarget {
     return { scale, left, top, _fitted };
   }
 
-  toScreen([x, y]) {
-    return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)];
-  }
+  toScreen([x, y]) { return [this.left + this.scale * (x + 0.5), this.top + this.scale * (y + 0.5)]; }
 
   /** Picture coordinates of an event or of [cx, cy] on the screen. */
   toImage(place) {
@@ -136,11 +131,11 @@ export class Viewer extends EventTarget {
     return [event.clientX - box.left, event.clientY - box.top];
   }
 
-  /** Position of a landmark on the page, for tests and tooltips. */
+  /** Position of a landmark on the page, for tests. */
   toClient(point) {
-    const box = this.container.getBoundingClientRect();
+    const { left, top } = this.container.getBoundingClientRect();
     const [x, y] = this.toScreen(point);
-    return [box.left + x, box.top + y];
+    return [left + x, top + y];
   }
 
   /** draw(ctx, viewer) draws over the picture. */
@@ -149,34 +144,20 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
-  redraw() {
-    if (this._waiting) return;
-    this._waiting = true;
-    requestAnimationFrame(() => {
-      this._waiting = false;
-      this._draw();
-    });
-  }
-
   /** Handle a key of the view; return whether it was handled. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
-    const keys = {
+    return runKey(event, {
       "+": () => this.zoomBy(1.3), "=": () => this.zoomBy(1.3), "-": () => this.zoomBy(1 / 1.3), 0: () => this.fit(),
       a: () => {
         this.look.open = !this.look.open;
         (this.look.open ? this.look.querySelector("input") : this.canvas).focus();
       },
-    };
-    const work = keys[event.key.toLowerCase()];
-    work?.();
-    return Boolean(work);
+    });
   }
 
   /** Size of the area that no panel covers, css pixels. */
-  _size() {
-    return { w: this.container.clientWidth, h: this.container.clientHeight };
-  }
+  _size() { return { w: this.container.clientWidth, h: this.container.clientHeight }; }
 
   /** Position of that area in the canvas. */
   _offset() {
@@ -347,10 +328,7 @@ export class Viewer extends EventTarget {
       canvasCursor(this.canvas, this._space ? "grab" : this.tool?.cursor?.(event, this.toImage(event)) ?? "");
       return;
     }
-    if (this._taken === event.pointerId) {
-      this.tool?.move?.(event, this.toImage(event));
-      return;
-    }
+    if (this._taken === event.pointerId) return this.tool?.move?.(event, this.toImage(event));
     const now = [event.clientX, event.clientY];
     if (this._pointers.size === 2) this._pinch(event.pointerId, before, now);
     else if (this._taken == null) {

@@ -22,14 +22,14 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const level = slider({
     min: "50", max: "100", value: String(FIRST), "aria-label": "Least quality to accept", testid: "wall-level", oninput: show,
   });
-  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: () => acceptSeen() });
+  const take = button("", { icon: "check", kind: "primary", testid: "wall-accept", onclick: acceptSeen });
   const page = button("Accept these", {
-    testid: "wall-page", shortcut: "Shift+Enter", onclick: () => acceptPage(),
+    testid: "wall-page", shortcut: "Shift+Enter", onclick: acceptPage,
     title: "Accept the points of the pictures that are in view, but for doubtful ones, and go on to the next",
   });
   const worst = button("Open the worst", {
-    testid: "wall-worst", shortcut: "W", title: "Open the first that is not done, or that has a possible slip",
-    onclick: () => openWorst(),
+    testid: "wall-worst", shortcut: "W", onclick: openWorst,
+    title: "Open the first that is not done, or that has a possible slip",
   });
   const element = h("div.wall-bar", { hidden: true }, level, take, page, worst);
   const toggler = iconButton("Wall of all pictures", "wall", () => open(!wall.on), {
@@ -51,14 +51,20 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     return acceptSome(() => acceptable(pictures.map(({ name }) => state.picture(name)), 0));
   }
 
+  /** Return from a picture that was opened here, and accept the page; false if none was. */
+  function resume() {
+    if (!wall.onWay) return false;
+    open(true);
+    acceptPage();
+    return true;
+  }
+
   /** Accept the sure ones, but for those that were looked at before a model placed their points anew. */
   function acceptSeen() {
     const isNew = (name) => outlines.has(name) && outlines.get(name).key !== keyOf(state.picture(name));
-    const stale = chosen().filter(isNew);
-    if (stale.length) {
-      const what = `${several(stale.length, "picture")} that you looked at`;
-      app.toast(`A newer model has placed the points of ${what}. Look again, then accept them.`);
-    }
+    const stale = several(chosen().filter(isNew).length, "picture");
+    if (chosen().some(isNew))
+      app.toast(`A newer model has placed the points of ${stale} that you looked at. Look again, then accept them.`);
     return acceptSome(() => chosen().filter((name) => !isNew(name)));
   }
 
@@ -105,6 +111,7 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     return svg("svg", { class: "wall-points", viewBox, "stroke-width": dot, "aria-hidden": "true" }, svg("path", { d }));
   }
 
-  const wall = { element, toggler, on: false, open, openWorst, acceptPage, outline, show };
+  /** onWay: whether a picture was opened from the wall, to which a person then returns. */
+  const wall = { element, toggler, on: false, onWay: false, open, openWorst, acceptPage, resume, outline, show };
   return wall;
 }

@@ -3,13 +3,10 @@
 import { dialog, h } from "./ui.js";
 
 const KEY = "liaam-studio:who";
-
 export const whoAmI = () => localStorage.getItem(KEY) ?? "";
 
 /** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed. */
-export async function myName(needed) {
-  return needed && !whoAmI() ? askName() : whoAmI();
-}
+export async function myName(needed) { return needed && !whoAmI() ? askName() : whoAmI(); }
 
 export async function askName() {
   const save = (event) => {
