@@ -9,7 +9,7 @@ from small_projects import POINTS, TRIANGLE, by_name, put, refused
 from liaam.datasets import load_folder
 from liaam.errors import ImageError
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.studio import listing
+from liaam.studio import folder as listing
 from liaam.studio.project import Project
 from liaam.studio.settings import Settings
 
@@ -125,7 +125,7 @@ def test_of_two_pictures_of_one_stem_the_second_is_broken(small):
 
 def test_a_picture_of_too_many_pixels_is_broken(small):
     project = Project(small.root, Settings(pixels=1000))
-    assert "40 x 30 pixels, more than the 1,000 allowed" in by_name(project)["p1.png"]["error"]
+    assert "40 x 30 pixels, more than 1,000: make" in by_name(project)["p1.png"]["error"]
 
 
 def test_sizes_are_upright(small):

@@ -13,8 +13,7 @@ from liaam.errors import LiaamError
 from liaam.io import Landmarks, atomic, read_landmarks, write_image, write_landmarks
 from liaam.studio import folder as project_folder, landmark_files
 from liaam.studio.app import make_studio
-from liaam.studio.folder import STATE
-from liaam.studio.listing import Listing
+from liaam.studio.folder import STATE, Listing
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings

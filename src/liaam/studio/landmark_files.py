@@ -21,11 +21,10 @@ from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.io.landmarks.formats import writer_of
-from liaam.studio.folder import remove, revision_of
-from liaam.studio.listing import OWN_SUFFIXES, File, Listing, Signature
+from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, remove, revision_of
 from liaam.studio.safety import Refusal
 from liaam.studio.scale_bar import pixel_length
-from liaam.studio.store import Store
+from liaam.studio.store import Store, Table
 from liaam.studio.template import Template, landmarks_of
 
 
@@ -75,8 +74,8 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
-        self._bars = store.table("bar")
-        self._invisible = store.table("invisible")  # points by name and revision of a .pts
+        self._bars = Table(store, "bar")
+        self._invisible = Table(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""

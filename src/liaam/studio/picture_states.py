@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from liaam.studio.folder import File, Listing
 from liaam.studio.landmark_files import LandmarkFiles, Marks
-from liaam.studio.listing import File, Listing
 from liaam.studio.proposals import Proposals, revision_of_proposal, teaching_order
 from liaam.studio.review import ReviewLog
-from liaam.studio.template_store import TemplateStore
+from liaam.studio.templates import Templates
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class PictureStates:
     listing: Listing
     landmarks: LandmarkFiles
     proposals: Proposals
-    templates: TemplateStore
+    templates: Templates
     log: ReviewLog
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
     """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""

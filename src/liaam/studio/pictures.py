@@ -25,6 +25,7 @@ from liaam.errors import ImageError
 from liaam.io import image_size, is_raw, read_image, read_preview
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
+from liaam.studio.folder import disk_errors
 from liaam.studio.safety import Refusal
 
 JPEG_QUALITY = 92
@@ -200,10 +201,8 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
 
 def file_tag(path: Path) -> str:
     """Return an identifier of a file's contents, from its time and size."""
-    try:
+    with disk_errors(f"{path.name} cannot be read", "put it back, or reload", ImageError):
         facts = path.stat()
-    except OSError as fault:
-        raise ImageError(f"{path.name} cannot be read ({fault.strerror or fault}): put it back, or reload") from fault
     return f"{facts.st_mtime_ns:x}-{facts.st_size:x}"
 
 

@@ -4,10 +4,10 @@
 depends only on those before it in this list:
 
 - :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.store`: what the studio keeps;
-- :mod:`~liaam.studio.listing`: the pictures, and whether each can be used;
+- :mod:`~liaam.studio.folder`: the pictures, and whether each can be used;
 - :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
 - :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
-- :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
+- :mod:`~liaam.studio.templates`: the template and its changes;
 - :mod:`~liaam.studio.picture_states`: the state of each picture; :mod:`~liaam.studio.review`: the log of who changed
   what, and actions on several pictures.
 """
@@ -32,10 +32,8 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, parse_landmark_data
-from liaam.studio.folder import Folder, checked_folder, revision_of
-from liaam.studio.intake import Intake
+from liaam.studio.folder import File, Folder, Listing, checked_folder, revision_of
 from liaam.studio.landmark_files import LandmarkFiles
-from liaam.studio.listing import File, Listing
 from liaam.studio.picture_states import PictureStates
 from liaam.studio.pictures import Source, source_of
 from liaam.studio.proposals import Proposals
@@ -45,8 +43,8 @@ from liaam.studio.scale_bar import parse_bar
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
-from liaam.studio.template_change import TemplateChanges
-from liaam.studio.template_store import TemplateStore
+from liaam.studio.templates import Templates
+from liaam.studio.uploads import Intake
 
 PART_SECONDS = 0.02
 """How long files are read at a time, while requests wait."""
@@ -101,16 +99,14 @@ class Project:
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
         self._listing = listing = Listing(self._folder, self.settings.pixels)
-        listing.scan()
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
         self._proposals = Proposals(listing, self.store)
-        self.templates = TemplateStore(listing, self.store, self._landmarks, self._proposals, self._lock)
+        self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
         self._states = PictureStates(listing, self._landmarks, self._proposals, self.templates, self._log)
         self._actions = ReviewActions(self.store, self._landmarks, self.templates, self._states, self._log)
-        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self.templates)
         self._intake = Intake(listing, self.settings.pixels)
-        self._changes.try_to_finish()
+        self._rescan()
 
     @property
     def id(self) -> str:
@@ -147,7 +143,8 @@ class Project:
 
     def _rescan(self) -> None:
         """Scan the folder; ignore a change of the template that cannot be finished yet."""
-        self._changes.try_to_finish()
+        with suppress(Refusal):  # it has been noted
+            self.templates.finish()
         self._listing.scan()
 
     def _stamp(self) -> str:
@@ -158,7 +155,7 @@ class Project:
             store.writes,
             self.templates.offered,
             self._states.slips,
-            self._changes.is_pending,
+            self.templates.is_pending,
             faults,
             listing.stranded,
             listing.unlisted,
@@ -240,7 +237,7 @@ class Project:
     def annotated(self) -> list[Annotated]:
         """Return the done pictures, which have all their points, except those left out of training."""
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             self._listing.scan()
             return self._annotated()
 
@@ -265,7 +262,7 @@ class Project:
     def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             self._listing.scan()
             template, landmarks = self.templates.current, self._landmarks
             found = [(file, landmarks.of(file)) for file in self._listing.usable()]
@@ -301,7 +298,7 @@ class Project:
             return self._find(name).tag
 
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
-        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.intake.Intake.add`)."""
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.uploads.Intake.add`)."""
         with self._lock:
             return self._intake.add(name, data)
 
@@ -330,7 +327,7 @@ class Project:
     def marks(self, name: str) -> dict[str, Any]:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             return self._states.marks_json(self._find(name))
 
     def save_marks(self, name: str, data: Any) -> dict[str, Any]:
@@ -346,7 +343,7 @@ class Project:
             raise Refusal(422, "send an object with points, invisible and revision")
         who = parse_who(data.get("who"))
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             file, template = self._find(name), self.templates.needed
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
@@ -395,7 +392,7 @@ class Project:
             raise Refusal(422, "send an object with pictures, a list of names, and did")
         who = parse_who(data.get("who"))
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             self._listing.scan()
             files = [self._find(name) for name in dict.fromkeys(names)]
             did, sharing = str(data.get("did")), None
@@ -420,7 +417,7 @@ class Project:
         """
         template = parse_template(data, self.settings.points)
         with self._lock:
-            return template, self._changes.save(template, data)
+            return template, self.templates.save(template, data)
 
     def read_template(self, name: str, data: bytes) -> Template:
         """Create a template from the contents of a landmark file, without saving it."""

@@ -12,10 +12,9 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.model.shape import diagonal_of
-from liaam.studio.folder import revision_of
-from liaam.studio.listing import File, Listing
+from liaam.studio.folder import File, Listing, revision_of
 from liaam.studio.pictures import file_tag
-from liaam.studio.store import Store
+from liaam.studio.store import Store, Table
 
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
@@ -29,8 +28,8 @@ class Proposals:
 
     def __init__(self, listing: Listing, store: Store) -> None:
         self._listing = listing
-        self._kept = store.table("proposal")
-        self._unchecked = store.table("unchecked")
+        self._kept = Table(store, "proposal")
+        self._unchecked = Table(store, "unchecked")
         self.forget = self._kept.forget
         """Drop all proposals, because the template changed."""
 

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
-from liaam.studio.folder import revision_of
+from liaam.studio.folder import File, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, text_of
-from liaam.studio.listing import File
 from liaam.studio.proposals import revision_of_proposal
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
-from liaam.studio.template_store import TemplateStore
+from liaam.studio.templates import Templates
 
 if TYPE_CHECKING:
     from liaam.studio.picture_states import PictureStates
@@ -114,7 +113,7 @@ class ReviewActions:
 
     store: Store
     landmarks: LandmarkFiles
-    templates: TemplateStore
+    templates: Templates
     states: PictureStates
     log: ReviewLog
 

@@ -58,6 +58,15 @@ class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
         self.details = details
 
 
+@contextmanager
+def refusing() -> Iterator[None]:
+    """Refuse the request if what it sent raises an error in the block."""
+    try:
+        yield
+    except LiaamError as fault:
+        raise fault if isinstance(fault, Refusal) else Refusal(422, str(fault)) from fault
+
+
 class Guard:
     """Refuses requests from other sites, without the token, or with too large a body; adds headers to responses."""
 

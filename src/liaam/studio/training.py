@@ -77,7 +77,7 @@ class Trainer:
         return self.wait()
 
     def stop_unless(self, order: str) -> None:
-        """Stop a running training if it is for another :attr:`TemplateStore.order`."""
+        """Stop a running training if it is for another :attr:`Templates.order`."""
         with self._lock:
             stale = self.state.state == "running" and self._order != order
         if stale:

@@ -39,7 +39,7 @@ class Job:
     model: Path
     """Output file of the model."""
     order: str
-    """:attr:`TemplateStore.order` of the points."""
+    """:attr:`Templates.order` of the points."""
     name: str
     """Name of the model."""
     held_out: tuple[str, ...] = ()
