@@ -96,6 +96,7 @@ def check_state(data: bytes) -> None:
     project = Project(root)
     load_studio_model(project, ModelStore())
     overview = project.overview()
+    assert overview is not None
     answers: list[Any] = [overview.pictures, project.templates.as_json(), project.problems, project.id]
     answers += [project.marks(picture["name"]) for picture in overview.pictures]
     answers += [project.history("p1.png"), Versions(project.store).as_json(project.templates.order)]

@@ -12,7 +12,7 @@ import pytest
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
 from liaam.studio.app import make_studio
-from liaam.studio.background import Background
+from liaam.studio.background import Background, proposal_of
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
     ModelStore,
@@ -22,7 +22,6 @@ from liaam.studio.model_store import (
     model_json,
 )
 from liaam.studio.project import Project
-from liaam.studio.proposals import proposal_of
 from liaam.studio.safety import Refusal
 from liaam.studio.training import Trainer
 

@@ -158,14 +158,14 @@ def test_an_overview_does_not_wait_for_files_that_were_not_read(small, monkeypat
     monkeypatch.setattr("liaam.studio.project.READ_AT_ONCE", 0)
     put(small, "p1.png", POINTS)
     project = Project(small.root)
-    first = project.overview_since(None, seconds=0.0)
+    first = project.overview(None, seconds=0.0)
     assert {picture["state"] for picture in first.pictures} == {"reading"}
     assert [picture["name"] for picture in first.pictures] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
     assert first.done == {}
     project.read_files()
-    then = project.overview_since(first.stamp, seconds=0.0)
+    then = project.overview(first.stamp, seconds=0.0)
     assert [picture["state"] for picture in then.pictures] == ["done", "new", "new", "new"]
     assert list(then.done) == ["p1.png"]
-    assert project.overview_since(then.stamp, seconds=0.0) is None
+    assert project.overview(then.stamp, seconds=0.0) is None
     (small.root / "p2.png").unlink()
-    assert len(project.overview_since(then.stamp, seconds=0.0).pictures) == 3
+    assert len(project.overview(then.stamp, seconds=0.0).pictures) == 3

@@ -198,7 +198,7 @@ class _Handlers:
         studio, project, known = self.studio, self.project, request.query_params.get("stamp")
         suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
         of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
-        overview = project.overview_since(of_folder, OVERVIEW_SECONDS)
+        overview = project.overview(of_folder, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
         follow_template(project, studio.models, studio.training)

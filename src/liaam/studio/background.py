@@ -16,16 +16,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
 from liaam.errors import LiaamError
-from liaam.fitting import Fitter
+from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks
 from liaam.model import AAM, load_model
+from liaam.model.shape import diagonal_of
 from liaam.models import FACE
 from liaam.studio.fits import WARM_UP, example
 from liaam.studio.model_store import ModelInUse, ModelStore
+from liaam.studio.pictures import file_tag
 from liaam.studio.project import Project
-from liaam.studio.proposals import propose
 from liaam.studio.template import Template, template_of
 from liaam.studio.training import Trainer
 
@@ -189,7 +192,7 @@ class Background:
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        tags = {name: self.project.tag_of(name) for name, _ in waiting}
+        tags = {name: file_tag(path) for name, path in waiting}
         fresh = [picture for picture in waiting if (picture[0], tags[picture[0]]) not in self._without_faces][:TRIED]
         with ThreadPoolExecutor(THREADS) as pool:
             found = list(pool.map(lambda picture: propose(self._fitter_of(face), picture[1]), fresh))
@@ -262,3 +265,46 @@ def template_of_model(model: AAM) -> Template:
     """Return the points of a model as a template."""
     mean = model.shape_model.mean.reshape(-1, 2)
     return template_of(Landmarks(mean, Contour.all_of(model.contours), model.landmark_names))
+
+
+def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
+    """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
+    try:
+        tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
+        return {**proposal_of(fitter.fit(path)), "tag": tag}
+    except LiaamError as fault:
+        message = str(fault).replace(f"{path.parent}{os.sep}", "")
+    except MemoryError:
+        message = f"{path.name} does not fit into memory: make it smaller"
+    return {**_NOTHING, "status": "not fitted", "message": message}
+
+
+_NOTHING: dict[str, Any] = {
+    "points": None,
+    "covariances": None,
+    "quality": None,
+    "ok": False,
+    "found": False,
+    "doubtful": True,
+    "uncertainty": None,
+}
+
+
+def proposal_of(result: FitResult) -> dict[str, Any]:
+    """Return a fit as a proposal. A failed fit keeps its points: correcting them is less work than placing them."""
+    facts = {"status": str(result.status), "message": result.message}
+    if not np.isfinite(result.landmarks).all():
+        return {**_NOTHING, **facts}
+    covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
+    has_covariances = bool(np.isfinite(covariances).all()) and size > 0
+    found = not result.detection_doubtful
+    return {
+        **facts,
+        "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
+        "covariances": np.round(covariances, 4).tolist() if has_covariances else None,
+        "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
+        "ok": result.status.ok,
+        "found": found,
+        "doubtful": not found or not result.status.ok,
+        "uncertainty": round(float(result.deviations.mean()) / size, 5) if has_covariances else None,
+    }

@@ -305,12 +305,6 @@ def checked_folder(folder: str | os.PathLike[str]) -> Path:
     return real_path(folder)
 
 
-def remove(path: Path) -> None:
-    """Remove a file if it exists."""
-    with disk_errors(f"{path} cannot be removed"):
-        path.unlink(missing_ok=True)
-
-
 @contextmanager
 def disk_errors(
     what: str, remedy: str = "check the rights on it.", error: Callable[[str], LiaamError] = LiaamError

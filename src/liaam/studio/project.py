@@ -3,13 +3,11 @@
 :class:`Project` is the thread-safe interface for the rest of the studio. Its parts are not thread-safe, and each
 depends only on those before it in this list:
 
-- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.store`: what the studio keeps;
-- :mod:`~liaam.studio.folder`: the pictures, and whether each can be used;
-- :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
-- :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
+- :mod:`~liaam.studio.folder`: checks of paths, the pictures, and whether each can be used;
+- :mod:`~liaam.studio.store`: what the studio keeps;
+- :mod:`~liaam.studio.landmark_files`: reading and writing landmark files, and landmarks proposed by the model;
 - :mod:`~liaam.studio.templates`: the template and its changes;
-- :mod:`~liaam.studio.picture_states`: the state of each picture; :mod:`~liaam.studio.review`: the log of who changed
-  what, and actions on several pictures.
+- :mod:`~liaam.studio.review`: the log of who changed what, the state of each picture, and actions on several pictures.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -33,13 +31,10 @@ from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import File, Folder, Listing, checked_folder, revision_of
-from liaam.studio.landmark_files import LandmarkFiles
-from liaam.studio.picture_states import PictureStates
+from liaam.studio.landmark_files import LandmarkFiles, Proposals, parse_bar
 from liaam.studio.pictures import Source, source_of
-from liaam.studio.proposals import Proposals
-from liaam.studio.review import ReviewActions, ReviewLog, Sharing, parse_who
+from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
 from liaam.studio.safety import Refusal
-from liaam.studio.scale_bar import parse_bar
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
@@ -103,8 +98,7 @@ class Project:
         self._proposals = Proposals(listing, self.store)
         self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(listing, self._landmarks, self._proposals, self.templates, self._log)
-        self._actions = ReviewActions(self.store, self._landmarks, self.templates, self._states, self._log)
+        self._states = PictureStates(listing, self.store, self._landmarks, self._proposals, self.templates, self._log)
         self._intake = Intake(listing, self.settings.pixels)
         self._rescan()
 
@@ -162,13 +156,7 @@ class Project:
         )
         return revision_of(repr((known, listing.version)).encode())
 
-    def overview(self) -> Overview:
-        """Return all pictures."""
-        with self._lock:
-            self._rescan()
-            return self._overview(math.inf)
-
-    def overview_since(self, stamp: str | None, seconds: float = math.inf) -> Overview | None:
+    def overview(self, stamp: str | None = None, seconds: float = math.inf) -> Overview | None:
         """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
 
         Files are read for about so many ``seconds``, but those of the first pictures in any case. The remaining
@@ -244,9 +232,8 @@ class Project:
     def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
         """Return the done pictures, or those of them with a name that is in ``among``."""
         files = [file for file in self._listing.pictures if among is None or file.name in among]
-        usable = [file for file in files if self._listing.fault_of(file) is None]
-        kept = [file for file in usable if self._log.left_out_by(file.name) is None]
-        found = [(file, self._landmarks.of(file)) for file in kept if self._states.is_done(file)]
+        usable = [file for file in files if self._listing.fault_of(file) is None and self._states.is_done(file)]
+        found = [(file, self._landmarks.of(file)) for file in usable if self._log.left_out_by(file.name) is None]
         return [
             Annotated(
                 file.name,
@@ -292,11 +279,6 @@ class Project:
             turns = zip_longest(known, (name for name in names if name not in ranks))
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
-    def tag_of(self, name: str) -> str:
-        """Return the identifier of a picture's contents."""
-        with self._lock:
-            return self._find(name).tag
-
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
         """Add a picture or a landmark file to the folder (:meth:`liaam.studio.uploads.Intake.add`)."""
         with self._lock:
@@ -304,9 +286,7 @@ class Project:
 
     def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""
-        with self._lock:
-            self._states.slips.clear()
-            self._states.slips.update(slips)
+        self._states.slips = slips
 
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
@@ -335,8 +315,8 @@ class Project:
 
         The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
         ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
-        without points was left at the mean shape; ``bar``, the scale bar (:mod:`liaam.studio.scale_bar`), which stays
-        as it is without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
+        without points was left at the mean shape; ``bar``, the scale bar (:func:`parse_bar`), which stays as it is
+        without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
         if not isinstance(data, dict):
@@ -360,28 +340,21 @@ class Project:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
                 if bar != current["bar"]:
                     self._landmarks.set_bar(file, bar)
-                self._save(file, template, points, invisible, who if moved else None)
+                if moved:
+                    self.templates.keep()  # the first save fixes a template that was taken from a file
+                if moved or self._landmarks.of(file).n_placed:
+                    self._landmarks.save(file, template, points, invisible)
+                if moved:
+                    with suppress(LiaamError):  # the landmarks are saved
+                        did = "placed" if any(points) else "cleared"
+                        self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
                 self._proposals.mark_unchecked(file, bool(data["unchecked"]))
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
-    def _save(
-        self, file: File, template: Template, points: Sequence[Any], invisible: Sequence[int], who: str | None
-    ) -> None:
-        """Write landmarks; ``who`` is for the log, None if only the scale bar has changed."""
-        if who is None and not self._landmarks.of(file).n_placed:
-            return
-        if who is not None:
-            self.templates.keep()  # the first save fixes a template that was taken from a file
-        self._landmarks.save(file, template, points, invisible)
-        if who is not None:
-            with suppress(LiaamError):  # the landmarks are saved
-                did = "placed" if any(points) else "cleared"
-                self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
-
     def review(self, data: Any) -> dict[str, Any]:
-        """Apply an action to several pictures (:meth:`liaam.studio.review.ReviewActions.apply`).
+        """Apply an action to several pictures (:meth:`liaam.studio.review.PictureStates.apply`).
 
         The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
         and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
@@ -402,7 +375,7 @@ class Project:
                     raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
                 size = self._listing.usable_size(self._find(drawn_on))
                 sharing = Sharing(bar, size, data.get("anyway") is True)
-            return self._actions.apply(files, did, who, sharing)
+            return self._states.apply(files, did, who, sharing)
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the newest entries of a picture in the log."""

@@ -17,8 +17,7 @@ from typing import Any
 from liaam.errors import LiaamError
 from liaam.io.landmarks import Landmarks
 from liaam.studio.folder import Listing, revision_of, status_of
-from liaam.studio.landmark_files import LandmarkFiles, text_of
-from liaam.studio.proposals import Proposals
+from liaam.studio.landmark_files import LandmarkFiles, Proposals, text_of
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
 from liaam.studio.template import Template, landmarks_of, parse_indices, parse_template, template_of
@@ -213,7 +212,6 @@ class Templates:
             self.store(change["template"])
             self._store.put("change", {"": None})
         self._store.note("change", None)
-        self._landmarks.forget()
         self._listing.scan()
 
 
