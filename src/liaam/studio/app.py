@@ -36,7 +36,6 @@ from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import (
     ModelStore,
-    follow_template,
     load_dropped_model,
     load_studio_model,
     model_json,
@@ -201,7 +200,7 @@ class _Handlers:
         overview = project.overview(of_folder, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
-        follow_template(project, studio.models, studio.training)
+        studio.training.follow_template()
         return {
             "id": project.id,
             "stamp": overview.stamp + suffix,
@@ -261,7 +260,7 @@ class _Handlers:
             self.project.save_template(data)
             template = self.project.templates.as_json() or {}
         finally:  # even if this change is refused, since an earlier one may have been finished
-            follow_template(self.project, studio.models, studio.training)
+            studio.training.follow_template()
         self._changed()
         return template
 

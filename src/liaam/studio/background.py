@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -68,27 +68,25 @@ class Background:
         self._publish = publish
         self._woken = threading.Event()
         self._stopped = False
-        self._fitter: tuple[AAM, Fitter] | None = None
+        self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()
         self._checked: dict[str, str] | None = None  # revisions of the landmarks that were checked, by picture
         self.checks = 0
         """Number of checks of the landmarks."""
         self._next_check = 0.0
         self._seen: object = None
-        self._started = False
         self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
         models.listeners.append(lambda _: self.wake())
 
     def start(self) -> None:
         """Start the thread."""
-        self._started = True
         self._thread.start()
 
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""
         self._stopped = True
         self._woken.set()
-        if self._started:  # compiled code that runs when the interpreter ends aborts the process
+        if self._thread.ident is not None:  # compiled code that runs when the interpreter ends aborts the process
             self._thread.join(STOP_SECONDS)
 
     def wake(self) -> None:
@@ -201,11 +199,6 @@ class Background:
         self._without_faces.update((name, tags[name]) for name, _ in fresh)
         return False
 
-    def _fitter_of(self, model: AAM) -> Fitter:
-        if self._fitter is None or self._fitter[0] is not model:
-            self._fitter = model, Fitter(model)
-        return self._fitter[1]
-
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         """Fit pictures in threads and save the proposals in batches."""
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
@@ -258,7 +251,7 @@ class Background:
 
     def has_checked(self, done: Mapping[str, str]) -> bool:
         """Whether these landmarks, revisions by picture, have been checked, or nothing is checked at all."""
-        return not self._started or self._checked == done
+        return self._thread.ident is None or self._checked == done
 
 
 def template_of_model(model: AAM) -> Template:
