@@ -27,12 +27,11 @@ from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
 from liaam.studio.app import make_app, make_studio
 from liaam.studio.export import FILES, file_of
-from liaam.studio.fit_routes import light_of, parse_start, truth_of
-from liaam.studio.fits import Fits, error_of, example, numbers
+from liaam.studio.fits import Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
-from liaam.studio.routes import attachment
+from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads

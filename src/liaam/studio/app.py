@@ -5,6 +5,7 @@ Errors for the user have the form ``{"error": sentence}``.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -22,16 +23,17 @@ from starlette.staticfiles import StaticFiles
 
 from liaam import __version__
 from liaam.errors import ImageError, LiaamError
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS
 from liaam.io.images import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 from liaam.model import load_model
 from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
-from liaam.studio import fit_routes, live
+from liaam.studio import live
 from liaam.studio.background import Background
 from liaam.studio.events import Events
-from liaam.studio.export import export_of, measurements_of
-from liaam.studio.fits import Fits
+from liaam.studio.export import export_of, file_of, measurements_of
+from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
 from liaam.studio.folder import checked_folder, status_of
 from liaam.studio.live import LiveVideos
 from liaam.studio.model_store import (
@@ -40,9 +42,9 @@ from liaam.studio.model_store import (
     load_studio_model,
     model_json,
 )
-from liaam.studio.pictures import Pictures, Source, checked_size
+from liaam.studio.pictures import Pictures, Source, jpeg_bytes
 from liaam.studio.project import Project
-from liaam.studio.routes import attachment, maybe_json, read_json, route
+from liaam.studio.routes import attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import FolderLock
@@ -54,6 +56,9 @@ IMAGE_SIZE, CHROMA_SIZE = 2048, 640
 
 FORMATS = {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES}
 """Suffixes of the files that can be added."""
+
+KEPT = {"cache-control": "private, max-age=86400, immutable"}
+"""Headers of answers that never change."""
 
 OVERVIEW_SECONDS = 0.2
 """How long a request for the project may read files; the rest is read in the background."""
@@ -126,16 +131,14 @@ def make_app(studio: Studio) -> Starlette:
     return Starlette(
         routes=[
             *handlers.routes(),
-            *fit_routes.routes(studio.fits),
             *live.routes(studio.live),
-            Route("/api/{rest:path}", _nothing),
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],
         middleware=[Middleware(Guard, settings=studio.settings)],
         exception_handlers={
             LiaamError: handlers.on_fault,
             HTTPException: _on_http_fault,
-            ClientDisconnect: _on_gone,
+            ClientDisconnect: lambda *_: Response(status_code=400),
             Exception: _on_bug,
         },
     )
@@ -151,7 +154,7 @@ class _Handlers:
     def routes(self) -> list[Route]:
         act, project, training, data = self._in_folder, self.project, self.studio.training, Request.body
         # Separate limits, so that the thumbnails of a large folder do not delay fits or landmarks.
-        shown, models = CapacityLimiter(2), CapacityLimiter(1)
+        shown, models, fits = CapacityLimiter(2), CapacityLimiter(1), CapacityLimiter(4)
         of_picture = "/api/pictures/{name:path}/"
         return [
             route("GET", "/api/project", self.overview),
@@ -176,6 +179,10 @@ class _Handlers:
             route("GET", "/api/model/file", self.model_file),
             route("POST", GUEST, self.receive_guest, data, models),
             route("DELETE", GUEST, self.dismiss_guest),
+            route("POST", FITS, act(self.fit), read_json, fits),
+            route("GET", FITS + "/{id}/layers/{layer}", self.layer, limiter=fits),
+            route("GET", FITS + "/{id}/relit", self.relit, limiter=fits),
+            route("GET", FITS + "/{id}/export", self.export_fit, limiter=fits),
         ]
 
     def _in_folder(self, act: Callable[[Request, Any], Any]) -> Callable[[Request, Any], Any]:
@@ -191,9 +198,6 @@ class _Handlers:
         self.studio.events.publish("project", {})
 
     def overview(self, request: Request) -> dict[str, Any]:
-        from liaam.fitting import METHODS
-        from liaam.fitting.methods import DEFAULT_METHOD
-
         studio, project, known = self.studio, self.project, request.query_params.get("stamp")
         suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
         of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
@@ -342,6 +346,36 @@ class _Handlers:
             return self.studio.uploads.source(request.path_params["id"])
         return self.project.source(request.path_params["name"])
 
+    def layer(self, request: Request) -> Response:
+        fit, what = self.studio.fits.get(request.path_params["id"]), request.path_params["layer"]
+        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
+        data, scale = self.studio.fits.layer(fit, what, size), json.dumps(self.studio.fits.scale(fit, what, size))
+        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": scale})
+
+    def relit(self, request: Request) -> Response:
+        fit, light = self.studio.fits.get(request.path_params["id"]), light_of(request.query_params)
+        size = checked_size(request.query_params.get("size"), LAYER_SIZE)
+        return Response(jpeg_bytes(self.studio.fits.relit(fit, *light, size)), media_type="image/jpeg", headers=KEPT)
+
+    def export_fit(self, request: Request) -> Response:
+        fit, what = self.studio.fits.get(request.path_params["id"]), request.query_params.get("what", "")
+        name, kind, data = file_of(self.studio.fits, fit, what, light_of(request.query_params))
+        return attachment(name, data, kind)
+
+    def fit(self, request: Request, body: Any) -> dict[str, Any]:
+        if not isinstance(body, dict):
+            raise Refusal(422, "send an object with picture or upload, method and start")
+        given = [(kind, body[kind]) for kind in ("picture", "upload") if body.get(kind) is not None]
+        if len(given) != 1 or not isinstance(given[0][1], str):
+            raise Refusal(422, "the picture to fit is unclear: send either picture, its name, or upload, its id")
+        method = body.get("method", DEFAULT_METHOD)
+        if not isinstance(method, str):
+            raise Refusal(422, "the method is not a string: send its name, such as 'soft-li'")
+        kind, name = given[0]
+        truth = None if kind == "upload" else truth_of(self.project.landmarks(name))
+        source = self.studio.uploads.source(name) if kind == "upload" else self.project.source(name)
+        return self.studio.fits.fit(source, (kind, name), method, parse_start(body.get("start")), truth).as_json()
+
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""
         text = self.project.plain(fault)
@@ -352,18 +386,10 @@ class _Handlers:
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
 
 
-async def _nothing(request: Request) -> Response:
-    raise Refusal(404, "this address does not exist")
-
-
 async def _on_http_fault(request: Request, fault: Exception) -> Response:
     assert isinstance(fault, HTTPException)
     text = "this address does not exist" if fault.status_code == 404 else fault.detail
     return JSONResponse({"error": text}, fault.status_code, fault.headers)
-
-
-async def _on_gone(request: Request, fault: Exception) -> Response:
-    return Response(status_code=400)  # the client has disconnected
 
 
 async def _on_bug(request: Request, fault: Exception) -> Response:

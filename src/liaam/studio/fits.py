@@ -1,6 +1,6 @@
 """Fits for the page: computed with the current model and cached together with their layers.
 
-HTTP is in :mod:`liaam.studio.fit_routes`, the export of files in :mod:`liaam.studio.export`.
+HTTP is in :mod:`liaam.studio.app`, the export of files in :mod:`liaam.studio.export`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from liaam.fitting.fitter import Fitter
 from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
+from liaam.io import Landmarks
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb
@@ -364,3 +365,12 @@ def error_of(shape: np.ndarray, truth: np.ndarray | None) -> tuple[float, float]
         return None
     error = point_error(shape, truth)
     return error, 100.0 * error / diagonal_of(known)
+
+
+def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:
+    """Return the landmarks to compare with, NaN where one is missing or invisible."""
+    if landmarks is None:
+        return None
+    points = np.array(landmarks.points)
+    points[list(landmarks.invisible)] = np.nan
+    return points

@@ -30,9 +30,6 @@ from liaam.studio.safety import Refusal
 
 JPEG_QUALITY = 92
 
-SIZES = (16, 16384)
-"""Smallest and largest size of the longest side that a request may ask for, in pixels."""
-
 CHROMA_STEP = 1 / 4096
 """Step of chroma's 16-bit integers: natural logarithm of a ratio of light."""
 
@@ -277,15 +274,6 @@ class Pictures:
 
 def _displayed(source: Source, image: np.ndarray, size: int) -> bytes:
     return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
-
-
-def checked_size(text: str | None, otherwise: int) -> int:
-    """Parse a requested size and clip it to :data:`SIZES`."""
-    if text is None:
-        return otherwise
-    if not (text.isascii() and text.isdigit() and len(text) < 7):
-        raise Refusal(422, f"size {text[:20]!r} is not a whole number of pixels: send the longest side, such as 1024")
-    return int(np.clip(int(text), *SIZES))
 
 
 def fitted_size(width: int, height: int, size: int) -> tuple[int, int]:

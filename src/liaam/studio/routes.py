@@ -1,19 +1,29 @@
-"""Routes of the web application: functions that run in threads, and the bodies that they take."""
+"""Routes of the web application: functions that run in threads, and what requests may say."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from liaam.errors import LiaamError
+from liaam.photometry import srgb_to_linear
+from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.safety import Refusal
+
+SIZES = (16, 16384)
+"""Smallest and largest size of the longest side that a request may ask for, in pixels."""
+
+MOST_LAMPS = 8
+"""Maximum number of lamps of a relit picture."""
 
 Reader = Callable[[Request], Awaitable[Any]]
 """Reads the body of a request, whose size :class:`liaam.studio.safety.Guard` has limited."""
@@ -32,12 +42,15 @@ def route(
     ``act`` runs in a thread, which keeps the event loop free. It takes the request and, with ``read``, its body.
     """
 
-    async def endpoint(request: Request) -> Response:
-        body = () if read is None else (await read(request),)
-        answer = await run_sync(act, request, *body, limiter=limiter)
+    def answered(request: Request, *body: Any) -> Response:
+        answer = act(request, *body)
         if isinstance(answer, Response):
             return answer
         return Response(status_code=204) if answer is None else JSONResponse(answer, status)
+
+    async def endpoint(request: Request) -> Response:
+        body = () if read is None else (await read(request),)
+        return await run_sync(answered, request, *body, limiter=limiter)
 
     return Route(path, endpoint, methods=[method])
 
@@ -71,3 +84,56 @@ def attachment(name: str, data: bytes, kind: str = "application/octet-stream") -
     plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
     place = f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"
     return Response(data, media_type=kind, headers={"content-disposition": place, "cache-control": "no-store"})
+
+
+def checked_size(text: str | None, otherwise: int) -> int:
+    """Parse a requested size and clip it to :data:`SIZES`."""
+    if text is None:
+        return otherwise
+    if not (text.isascii() and text.isdigit() and len(text) < 7):
+        raise Refusal(422, f"size {text[:20]!r} is not a whole number of pixels: send the longest side, such as 1024")
+    return int(np.clip(int(text), *SIZES))
+
+
+def parse_start(data: Any) -> Any:
+    """Parse the start of a fit: null, a box, or a shape whose points may be null."""
+    if data is None:
+        return None
+    if isinstance(data, dict) and len(data) == 1:
+        if isinstance(data.get("box"), list) and len(data["box"]) == 4 and all(map(_is_number, data["box"])):
+            return tuple(float(value) for value in data["box"])
+        points = data.get("shape")
+        if isinstance(points, list) and 0 < len(points) <= 100_000 and all(map(_is_point, points)):
+            return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
+    raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
+
+
+def _is_number(value: Any) -> bool:
+    # No pixel lies beyond this limit, and arithmetic may overflow.
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
+
+
+def _is_point(value: Any) -> bool:
+    return value is None or (isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)))
+
+
+def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
+    """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp`, and ``ambient``; by default from the front.
+
+    Colours are sRGB values.
+    """
+    try:
+        light = json.loads(query.get("light", '{"lamps": [{"direction": [0, 0, 1]}]}'))
+        lamps = []
+        for lamp in light["lamps"]:
+            colour = srgb_to_linear(np.array(lamp.get("colour", (1, 1, 1)), np.float64))
+            lamps.append(Lamp(**{**lamp, "colour": tuple(colour.tolist())}))
+        ambient = light.get("ambient", AMBIENT)
+        check_ambient(ambient)
+    except LiaamError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as fault:
+        raise Refusal(422, "the light is unclear: send JSON with lamps, each with a direction, and ambient") from fault
+    if len(lamps) > MOST_LAMPS:
+        raise Refusal(422, f"{len(lamps)} lamps are too many: send at most {MOST_LAMPS}")
+    return lamps, ambient
