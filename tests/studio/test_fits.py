@@ -35,6 +35,7 @@ from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
+from liaam.tracking.motion import rescaled
 from scenes import Scene
 from setups import moving_scene
 
@@ -197,9 +198,9 @@ class TestFit:
             made.append(fit(fits))
             fits.layer(made[-1], "flat", 100)
         fits.forget_former(None)  # a template that is changed leaves what is shown
-        assert {number for number, *_ in fits._fitters} == {id(made[2].model), id(made[3].model)}
-        assert {number for *_, number in fits._found} == {3, 4}
-        assert {number for number, _ in fits._lights} == {made[2].id, made[3].id}
+        assert {number for number, *_ in fits._fitters._values} == {id(made[2].model), id(made[3].model)}
+        assert {number for *_, number in fits._found._values} == {3, 4}
+        assert {number for number, _ in fits._lights._values} == {made[2].id, made[3].id}
         assert fits.get(made[2].id) is made[2]
         with pytest.raises(Refusal, match="fit again"):
             fits.get(made[1].id)
@@ -338,7 +339,7 @@ class TestLayers:
 
     def test_points_go_to_the_same_place_of_another_size(self):
         corners = np.array([[-0.5, -0.5], [639.5, 479.5], [0.0, 0.0]])
-        there = layers.scaled_points(corners, (640, 480), (320, 240))
+        there = rescaled(corners, (480, 640), (240, 320))
         assert there.tolist() == [[-0.5, -0.5], [319.5, 239.5], [-0.25, -0.25]]
 
     @pytest.mark.parametrize(
@@ -442,7 +443,7 @@ class TestTakenApart:
 
         large = cv2.resize(scene.image, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
         fitter = Fitter(head_model)
-        there = layers.scaled_points(scene.landmarks, (120, 160), (480, 640))
+        there = rescaled(scene.landmarks, (160, 120), (640, 480))
         result = fitter.fit(large, there)
         small = layers.taken_apart(fitter, large, result, (240, 320)).flat().astype(int)
         whole = averaged(layers.taken_apart(fitter, large, result, (480, 640)).flat(), (240, 320))
@@ -454,7 +455,7 @@ def mesh_mask(fitted, size: tuple[int, int], grow: int = 3) -> np.ndarray:
     """Pixels of the mesh, and some around it, or without some at its border."""
     import cv2
 
-    shape = layers.scaled_points(fitted.result.landmarks, (120, 160), size)
+    shape = rescaled(fitted.result.landmarks, (160, 120), size[::-1])
     mask = np.zeros((size[1], size[0]), np.uint8)
     for triangle in fitted.model.triangles:
         cv2.fillConvexPoly(mask, np.rint(shape[triangle]).astype(np.int32), 1)

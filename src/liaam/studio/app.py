@@ -16,7 +16,7 @@ from anyio import CapacityLimiter
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
@@ -138,7 +138,6 @@ def make_app(studio: Studio) -> Starlette:
         exception_handlers={
             LiaamError: handlers.on_fault,
             HTTPException: _on_http_fault,
-            ClientDisconnect: lambda *_: Response(status_code=400),
             Exception: _on_bug,
         },
     )
@@ -160,11 +159,11 @@ class _Handlers:
             route("GET", "/api/project", self.overview),
             route("GET", of_picture + "image", self.image, limiter=shown),
             route("GET", of_picture + "chroma", self.chroma, limiter=shown),
-            route("GET", of_picture + "landmarks", lambda request: project.marks(request.path_params["name"])),
+            route("GET", of_picture + "landmarks", lambda asked: project.marks(asked.path_params["name"])),
             route("PUT", of_picture + "landmarks", act(self.save_landmarks), read_json),
-            route("GET", of_picture + "history", lambda request: project.history(request.path_params["name"])),
+            route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
             route("POST", "/api/review", act(self.review), read_json),
-            route("GET", "/api/export/{kind}", self.export),
+            route("GET", "/api/export/{kind}", lambda it: attachment(*export_of(project, it.path_params["kind"]))),
             route("GET", "/api/measurements", self.measurements),
             route("PUT", "/api/template", act(self.save_template), read_json),
             route("POST", "/api/template/file", self.read_template, data),
@@ -199,12 +198,14 @@ class _Handlers:
 
     def overview(self, request: Request) -> dict[str, Any]:
         studio, project, known = self.studio, self.project, request.query_params.get("stamp")
-        suffix = self._stamp_suffix()  # read before the data: a change in between shows up in the next request
+        model, training = studio.models.current, studio.training
+        # Read before the data: a change in between shows up in the next request.
+        suffix = f"-{0 if model is None else model.number}-{training.state.state}-{studio.background.checks}"
         of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
         overview = project.overview(of_folder, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
-        studio.training.follow_template()
+        training.follow_template()
         return {
             "id": project.id,
             "stamp": overview.stamp + suffix,
@@ -215,8 +216,8 @@ class _Handlers:
             "offered": project.templates.is_offered,
             "model": model_json(studio.models.current, overview.done, overview.unread),
             "checked": studio.background.has_checked(overview.done),
-            "training": asdict(studio.training.state),
-            "versions": studio.training.versions.as_json(project.templates.order),
+            "training": asdict(training.state),
+            "versions": training.versions.as_json(project.templates.order),
             "methods": [
                 {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
                 for method in METHODS.values()
@@ -228,12 +229,6 @@ class _Handlers:
             "limits": {"upload_bytes": studio.settings.upload_bytes, "pixels": studio.settings.pixels},
             "problems": project.problems,
         }
-
-    def _stamp_suffix(self) -> str:
-        """Return the part of a stamp that depends on the model and the training, not on the folder."""
-        model = self.studio.models.current
-        checks = self.studio.background.checks
-        return f"-{0 if model is None else model.number}-{self.studio.training.state.state}-{checks}"
 
     def save_landmarks(self, request: Request, data: Any) -> dict[str, Any]:
         name = request.path_params["name"]
@@ -251,9 +246,6 @@ class _Handlers:
         self._changed()
         return answer
 
-    def export(self, request: Request) -> Response:
-        return attachment(*export_of(self.project, request.path_params["kind"]))
-
     def measurements(self, request: Request) -> Response:
         asked = request.query_params
         return attachment(*measurements_of(self.project, asked.get("measures", ""), asked.get("scale", "")))
@@ -269,7 +261,7 @@ class _Handlers:
         return template
 
     def read_template(self, request: Request, data: bytes) -> dict[str, Any]:
-        return self.project.read_template(request.query_params.get("name", ""), data).as_json()
+        return self.project.read_template(_name(request), data).as_json()
 
     async def events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -285,7 +277,7 @@ class _Handlers:
         return attachment(f"{plain_name(current.model.name or 'model')}.liaam", current.model.to_bytes())
 
     def receive_guest(self, request: Request, data: bytes) -> None:
-        name = plain_name(request.query_params.get("name", ""))
+        name = plain_name(_name(request))
         model = load_dropped_model(data, name, self.studio.settings.points)
         facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
         self.studio.models.publish(model, facts, "guest")
@@ -296,7 +288,7 @@ class _Handlers:
         self._changed()
 
     def take_in(self, request: Request, data: bytes) -> dict[str, Any]:
-        answer = self.project.take_in(request.query_params.get("name", ""), data)
+        answer = self.project.take_in(_name(request), data)
         self.studio.background.wake()
         return answer
 
@@ -328,7 +320,8 @@ class _Handlers:
         self, request: Request, kind: str, make: Callable[[Source], bytes], media: str = "image/jpeg"
     ) -> Response:
         """Return bytes computed from a picture, or 304 if the browser has them; remember JPEGs that cannot be made."""
-        picture = self._source(request)
+        asked, studio = request.path_params, self.studio
+        picture = studio.uploads.source(asked["id"]) if "id" in asked else self.project.source(asked["name"])
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
         known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
         if headers["etag"] in known:
@@ -339,12 +332,6 @@ class _Handlers:
             if media == "image/jpeg":
                 self.project.mark_unreadable(picture, fault)
             raise
-
-    def _source(self, request: Request) -> Source:
-        """Return the picture of the folder, or the dropped one, that a request names."""
-        if "id" in request.path_params:
-            return self.studio.uploads.source(request.path_params["id"])
-        return self.project.source(request.path_params["name"])
 
     def layer(self, request: Request) -> Response:
         fit, what = self.studio.fits.get(request.path_params["id"]), request.path_params["layer"]
@@ -384,6 +371,11 @@ class _Handlers:
         writes = request.method not in ("GET", "HEAD") and request.url.path != FITS
         refused_write = isinstance(fault.__cause__, OSError) and writes
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
+
+
+def _name(request: Request) -> str:
+    """Return the name of the file in the body of a request."""
+    return request.query_params.get("name", "")
 
 
 async def _on_http_fault(request: Request, fault: Exception) -> Response:

@@ -10,7 +10,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -96,28 +96,19 @@ class Background:
     def _run(self) -> None:
         with suppress(OSError, AttributeError):  # a person who fits a picture comes first
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
-        with suppress(LiaamError):
-            self._prepare()
+        with suppress(LiaamError):  # the first photographs do not wait until the face model is ready
+            if self.models.own is None and self._may_use_face():
+                self._lend()
+                self._fitter_of(self._face).fit(example(self._face, WARM_UP))
         while not self._stopped:
             with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
-                self._work()
+                own = self.models.own
+                now = (self.project.stamp, self.trainer.state.state, own and own.number)
+                if now != self._seen:
+                    self.fit_new()
+                    self._seen = now if self.check_landmarks() else None
             if self._woken.wait(LOOK_SECONDS):
                 self._rest()
-
-    def _work(self) -> None:
-        """Do what is to do, unless nothing has changed since."""
-        own = self.models.own
-        now = (self.project.stamp, self.trainer.state.state, own and own.number)
-        if now == self._seen:
-            return
-        self.fit_new()
-        self._seen = now if self.check_landmarks() else None
-
-    def _prepare(self) -> None:
-        """Fit an example with the face model if it may be needed, so that the first photographs do not wait for it."""
-        if self.models.own is None and self._may_use_face():
-            self._lend()
-            self._fitter_of(self._face).fit(example(self._face, WARM_UP))
 
     def _rest(self) -> None:
         """Wait until no more files arrive, but not for ever."""
@@ -190,13 +181,14 @@ class Background:
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        tags = {name: file_tag(path) for name, path in waiting}
-        fresh = [picture for picture in waiting if (picture[0], tags[picture[0]]) not in self._without_faces][:TRIED]
+        fitter = self._fitter_of(face)
+        tagged = [(name, file_tag(path), path) for name, path in waiting]
+        fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
         with ThreadPoolExecutor(THREADS) as pool:
-            found = list(pool.map(lambda picture: propose(self._fitter_of(face), picture[1]), fresh))
+            found = list(pool.map(lambda each: propose(fitter, each[2]), fresh))
         if fresh and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh):
             return True
-        self._without_faces.update((name, tags[name]) for name, _ in fresh)
+        self._without_faces.update(each[:2] for each in fresh)
         return False
 
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
@@ -205,9 +197,7 @@ class Background:
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
         with ThreadPoolExecutor(THREADS) as pool:
-            pending: dict[Future[dict[str, Any]], str] = {
-                pool.submit(propose, fitter, path): name for name, path in waiting
-            }
+            pending = {pool.submit(propose, fitter, path): name for name, path in waiting}
             try:
                 while pending and not self._is_paused() and model in (self.models.own, self.models.spare):
                     for future in wait(pending, seconds, FIRST_COMPLETED).done:

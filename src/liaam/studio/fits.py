@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import finite_or_none, point_error
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
@@ -289,7 +289,7 @@ class Fits:
         """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
         if what == "residual":
             to = fitted_size(*fit.source.size, size)
-            shape = layers.scaled_points(fit.result.landmarks, fit.source.size, to)
+            shape = layers.scaled(fit.result, fit.source.size, to).landmarks
             part = fit.fitter.part_for(fit.result).model
             return layers.residual_layer(part, shape, self._residual(fit), to)
         light, to = self._light(fit, size)
@@ -304,7 +304,6 @@ class Fits:
 
     def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
         """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
-        layers.need_flat(fit.no_flat)
         size = min(size, LIGHT_SIZE)
         to = fitted_size(*fit.source.size, max(size, LAYER_SIZE))
         light = self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to))
@@ -312,7 +311,6 @@ class Fits:
 
     def whole_light(self, fit: Fit) -> Relighter:
         """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
-        layers.need_flat(fit.no_flat)
         whole = fit.source.size
         if prod(whole) > self.settings.whole_pixels:
             raise Refusal(
@@ -327,6 +325,8 @@ class Fits:
             return self._taken_apart(fit, whole)
 
     def _taken_apart(self, fit: Fit, to: tuple[int, int]) -> Relighter:
+        if fit.no_flat is not None:
+            raise MethodError(fit.no_flat)
         with self.pictures.at_work(fit.source) as image:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 

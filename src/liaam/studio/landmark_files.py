@@ -187,9 +187,10 @@ class LandmarkFiles:
         return self._scale(picture)["bar"]
 
     def scale_of(self, picture: File) -> float | None:
-        """Return the length of a pixel: by the scale bar, or else by the landmark file."""
+        """Return the length of a pixel in millimetres: by the scale bar, or else by the landmark file."""
         known = self._scale(picture)
-        return known["scale"] if known["bar"] is None else pixel_length(known["bar"])
+        bar = known["bar"]
+        return known["scale"] if bar is None else bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])
 
     def shares_scale(self, picture: File) -> bool:
         """Whether the scale bar of a picture was drawn on another one."""
@@ -340,8 +341,3 @@ def parse_bar(data: Any) -> dict[str, Any] | None:
     if ends[0] is None or ends[1] is None or math.dist(ends[0], ends[1]) < 1:
         raise Refusal(422, "the ends of the scale bar are less than a pixel apart: draw it longer")
     return {"ends": [list(ends[0]), list(ends[1])], "length": length, "unit": data["unit"]}
-
-
-def pixel_length(bar: Mapping[str, Any]) -> float:
-    """Return the length of a pixel in millimetres."""
-    return bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])

@@ -70,10 +70,6 @@ class Kept(Generic[K, V]):
     def __len__(self) -> int:
         return len(self._values)
 
-    def __iter__(self) -> Iterator[K]:
-        with self._lock:
-            return iter(list(self._values))
-
     def peek(self, key: K) -> V | None:
         """Return the value of a key, or None."""
         with self._lock:
@@ -88,24 +84,18 @@ class Kept(Generic[K, V]):
             if key in self._values:
                 self._values.move_to_end(key)
                 return self._values[key][0]
-            future = self._being_made.get(key)
-            is_first = future is None
-            if future is None:
-                future = self._being_made[key] = Future()
-        if not is_first:
-            return future.result()
-        try:
-            value = make()
-        except BaseException as fault:
+            known = self._being_made.get(key)
+            future = self._being_made[key] = known or Future()
+        if known is None:
+            try:
+                future.set_result(make())
+            except BaseException as fault:
+                future.set_exception(fault)
             with self._lock:
                 del self._being_made[key]
-            future.set_exception(fault)
-            raise
-        with self._lock:
-            del self._being_made[key]
-            self._put(key, value)
-        future.set_result(value)
-        return value
+                if future.exception() is None:
+                    self._put(key, future.result())
+        return future.result()
 
     def put(self, key: K, value: V) -> None:
         """Cache a value."""
@@ -251,7 +241,19 @@ class Pictures:
 
     def image(self, source: Source, size: int) -> bytes:
         """Return a JPEG for display, its longest side at most ``size``."""
-        return self._encoded.get(("image", source.name, source.tag, size), lambda: self._image(source, size))
+
+        def shown_as_jpeg(image: np.ndarray) -> bytes:
+            return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
+
+        def make() -> bytes:
+            # At half size or less, decoding a preview may be faster, and independent of the cache.
+            if source.preview is not None and 2 * size <= max(source.size):
+                with self.room.of(prod(source.size)):
+                    return shown_as_jpeg(source.preview(size))
+            with self.at_work(source) as image:
+                return shown_as_jpeg(image)
+
+        return self._encoded.get(("image", source.name, source.tag, size), make)
 
     def chroma(self, source: Source, size: int, response: Response) -> bytes:
         """Return the chroma of a picture (see :func:`chroma`)."""
@@ -262,18 +264,6 @@ class Pictures:
                 return chroma_bytes(image, size, response, source.name)
 
         return self._encoded.get(key, make)
-
-    def _image(self, source: Source, size: int) -> bytes:
-        # At half size or less, decoding a preview may be faster, and independent of the cache.
-        if source.preview is not None and 2 * size <= max(source.size):
-            with self.room.of(prod(source.size)):
-                return _displayed(source, source.preview(size), size)
-        with self.at_work(source) as image:
-            return _displayed(source, image, size)
-
-
-def _displayed(source: Source, image: np.ndarray, size: int) -> bytes:
-    return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
 
 
 def fitted_size(width: int, height: int, size: int) -> tuple[int, int]:

@@ -135,26 +135,20 @@ class Project:
         with self._lock:
             return [*self.store.faults.values(), *self._landmarks.problems, *self._listing.notices()]
 
-    def _rescan(self) -> None:
-        """Scan the folder; ignore a change of the template that cannot be finished yet."""
-        with suppress(Refusal):  # it has been noted
+    def _rescan(self, strict: bool = False) -> None:
+        """Scan the folder; only if ``strict``, raise if a change of the template cannot be finished yet."""
+        try:
             self.templates.finish()
+        except Refusal:  # it has been noted
+            if strict:
+                raise
         self._listing.scan()
 
     def _stamp(self) -> str:
-        listing, store = self._listing, self.store
-        faults = sorted(store.faults.items())
-        known = (
-            self._salt,
-            store.writes,
-            self.templates.offered,
-            self._states.slips,
-            self.templates.is_pending,
-            faults,
-            listing.stranded,
-            listing.unlisted,
-        )
-        return revision_of(repr((known, listing.version)).encode())
+        listing, store, templates = self._listing, self.store, self.templates
+        files = (listing.version, listing.stranded, listing.unlisted)
+        own = (store.writes, sorted(store.faults.items()), templates.offered, templates.is_pending, self._states.slips)
+        return revision_of(repr((self._salt, files, own)).encode())
 
     def overview(self, stamp: str | None = None, seconds: float = math.inf) -> Overview | None:
         """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
@@ -165,14 +159,23 @@ class Project:
         self._asked = time.monotonic()
         with self._lock:
             self._rescan()
-            return None if self._stamp() == stamp else self._overview(seconds)
+            if self._stamp() == stamp:
+                return None
+            files, states = self._listing.pictures, self._states
+            is_long = len(files) > LONG and seconds < math.inf
+            self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
+            stamp, ranks = self._stamp(), states.ranks()
+            read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
+            pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
+            stamp += "" if len(read) == len(pictures) else "-reading"
+            done = {item.name: item.revision for item in self._annotated(read)}
+            return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def read_files(self) -> None:
         """Read the files of all pictures in small parts, so that others can use the project meanwhile."""
-        waiting: deque[File] = deque()
         with self._lock:
             self._rescan()
-            waiting.extend(self._listing.pictures)
+            waiting = deque(self._listing.pictures)
         while waiting:
             with self._lock:
                 self._read_for(PART_SECONDS, waiting)
@@ -186,17 +189,6 @@ class Project:
             file = waiting.popleft()
             if self._listing.files.get(file.name) == file:
                 self._states.as_json(file, {})
-
-    def _overview(self, seconds: float) -> Overview:
-        files, states = self._listing.pictures, self._states
-        is_long = len(files) > LONG and seconds < math.inf
-        self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
-        stamp, ranks = self._stamp(), states.ranks()
-        read = {file.name for file in files if states.is_read(file)}
-        pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
-        stamp += "" if len(read) == len(pictures) else "-reading"
-        done = {item.name: item.revision for item in self._annotated(read)}
-        return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def source(self, name: str) -> Source:
         """Return a picture that can be decoded."""
@@ -225,8 +217,7 @@ class Project:
     def annotated(self) -> list[Annotated]:
         """Return the done pictures, which have all their points, except those left out of training."""
         with self._lock:
-            self.templates.finish()
-            self._listing.scan()
+            self._rescan(strict=True)
             return self._annotated()
 
     def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
@@ -249,8 +240,7 @@ class Project:
     def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
         with self._lock:
-            self.templates.finish()
-            self._listing.scan()
+            self._rescan(strict=True)
             template, landmarks = self.templates.current, self._landmarks
             found = [(file, landmarks.of(file)) for file in self._listing.usable()]
             return [
@@ -365,8 +355,7 @@ class Project:
             raise Refusal(422, "send an object with pictures, a list of names, and did")
         who = parse_who(data.get("who"))
         with self._lock:
-            self.templates.finish()
-            self._listing.scan()
+            self._rescan(strict=True)
             files = [self._find(name) for name in dict.fromkeys(names)]
             did, sharing = str(data.get("did")), None
             if did == "scaled":

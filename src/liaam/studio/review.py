@@ -128,10 +128,6 @@ class PictureStates:
         }
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
-    def is_read(self, file: File) -> bool:
-        """Whether the files of a picture were read before, so that its state is known at once."""
-        return self.listing.is_read(file) and self.landmarks.is_read(file)
-
     def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
         """Return one picture as JSON for the page."""
         size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)

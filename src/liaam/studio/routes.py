@@ -100,21 +100,22 @@ def parse_start(data: Any) -> Any:
     if data is None:
         return None
     if isinstance(data, dict) and len(data) == 1:
-        if isinstance(data.get("box"), list) and len(data["box"]) == 4 and all(map(_is_number, data["box"])):
+        if _are_numbers(data.get("box"), 4):
             return tuple(float(value) for value in data["box"])
         points = data.get("shape")
-        if isinstance(points, list) and 0 < len(points) <= 100_000 and all(map(_is_point, points)):
+        if (
+            isinstance(points, list)
+            and 0 < len(points) <= 100_000
+            and all(each is None or _are_numbers(each, 2) for each in points)
+        ):
             return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
     raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
 
 
-def _is_number(value: Any) -> bool:
+def _are_numbers(values: Any, n: int) -> bool:
     # No pixel lies beyond this limit, and arithmetic may overflow.
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
-
-
-def _is_point(value: Any) -> bool:
-    return value is None or (isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)))
+    are_in_range = isinstance(values, list) and all(type(x) in (int, float) and -1e9 < x < 1e9 for x in values)
+    return are_in_range and len(values) == n
 
 
 def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
