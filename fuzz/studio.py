@@ -97,7 +97,7 @@ def check_state(data: bytes) -> None:
     load_studio_model(project, ModelStore())
     overview = project.overview()
     assert overview is not None
-    answers: list[Any] = [overview.pictures, project.templates.as_json(), project.problems, project.id]
+    answers: list[Any] = [overview.pictures, project.templates.as_json(), project.problems, project.store.id]
     answers += [project.marks(picture["name"]) for picture in overview.pictures]
     answers += [project.history("p1.png"), Versions(project.store).as_json(project.templates.order)]
     json.dumps(answers, allow_nan=False).encode()  # as sent to the page

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from liaam.errors import MethodError
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.solution import residual_at
@@ -355,7 +356,7 @@ class TestLayers:
         made = fit(fits, name, method=method)
         assert made.as_json()["layers"] == ["residual"]
         for what in ("flat", "shading"):
-            with pytest.raises(layers.MethodError, match=text):
+            with pytest.raises(MethodError, match=text):
                 fits.layer(made, what, 100)
         assert fits.layer(made, "residual", 100)
 
@@ -404,7 +405,7 @@ class TestLight:
         assert fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 80).shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
-        with pytest.raises(layers.MethodError, match="method grey does not separate"):
+        with pytest.raises(MethodError, match="method grey does not separate"):
             fits.relit(fit(fits, method="grey"), FRONT, 0.3, 320)
 
     def test_on_request(self, page):

@@ -187,12 +187,12 @@ def test_proposals_for_points_of_another_order_are_dropped(small):
 
 
 def test_a_folder_keeps_its_id_and_a_copy_has_another(small):
-    known = small.id
-    assert Project(small.root).id == known
+    known = small.store.id
+    assert Project(small.root).store.id == known
     moved = small.root.rename(small.root.with_name("moved"))
-    assert Project(moved).id == known
+    assert Project(moved).store.id == known
     shutil.copytree(moved, moved.with_name("copy"))
-    assert Project(moved.with_name("copy")).id != known
+    assert Project(moved.with_name("copy")).store.id != known
 
 
 def test_a_second_studio_on_a_folder_is_refused(small):
@@ -399,7 +399,7 @@ def test_a_page_asks_cheaply_whether_anything_changed(small, serve, head_model):
     running = serve(small.root)
     client = running.client
     project = client.get("/api/project").json()
-    assert project["id"] == running.studio.project.id
+    assert project["id"] == running.studio.project.store.id
     again = client.get("/api/project", params={"stamp": project["stamp"]}).json()
     assert again == {"unchanged": True, "stamp": project["stamp"]}
     running.studio.models.publish(head_model, {"source": "file", "trained": None, "pictures": {}})

@@ -242,7 +242,11 @@ class Fits:
         """
         with self.pictures.at_work(source, small) as image:
             began = time.perf_counter()
-            begin = self._search(current, source, image) if start is None else start
+            begin = start
+            if start is None:  # all methods share one search
+                key = (source.name, source.tag, image.shape, current.number)
+                searcher = self._searcher(current, source.raw)
+                begin = self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
             searched = time.perf_counter()
             result = fitter.fit(image, begin, source.name)
             if start is None and result.quality < result.least_quality:  # try the other places that the search finds
@@ -313,12 +317,9 @@ class Fits:
         """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
         whole = fit.source.size
         if prod(whole) > self.settings.whole_pixels:
-            raise Refusal(
-                422,
-                f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the "
-                f"{self.settings.whole_pixels:,} that the studio relights in full size: use 'liaam relight', or a "
-                "smaller picture",
-            )
+            size = f"{whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
+            text = f"{fit.source.name} has {size} that the studio relights in full size"
+            raise Refusal(422, f"{text}: use 'liaam relight', or a smaller picture")
         if max(whole) <= LIGHT_SIZE:
             return self._light(fit, max(whole))[0]
         with self._large:
@@ -329,12 +330,6 @@ class Fits:
             raise MethodError(fit.no_flat)
         with self.pictures.at_work(fit.source) as image:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
-
-    def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Detection:
-        """Search for the object; all methods share one search."""
-        searcher = self._searcher(current, source.raw)
-        key = (source.name, source.tag, image.shape, current.number)
-        return self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
         """Return a fitter by any method of the model."""

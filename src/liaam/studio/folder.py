@@ -113,7 +113,6 @@ class Listing:
         self.stranded: list[str] = []
         self.unlisted: list[str] = []
         self._most_pixels = most_pixels
-        self._found: dict[str, Signature] = {}
         self._times: dict[str, int] = {}
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
         self._arrange()
@@ -121,9 +120,8 @@ class Listing:
     def scan(self) -> None:
         """List the folder."""
         self.stranded, self.unlisted, self._times = [], [], {}
-        with disk_errors(
-            f"{self.folder.root.name} cannot be read", "is the folder still there?", partial(Refusal, 503)
-        ):
+        unavailable = partial(Refusal, 503)
+        with disk_errors(f"{self.folder.root.name} cannot be read", "is the folder still there?", unavailable):
             found, below = self._listed("")
         waiting = deque(below)
         if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in found):
@@ -138,9 +136,8 @@ class Listing:
                     waiting.extend(below)
                     continue
             self.unlisted.append(name)
-        if found == self._found:
+        if found == {name: file.signature for name, file in self.files.items()}:
             return  # sorting thousands of files takes far longer than listing them
-        self._found = found
         self.files = {name: File(name, found[name]) for name in sorted(found, key=natural_key)}
         self._arrange()
 
@@ -152,9 +149,7 @@ class Listing:
             file = self.files[name] = File(name, _signature((self.folder.root / name).stat()))
         except OSError:
             self.files.pop(name, None)
-            self._found.pop(name, None)
         else:
-            self._found[name] = file.signature
             if self._own.get(file.stem, file).name == name:
                 self._own[file.stem] = file  # to arrange thousands of files for each that is written would take minutes
                 self.version += 1
@@ -251,28 +246,21 @@ class Listing:
 
     def notices(self) -> list[str]:
         """Return messages about files that look like pictures but are skipped, and landmark files without a picture."""
-        unread = [file for file in self.files.values() if file.suffix in UNREAD_SUFFIXES]
-        kinds = Counter(file.suffix for file in unread)
+        files = self.files.values()
+        unread = [file.name for file in files if file.suffix in UNREAD_SUFFIXES]
+        kinds = Counter(PurePosixPath(name).suffix.lower() for name in unread)
         endings = ", ".join(f"{count} {suffix}" for suffix, count in sorted(kinds.items()))
         below = [name for name in self.unlisted if self._has_pictures(name)]
-        why = "there are too many" if len(self._times) > 1 else "the folder itself has pictures"
-        orphans = [
-            file for file in self.files.values() if file.suffix in OWN_SUFFIXES and file.stem not in self.winners
-        ]
-        renamed = "if the picture was renamed, rename the landmark file too"
+        reason = "there are too many" if len(self._times) > 1 else "the folder itself has pictures"
+        orphans = [file.name for file in files if file.suffix in OWN_SUFFIXES and file.stem not in self.winners]
+        remedy = "if the picture was renamed, rename the landmark file too"
         notices = (
-            (
-                [file.name for file in unread],
-                "picture",
-                f"skipped, because the format is not supported ({endings}): save as PNG or JPEG",
-            ),
+            (unread, "picture", f"skipped, because the format is not supported ({endings}): save as PNG or JPEG"),
             (self.stranded, "file", "skipped, because the link leads out of the folder: put a copy in its place"),
-            (below, "subfolder", f"with pictures not shown, because {why}: open the studio on a subfolder"),
-            ([file.name for file in orphans], "landmark file", f"without a picture of the same name: {renamed}"),
+            (below, "subfolder", f"with pictures not shown, because {reason}: open the studio on a subfolder"),
+            (orphans, "landmark file", f"without a picture of the same name: {remedy}"),
         )
-        return [
-            f"{count_of(len(names), what)} ({some_names(names, 3)}) {text}" for names, what, text in notices if names
-        ]
+        return [f"{count_of(len(names), what)} ({some_names(names, 3)}) {why}" for names, what, why in notices if names]
 
     def _has_pictures(self, name: str) -> bool:
         try:

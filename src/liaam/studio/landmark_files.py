@@ -60,6 +60,11 @@ class Marks:
         """Number of placed points."""
         return 0 if self.landmarks is None else int((~self.landmarks.missing).sum())
 
+    def fits(self, template: Template | None) -> bool:
+        """Whether points are placed, and there are as many as the template has."""
+        count = None if self.landmarks is None or not self.n_placed else len(self.landmarks)
+        return template is not None and count == len(template)
+
 
 _NO_MARKS = Marks()
 
@@ -198,10 +203,9 @@ class LandmarkFiles:
 
     def _scale(self, picture: File) -> dict[str, Any]:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
-        known, landmarks = self._bars.get(picture.name), self.of(picture).landmarks
-        if known is not None and known["tag"] == picture.tag:
-            return known
-        return {"tag": picture.tag, "bar": None, "scale": None if landmarks is None else landmarks.scale}
+        landmarks = self.of(picture).landmarks
+        scale = None if landmarks is None else landmarks.scale
+        return self._bars.of(picture) or {"tag": picture.tag, "bar": None, "scale": scale}
 
     def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
         """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
@@ -212,13 +216,6 @@ class LandmarkFiles:
         before = {each: self._scale(each) for each in pictures}
         shared = {each.name: {"tag": each.tag, "bar": bar, "scale": None, "before": before[each]} for each in pictures}
         self._bars.save({each.name: before[each]["before"] for each in pictures} if bar is None else shared)
-
-    def write_scale(self, picture: File, template: Template) -> None:
-        """Write the scale into the landmark file of a picture, if there is one that can hold it."""
-        marks = self.of(picture)
-        fits = marks.landmarks is not None and marks.n_placed and len(marks.landmarks) == len(template)
-        if marks.landmarks is not None and fits and self.target(picture).suffix.lower() != ".pts":
-            self.save(picture, template, marks.points, marks.landmarks.invisible)
 
     def save(
         self,
@@ -282,46 +279,6 @@ class LandmarkFiles:
 def text_of(landmarks: Landmarks, suffix: str) -> str:
     """Return the text of a landmark file in a format that can be written."""
     return writer_of(Path(f"x{suffix}"))(landmarks)
-
-
-class Proposals:
-    """Proposals for the pictures of a folder, and which of them were left at the mean shape, by name of the picture.
-
-    Pictures left at the mean shape have no landmark file, so no training uses them.
-    """
-
-    def __init__(self, listing: Listing, store: Store) -> None:
-        self._listing = listing
-        self._kept = Table(store, "proposal")
-        self._unchecked = Table(store, "unchecked")
-        self.forget = self._kept.forget
-        """Drop all proposals, because the template changed."""
-
-    def add(self, proposals: Mapping[str, dict[str, Any]]) -> None:
-        """Save proposals; the default ``tag`` is that of the current file."""
-        files = self._listing.files
-        self._kept.save(
-            {name: {"tag": files[name].tag if name in files else None, **item} for name, item in proposals.items()}
-        )
-
-    def of(self, picture: File) -> dict[str, Any] | None:
-        """Return the proposal for a picture, unless the picture has been replaced since."""
-        proposal = self._kept.get(picture.name)
-        return proposal if proposal is not None and proposal.get("tag") == picture.tag else None
-
-    def is_by(self, model: str, picture: File) -> bool:
-        """Whether a picture has a proposal, or a failed fit, of a model."""
-        proposal = self.of(picture)
-        return proposal is not None and proposal.get("model", "") == model
-
-    def is_unchecked(self, picture: File) -> bool:
-        """Whether a picture was left at the mean shape, unless it has been replaced since."""
-        return self._unchecked.get(picture.name) == picture.tag
-
-    def mark_unchecked(self, picture: File, unchecked: bool) -> None:
-        """Mark a picture as left at the mean shape, or remove the mark."""
-        if self.is_unchecked(picture) != unchecked:
-            self._unchecked.save({picture.name: picture.tag if unchecked else None})
 
 
 def revision_of_proposal(proposal: Mapping[str, Any]) -> str:

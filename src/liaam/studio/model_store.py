@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from liaam.errors import LiaamError, ModelFileError
+from liaam.fitting.held import methods_of
 from liaam.model import AAM, load_model
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
@@ -162,8 +163,6 @@ def model_json(
 
     ``done`` holds the revisions of the pictures for training by name; ``unread`` are those not known yet.
     """
-    from liaam.fitting.held import methods_of
-
     if current is None:
         return None
     model, facts = current.model, current.facts

@@ -63,7 +63,7 @@ class Kept(Generic[K, V]):
         self.limit = limit
         self.weight = 0
         self._weigh = weigh
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._being_made: dict[K, Future[V]] = {}
 
@@ -94,30 +94,25 @@ class Kept(Generic[K, V]):
             with self._lock:
                 del self._being_made[key]
                 if future.exception() is None:
-                    self._put(key, future.result())
+                    self.put(key, future.result())
         return future.result()
 
     def put(self, key: K, value: V) -> None:
         """Cache a value."""
+        weight = self._weigh(value)
         with self._lock:
-            self._put(key, value)
+            self.weight -= self._values.pop(key, (value, 0))[1]
+            if weight <= self.limit:
+                self._values[key] = value, weight
+                self.weight += weight
+            while self.weight > self.limit:
+                self.weight -= self._values.popitem(last=False)[1][1]
 
     def keep_only(self, wanted: Callable[[K, V], bool]) -> None:
         """Remove all values for which ``wanted(key, value)`` is false."""
         with self._lock:
             for key in [key for key, (value, _) in self._values.items() if not wanted(key, value)]:
                 self.weight -= self._values.pop(key)[1]
-
-    def _put(self, key: K, value: V) -> None:
-        if key in self._values:
-            self.weight -= self._values.pop(key)[1]
-        weight = self._weigh(value)
-        if weight > self.limit:
-            return
-        self._values[key] = value, weight
-        self.weight += weight
-        while self.weight > self.limit:
-            self.weight -= self._values.popitem(last=False)[1][1]
 
 
 class Room:

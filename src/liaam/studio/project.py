@@ -31,12 +31,12 @@ from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import File, Folder, Listing, checked_folder, revision_of
-from liaam.studio.landmark_files import LandmarkFiles, Proposals, parse_bar
+from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.pictures import Source, source_of
 from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.store import Store
+from liaam.studio.store import Store, Table
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
 from liaam.studio.templates import Templates
 from liaam.studio.uploads import Intake
@@ -87,25 +87,24 @@ class Project:
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        self._folder = Folder(checked_folder(folder))
-        self.root = self._folder.root
-        self.store = Store(self._folder)
+        self.folder = Folder(checked_folder(folder))
+        self.root = self.folder.root
+        self.store = Store(self.folder)
         self._lock = threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
-        self._listing = listing = Listing(self._folder, self.settings.pixels)
+        self._listing = listing = Listing(self.folder, self.settings.pixels)
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
-        self._proposals = Proposals(listing, self.store)
+        self._proposals = Table(self.store, "proposal")
+        # Pictures left at the mean shape have no landmark file, so no training uses them.
+        self._unchecked = Table(self.store, "unchecked")
         self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(listing, self.store, self._landmarks, self._proposals, self.templates, self._log)
+        self._states = PictureStates(
+            listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log
+        )
         self._intake = Intake(listing, self.settings.pixels)
         self._rescan()
-
-    @property
-    def id(self) -> str:
-        """Unique identifier of the folder. It survives a move; a copy has another one."""
-        return self.store.id
 
     @property
     def stamp(self) -> str:
@@ -114,20 +113,20 @@ class Project:
             self._rescan()
             return self._stamp()
 
-    def check_id(self, data: Any) -> None:
-        """Refuse a request whose ``folder`` is the id of another folder."""
-        if isinstance(data, dict) and data.get("folder", self.id) != self.id:
-            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=self.id)
+    def checked(self, data: Any, wanted: str) -> dict[str, Any]:
+        """Return the JSON of a request. Refuse what is no object, or whose ``folder`` is the id of another folder."""
+        if not isinstance(data, dict):
+            raise Refusal(422, f"send an object with {wanted}")
+        own = self.store.id
+        if data.get("folder", own) != own:
+            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=own)
+        return data
 
     def prepare(self) -> None:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
         with self._lock, suppress(LiaamError, OSError):
-            _ = self.id
+            _ = self.store.id
             self.store.sweep()
-
-    def plain(self, fault: object) -> str:
-        """Return an error message in which the folder's path is replaced by its name."""
-        return self._folder.plain(fault)
 
     @property
     def problems(self) -> list[str]:
@@ -194,7 +193,7 @@ class Project:
         """Return a picture that can be decoded."""
         with self._lock:
             self._listing.usable_size(self._find(name))
-            path = self._folder.inside(name)
+            path = self.folder.inside(name)
         return source_of(path, self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
@@ -222,20 +221,15 @@ class Project:
 
     def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
         """Return the done pictures, or those of them with a name that is in ``among``."""
-        files = [file for file in self._listing.pictures if among is None or file.name in among]
-        usable = [file for file in files if self._listing.fault_of(file) is None and self._states.is_done(file)]
-        found = [(file, self._landmarks.of(file)) for file in usable if self._log.left_out_by(file.name) is None]
-        return [
-            Annotated(
-                file.name,
-                self.root / file.name,
-                marks.landmarks.points,
-                self._states.version_of(marks),
-                self._states.slip_of(file)[0],
-            )
-            for file, marks in found
-            if marks.landmarks is not None
-        ]
+        states, found = self._states, []
+        for file in self._listing.pictures:
+            is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
+            if is_among and states.is_done(file) and self._log.left_out_by(file.name) is None:
+                marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
+                assert marks.landmarks is not None
+                version = states.version_of(marks)
+                found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
+        return found
 
     def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
@@ -246,10 +240,7 @@ class Project:
             return [
                 (file, replace(marks.landmarks, scale=landmarks.scale_of(file)), self._listing.usable_size(file))
                 for file, marks in found
-                if marks.landmarks is not None
-                and marks.n_placed
-                and template is not None
-                and len(marks.landmarks) == len(template)
+                if marks.landmarks is not None and marks.fits(template)
             ]
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
@@ -260,9 +251,9 @@ class Project:
         """
         with self._lock:
             self._rescan()
-            landmarks, proposals = self._landmarks, self._proposals
-            found = [file for file in self._listing.pictures if not proposals.is_by(model, file)]
-            blank = [file for file in found if not landmarks.of(file).n_placed]
+            proposals = self._proposals
+            by = {file: (proposals.of(file) or {"model": None}).get("model", "") for file in self._listing.pictures}
+            blank = [file for file in by if by[file] != model and not self._landmarks.of(file).n_placed]
             names = [file.name for file in blank if self._listing.fault_of(file) is None]
             ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
             known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
@@ -309,8 +300,7 @@ class Project:
         without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
-        if not isinstance(data, dict):
-            raise Refusal(422, "send an object with points, invisible and revision")
+        data = self.checked(data, "points, invisible and revision")
         who = parse_who(data.get("who"))
         with self._lock:
             self.templates.finish()
@@ -339,7 +329,9 @@ class Project:
                         did = "placed" if any(points) else "cleared"
                         self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
-                self._proposals.mark_unchecked(file, bool(data["unchecked"]))
+                tag = file.tag if data["unchecked"] else None
+                if self._unchecked.get(file.name) != tag:
+                    self._unchecked.save({file.name: tag})
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
@@ -350,7 +342,8 @@ class Project:
         and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
         drawn, and ``anyway`` see :class:`liaam.studio.review.Sharing`.
         """
-        names = data.get("pictures") if isinstance(data, dict) else None
+        data = self.checked(data, "pictures, a list of names, and did")
+        names = data.get("pictures")
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise Refusal(422, "send an object with pictures, a list of names, and did")
         who = parse_who(data.get("who"))
@@ -377,7 +370,7 @@ class Project:
         The data are JSON of the template; optionally ``mapping``, the old index of each point or null for a new
         one, by which landmark files are updated, and ``revision``, that of the template that is being changed.
         """
-        template = parse_template(data, self.settings.points)
+        template = parse_template(self.checked(data, "names, contours, mirror and points"), self.settings.points)
         with self._lock:
             return template, self.templates.save(template, data)
 
@@ -399,7 +392,9 @@ class Project:
         """
         with self._lock:
             if order in (None, self.templates.order):
-                self._proposals.add(proposals)
+                files = self._listing.files
+                tags = {name: files[name].tag if name in files else None for name in proposals}
+                self._proposals.save({name: {"tag": tags[name], **item} for name, item in proposals.items()})
 
 
 def _unread(file: File) -> dict[str, Any]:

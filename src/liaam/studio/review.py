@@ -18,9 +18,9 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import File, Listing, revision_of
-from liaam.studio.landmark_files import LandmarkFiles, Marks, Proposals, revision_of_proposal, text_of
+from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal, text_of
 from liaam.studio.safety import Refusal
-from liaam.studio.store import Store
+from liaam.studio.store import Store, Table
 from liaam.studio.templates import Templates
 
 UNDONE = {
@@ -113,7 +113,8 @@ class PictureStates:
     listing: Listing
     store: Store
     landmarks: LandmarkFiles
-    proposals: Proposals
+    proposals: Table
+    unchecked: Table
     templates: Templates
     log: ReviewLog
     slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
@@ -137,7 +138,7 @@ class PictureStates:
         elif marks.n_placed:
             state = "done" if self.is_done(file) else "partial"
         else:
-            state = "proposed" if proposal else "unchecked" if self.proposals.is_unchecked(file) else "new"
+            state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
         checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
         slip, wrong = self.slip_of(file) if state == "done" else (None, [])
         return {
@@ -210,9 +211,7 @@ class PictureStates:
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""
         template, marks = self.templates.current, self.landmarks.of(file)
-        if template is None or marks.landmarks is None:
-            return False
-        is_complete = marks.n_placed == len(template) == len(marks.landmarks)
+        is_complete = template is not None and marks.fits(template) and marks.n_placed == len(template)
         return is_complete and self._misplaced(file, marks) is None
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
@@ -324,8 +323,10 @@ class PictureStates:
     def _write(self, file: File, did: str, revision: str | None) -> None:
         """Write landmarks from the proposal or from a copy, or remove them; or write their scale."""
         if did in ("scaled", "unscaled"):
-            if self.templates.current is not None:
-                self.landmarks.write_scale(file, self.templates.current)
+            marks, template = self.landmarks.of(file), self.templates.current
+            has_place = self.landmarks.target(file).suffix.lower() != ".pts"
+            if template is not None and marks.landmarks is not None and marks.fits(template) and has_place:
+                self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
             return
         template = self.templates.needed
         points: Sequence[Any] = [None] * len(template)

@@ -1,9 +1,12 @@
-"""Routes of the web application: functions that run in threads, and what requests may say."""
+"""Routes of the web application: functions that run in threads, what requests may say, and events for the pages."""
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Awaitable, Callable, Mapping
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import suppress
 from typing import Any
 from urllib.parse import quote
 
@@ -24,6 +27,10 @@ SIZES = (16, 16384)
 
 MOST_LAMPS = 8
 """Maximum number of lamps of a relit picture."""
+
+ROOM = 100
+"""Maximum number of events queued for a page. A page that falls further behind is disconnected; it reconnects and
+reloads the project."""
 
 Reader = Callable[[Request], Awaitable[Any]]
 """Reads the body of a request, whose size :class:`liaam.studio.safety.Guard` has limited."""
@@ -102,12 +109,9 @@ def parse_start(data: Any) -> Any:
     if isinstance(data, dict) and len(data) == 1:
         if _are_numbers(data.get("box"), 4):
             return tuple(float(value) for value in data["box"])
-        points = data.get("shape")
-        if (
-            isinstance(points, list)
-            and 0 < len(points) <= 100_000
-            and all(each is None or _are_numbers(each, 2) for each in points)
-        ):
+        points: Any = data.get("shape")
+        are_points = isinstance(points, list) and all(each is None or _are_numbers(each, 2) for each in points)
+        if are_points and 0 < len(points) <= 100_000:
             return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
     raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
 
@@ -138,3 +142,61 @@ def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
     if len(lamps) > MOST_LAMPS:
         raise Refusal(422, f"{len(lamps)} lamps are too many: send at most {MOST_LAMPS}")
     return lamps, ambient
+
+
+class Events:
+    """Sends events to the open pages; thread-safe."""
+
+    def __init__(self, heartbeat: float = 15.0) -> None:
+        self._heartbeat = heartbeat
+        self._lock = threading.Lock()
+        self._pages: dict[asyncio.Queue[str | None], asyncio.AbstractEventLoop] = {}
+        self._closed = False
+
+    def __len__(self) -> int:
+        return len(self._pages)
+
+    def publish(self, kind: str, data: Any) -> None:
+        """Send an event to all pages."""
+        self._send(f"event: {kind}\ndata: {json.dumps(data)}\n\n")
+
+    def close(self) -> None:
+        """End all present and future streams, because the server stops."""
+        self._closed = True
+        self._send(None)
+
+    async def stream(self) -> AsyncIterator[str]:
+        """Yield the events of one page until it disconnects, falls behind, or the server stops."""
+        queue: asyncio.Queue[str | None] = asyncio.Queue()
+        with self._lock:
+            self._pages[queue] = asyncio.get_running_loop()
+        try:
+            yield "retry: 1000\n\n"  # milliseconds until a browser reconnects
+            while not self._closed:
+                text: str | None = ": still here\n\n"  # a comment, if there is nothing else to say
+                with suppress(TimeoutError):
+                    text = await asyncio.wait_for(queue.get(), self._heartbeat)
+                if text is None:
+                    return
+                yield text
+        finally:
+            with self._lock:
+                self._pages.pop(queue, None)
+
+    def _send(self, text: str | None) -> None:
+        """Queue an event for each page on its event loop; None ends the stream."""
+        with self._lock:
+            pages = list(self._pages.items())
+        for queue, loop in pages:
+            with suppress(RuntimeError):  # the event loop is closed
+                loop.call_soon_threadsafe(_put, queue, text)
+
+
+def _put(queue: asyncio.Queue[str | None], text: str | None) -> None:
+    """Queue an event. At the end, or if a page falls behind, drop what is queued and end the stream."""
+    if text is not None and queue.qsize() < ROOM:
+        queue.put_nowait(text)
+        return
+    while not queue.empty():
+        queue.get_nowait()
+    queue.put_nowait(None)

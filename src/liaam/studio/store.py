@@ -22,7 +22,7 @@ from typing import Any
 from liaam.errors import LiaamError
 from liaam.io.atomic import lock, sweep
 from liaam.io.files import real_path
-from liaam.studio.folder import STATE, Folder, disk_errors, revision_of
+from liaam.studio.folder import STATE, File, Folder, disk_errors, revision_of
 from liaam.studio.safety import Refusal
 
 DATABASE = "studio.db"
@@ -152,10 +152,8 @@ class Store:
             for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
                 with suppress(FileNotFoundError):
                     path.with_name(path.name + end).replace(path.with_name(name + end))
-            sentence = (
-                f"{STATE}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected, but the"
-            )
-            self.note("damaged", f"{sentence} template, proposals and reviews begin anew")
+            kept = f"{STATE}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
+            self.note("damaged", f"{kept}, but the template, proposals and reviews begin anew")
             self._connection = _connected(path)
         else:
             self.note(DATABASE, None)
@@ -213,6 +211,11 @@ class Table(dict[str, Any]):
         super().__init__(store.all(kind))
         self._store = store
         self._kind = kind
+
+    def of(self, picture: File) -> Any:
+        """Return the value for a picture, unless its ``tag`` tells that the picture has been replaced since."""
+        value = self.get(picture.name)
+        return value if value is not None and value.get("tag") == picture.tag else None
 
     def save(self, values: Mapping[str, Any]) -> None:
         """Set values; None removes one."""

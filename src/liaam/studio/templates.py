@@ -17,9 +17,9 @@ from typing import Any
 from liaam.errors import LiaamError
 from liaam.io.landmarks import Landmarks
 from liaam.studio.folder import Listing, revision_of, status_of
-from liaam.studio.landmark_files import LandmarkFiles, Proposals, text_of
+from liaam.studio.landmark_files import LandmarkFiles, text_of
 from liaam.studio.safety import Refusal
-from liaam.studio.store import Store
+from liaam.studio.store import Store, Table
 from liaam.studio.template import Template, landmarks_of, parse_indices, parse_template, template_of
 
 _MOST = 10**6
@@ -35,7 +35,7 @@ class Templates:
     """
 
     def __init__(
-        self, listing: Listing, store: Store, landmarks: LandmarkFiles, proposals: Proposals, lock: threading.RLock
+        self, listing: Listing, store: Store, landmarks: LandmarkFiles, proposals: Table, lock: threading.RLock
     ) -> None:
         self.offered: Template | None = None
         self.offered_by = ""
@@ -174,8 +174,17 @@ class Templates:
     def finish(self) -> None:
         """Finish a pending change. Files that were changed in the meantime are left alone."""
         try:
-            if self.is_pending and (change := self._store.get("change")) is not None:
-                self._apply(change)
+            change = self._store.get("change") if self.is_pending else None
+            if change is not None:
+                for item in change["files"]:
+                    self._landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
+                with self._store.transaction():
+                    if change["moved"]:
+                        self._proposals.forget()
+                    self.store(change["template"])
+                    self._store.put("change", {"": None})
+                self._store.note("change", None)
+                self._listing.scan()
             self.is_pending = False
         except (LiaamError, OSError) as fault:
             cause = fault if isinstance(fault, OSError) else fault.__cause__
@@ -202,17 +211,6 @@ class Templates:
             text = text_of(landmarks, target.suffix)
             files.append({"file": name, "before": before, "text": text, "invisible": hidden})
         return files
-
-    def _apply(self, change: dict[str, Any]) -> None:
-        for item in change["files"]:
-            self._landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
-        with self._store.transaction():
-            if change["moved"]:
-                self._proposals.forget()
-            self.store(change["template"])
-            self._store.put("change", {"": None})
-        self._store.note("change", None)
-        self._listing.scan()
 
 
 def _mapping(data: Any, n: int, old: Template | None, has_marks: bool) -> list[int | None]:

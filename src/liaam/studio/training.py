@@ -12,7 +12,7 @@ import logging
 import os
 import threading
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -119,11 +119,12 @@ class Trainer:
 
         A copy of the model is kept. A given model stays.
         """
-        store, order, own = self.project.store, self.project.templates.order, self.models.own
+        store, order = self.project.store, self.project.templates.order
         with self._lock:
             is_stale = self.state.state == "running" and self._order != order
         if is_stale:
             self.stop()
+        own = self.models.own
         if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != order:
             self.models.withdraw()
             store.set_aside(MODEL_FILE)
@@ -139,23 +140,15 @@ class Trainer:
         order = self.project.templates.order  # read before the points, so that results for changed points are dropped
         done, template = self.project.annotated(), self.project.templates.current
         slips = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not with_slips}
-        n_used = len(done) - len(slips)
-        if n_used < LEAST or template is None:
-            raise Refusal(
-                422, f"only {n_used} pictures have all their points: complete at least {LEAST}, better 5, to train"
-            )
+        used = [item.name for item in done if item.name not in slips]
+        if len(used) < LEAST or template is None:
+            text = f"only {len(used)} pictures have all their points"
+            raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
         if len(template) < 3:
             raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-        return Job(
-            done,
-            template.contours,
-            template.names,
-            self.project.store.path(MODEL_FILE),
-            order,
-            self.project.root.name,
-            choose_held_out([item.name for item in done if item.name not in slips], self.versions.held_out(order)),
-            slips,
-        )
+        path, name = self.project.store.path(MODEL_FILE), self.project.root.name
+        held_out = choose_held_out(used, self.versions.held_out(order))
+        return Job(done, template.contours, template.names, path, order, name, held_out, slips)
 
     def _listen(self, job: Job, pipe: Any, process: Any) -> None:
         """Handle the messages of a process until it ends."""
@@ -167,7 +160,7 @@ class Trainer:
                     with self._lock:
                         end = end if self._stopped else self._handle(job, message) or end
         except LiaamError as fault:  # such as a missing folder or a full disk
-            end = Training("failed", error=self.project.plain(fault))
+            end = Training("failed", error=self.project.folder.plain(fault))
         except Exception as fault:  # a bug: without an end, the training would run for ever
             logging.getLogger(__name__).exception("the training failed")
             text = f"the training failed ({type(fault).__name__}): see the studio's terminal for details"
@@ -183,32 +176,26 @@ class Trainer:
         kind, data = message
         if kind == "progress":
             self._set(Training("running", **data))
-        elif kind == "model":
-            self._use(job, data)
+        elif kind == "model" and job.order == self.project.templates.order:
+            facts = {
+                "source": "studio",
+                "trained": datetime.now(UTC).isoformat(timespec="milliseconds"),
+                "pictures": {item.name: item.revision for item in job.done},
+                "left_out": {name: self.project.folder.plain(reason) for name, reason in data.items()},
+                "order": job.order,
+            }
+            self.project.store.put("model", {MODEL_FILE: facts})
+            self.models.publish(load_model(job.model), facts)
+            self.is_measuring = True
+            self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
             self.versions.add(self.models.own.facts, data)
             self._publish("project", {})
         elif kind == "failed":
-            return Training("failed", error=self.project.plain(data))
+            return Training("failed", error=self.project.folder.plain(data))
         elif kind == "done":
             return Training("done", what=data)
         return None
-
-    def _use(self, job: Job, left_out: Mapping[str, str]) -> None:
-        """Publish a model."""
-        if job.order != self.project.templates.order:
-            return
-        facts = {
-            "source": "studio",
-            "trained": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "pictures": {item.name: item.revision for item in job.done},
-            "left_out": {name: self.project.plain(reason) for name, reason in left_out.items()},
-            "order": job.order,
-        }
-        self.project.store.put("model", {MODEL_FILE: facts})
-        self.models.publish(load_model(job.model), facts)
-        self.is_measuring = True
-        self._publish("project", {})
 
     def _set(self, state: Training) -> None:
         self.state = state
