@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,7 @@ from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.store import FolderLock
+from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 from liaam.studio.uploads import Uploads, plain_name
 
@@ -77,7 +77,7 @@ class Studio:
     uploads: Uploads
     fits: Fits
     live: LiveVideos
-    lock: FolderLock
+    lock: ExitStack
 
     def close(self) -> None:
         """Close the event streams, stop a running training, and release the folder."""
@@ -85,7 +85,7 @@ class Studio:
         self.background.stop()
         self.training.stop()
         self.project.store.close()
-        self.lock.release()
+        self.lock.close()
 
     def routes(self) -> list[Route]:
         """Return the endpoints, whose handlers run in threads."""
@@ -320,8 +320,8 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
         If the folder or the model cannot be used, or another studio has the folder open.
     """
     settings = settings or Settings()
-    lock = FolderLock(checked_folder(folder), settings.address.partition("?")[0])
-    try:
+    with ExitStack() as lock:
+        lock.enter_context(folder_locked(checked_folder(folder), settings.address.partition("?")[0]))
         project, models, events = Project(folder, settings), ModelStore(), Events(settings.heartbeat_seconds)
         project.prepare()
         pictures = Pictures()
@@ -333,10 +333,8 @@ def make_studio(folder: str | Path, model: Path | None = None, settings: Setting
             models.publish(load_model(model), {"source": "file", "trained": None, "pictures": {}})
         else:
             load_studio_model(project, models)
-        return Studio(settings, project, models, events, trainer, background, pictures, uploads, fits, videos, lock)
-    except BaseException:
-        lock.release()
-        raise
+        kept = lock.pop_all()
+        return Studio(settings, project, models, events, trainer, background, pictures, uploads, fits, videos, kept)
 
 
 def make_app(studio: Studio) -> Starlette:

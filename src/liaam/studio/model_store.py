@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tempfile
-import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -57,11 +57,10 @@ class ModelStore:
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self.guest: ModelInUse | None = None
         self.own: ModelInUse | None = None
         self.spare: ModelInUse | None = None
-        self._number = 0
+        self._numbers = count(1)
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
         """Called in the publishing thread after the current model may have changed."""
 
@@ -72,9 +71,7 @@ class ModelStore:
 
     def publish(self, model: AAM, facts: Mapping[str, Any], place: Place = "own") -> ModelInUse:
         """Set a model by its place."""
-        with self._lock:
-            self._number += 1
-            made = ModelInUse(model, self._number, dict(facts))
+        made = ModelInUse(model, next(self._numbers), dict(facts))
         self._set(place, made)
         return made
 
@@ -101,8 +98,8 @@ class Versions:
 
     def add(self, facts: Mapping[str, Any], errors: Mapping[str, float]) -> None:
         """Append a trained model."""
-        count = len(facts["pictures"]) - len(facts["left_out"])
-        version = {"time": facts["trained"], "pictures": count, "order": facts["order"], "errors": dict(errors)}
+        n_used = len(facts["pictures"]) - len(facts["left_out"])
+        version = {"time": facts["trained"], "pictures": n_used, "order": facts["order"], "errors": dict(errors)}
         self._store.append("version", [version])
         self._all.append(version)
 

@@ -257,40 +257,34 @@ def _hash(text: Any) -> str:
     return revision_of(str(text).encode(errors="replace"))
 
 
-class FolderLock:
-    """A lock on a folder: two studios would overwrite each other's landmark files.
+@contextmanager
+def folder_locked(folder: Path, address: str) -> Iterator[None]:
+    """Hold a lock on a folder in the block: two studios would overwrite each other's landmark files.
 
     The system releases it when this process ends for any reason. The address is for the error message of a second
     studio.
     """
-
-    def __init__(self, folder: Path, address: str) -> None:
-        self._descriptor: int | None = None
-        state = folder / STATE
-        if state.is_symlink() or (state.exists() and not state.is_dir()):
-            return  # the project reports this and writes nothing there
-        path = state / LOCK_FILE
-        with disk_errors(f"{path} cannot be made"):
-            state.mkdir(exist_ok=True)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    state = folder / STATE
+    if state.is_symlink() or (state.exists() and not state.is_dir()):
+        yield  # the project reports this and writes nothing there
+        return
+    path = state / LOCK_FILE
+    with disk_errors(f"{path} cannot be made"):
+        state.mkdir(exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    try:
         try:
-            is_locked = lock(descriptor)
+            is_locked = lock(descriptor)  # False on a file system without locks
         except BlockingIOError as fault:
             holder = os.read(descriptor, 1000).decode(errors="replace")
-            os.close(descriptor)
             raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
-        if not is_locked:  # a file system without locks
-            os.close(descriptor)
-            return
-        self._descriptor = descriptor
-        with suppress(OSError):  # only used for an error message
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
-
-    def release(self) -> None:
-        """Release the lock."""
-        descriptor, self._descriptor = self._descriptor, None
-        if descriptor is not None:
+        if is_locked:
+            with suppress(OSError):  # only used for an error message
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
+        yield
+        if is_locked:
             with suppress(OSError):
                 os.ftruncate(descriptor, 0)
-            os.close(descriptor)
+    finally:
+        os.close(descriptor)
