@@ -11,7 +11,7 @@ import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
-from liaam.studio.app import make_studio
+from liaam.studio.app import Studio
 from liaam.studio.background import Background, proposal_of
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
@@ -294,7 +294,7 @@ def test_a_model_without_its_facts_still_serves(folder, head_model):
 
 def test_a_given_model_serves(folder, head_model, tmp_path):
     head_model.save(tmp_path / "m.liaam")
-    studio = make_studio(folder(2), tmp_path / "m.liaam")
+    studio = Studio(folder(2), tmp_path / "m.liaam")
     assert shown(studio.models.current, studio.project)["source"] == "file"
     studio.close()
 

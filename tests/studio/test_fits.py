@@ -26,7 +26,7 @@ from liaam.photometry import to_linear
 from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
-from liaam.studio.app import make_app, make_studio
+from liaam.studio.app import Studio, make_app
 from liaam.studio.export import FILES, file_of
 from liaam.studio.fits import Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
@@ -529,7 +529,7 @@ class Page:
     def __init__(self, folder: Path, model: AAM | None) -> None:
         import httpx
 
-        self.studio = make_studio(folder, settings=SETTINGS)
+        self.studio = Studio(folder, settings=SETTINGS)
         self.studio.models.listeners.clear()
         if model is not None:
             self.studio.models.publish(model, {})

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -63,21 +63,41 @@ OVERVIEW_SECONDS = 0.2
 """How long a request for the project may read files; the rest is read in the background."""
 
 
-@dataclass(frozen=True, eq=False)
 class Studio:
-    """The parts of a studio on one folder, and how it answers requests."""
+    """The parts of a studio on one folder, and how it answers requests.
 
-    settings: Settings
-    project: Project
-    models: ModelStore
-    events: Events
-    training: Trainer
-    background: Background
-    pictures: Pictures
-    uploads: Uploads
-    fits: Fits
-    live: LiveVideos
-    lock: ExitStack
+    Parameters
+    ----------
+    folder : path-like
+        Folder of the pictures; may be empty.
+    model : Path, optional
+        Model to use instead of the one that the studio trained in this folder before.
+    settings : Settings, optional
+
+    Raises
+    ------
+    LiaamError
+        If the folder or the model cannot be used, or another studio has the folder open.
+    """
+
+    def __init__(self, folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        with ExitStack() as lock:
+            lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
+            self.project = Project(folder, self.settings)
+            self.project.prepare()
+            self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
+            self.pictures = Pictures()
+            self.uploads = Uploads(self.pictures, self.settings)
+            self.training = Trainer(self.project, self.models, self.events.publish)
+            self.background = Background(self.project, self.models, self.training, self.events.publish)
+            self.fits = Fits(self.project, self.models, self.uploads, self.pictures)
+            self.live = LiveVideos(self.models, self.settings)
+            if model is None:
+                load_studio_model(self.project, self.models)
+            else:
+                self.models.publish(load_model(model), {"source": "file", "trained": None, "pictures": {}})
+            self._lock = lock.pop_all()
 
     def close(self) -> None:
         """Close the event streams, stop a running training, and release the folder."""
@@ -85,7 +105,7 @@ class Studio:
         self.background.stop()
         self.training.stop()
         self.project.store.close()
-        self.lock.close()
+        self._lock.close()
 
     def routes(self) -> list[Route]:
         """Return the endpoints, whose handlers run in threads."""
@@ -301,40 +321,6 @@ class Studio:
         writes = request.method not in ("GET", "HEAD") and request.url.path != FITS
         refused_write = isinstance(fault.__cause__, OSError) and writes
         return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
-
-
-def make_studio(folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> Studio:
-    """Create the studio of a folder.
-
-    Parameters
-    ----------
-    folder : path-like
-        Folder of the pictures; may be empty.
-    model : Path, optional
-        Model to use instead of the one that the studio trained in this folder before.
-    settings : Settings, optional
-
-    Raises
-    ------
-    LiaamError
-        If the folder or the model cannot be used, or another studio has the folder open.
-    """
-    settings = settings or Settings()
-    with ExitStack() as lock:
-        lock.enter_context(folder_locked(checked_folder(folder), settings.address.partition("?")[0]))
-        project, models, events = Project(folder, settings), ModelStore(), Events(settings.heartbeat_seconds)
-        project.prepare()
-        pictures = Pictures()
-        uploads = Uploads(pictures, settings)
-        trainer = Trainer(project, models, events.publish)
-        background = Background(project, models, trainer, events.publish)
-        fits, videos = Fits(project, models, uploads, pictures), LiveVideos(models, settings)
-        if model is not None:
-            models.publish(load_model(model), {"source": "file", "trained": None, "pictures": {}})
-        else:
-            load_studio_model(project, models)
-        kept = lock.pop_all()
-        return Studio(settings, project, models, events, trainer, background, pictures, uploads, fits, videos, kept)
 
 
 def make_app(studio: Studio) -> Starlette:

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -163,7 +164,7 @@ class Fits:
         self.pictures = pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
-        self._found: Kept[tuple[str, str, tuple[int, ...], int], Detection] = Kept(settings.fits_kept)
+        self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
         self._residuals: Kept[str, layers.Residual] = Kept(RESIDUALS_KEPT)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
@@ -226,39 +227,32 @@ class Fits:
         if current is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
-        result, seconds, no_flat = self._fitted(current, fitter, source, start, start is None and source.has_copy)
+        small = start is None and source.has_copy  # tried first: it will do for an object that is large on it
+        while True:
+            with self.pictures.at_work(source, small) as image:
+                began = time.perf_counter()
+                begin = start
+                if start is None:  # all methods share one search
+                    key = (source.name, source.tag, image.shape, current.number)
+                    searcher = self._searcher(current, source.raw)
+                    begin = self._found.get(key, partial(searcher.find, image, name=source.name))[0]
+                searched = time.perf_counter()
+                result = fitter.fit(image, begin, source.name)
+                if start is None and result.quality < result.least_quality:  # try the search's other places
+                    result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
+                seconds = searched - began, time.perf_counter() - searched
+                no_flat = layers.why_not_flat(fitter, image, result)
+                result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
+            # Landmarks on the copy are coarser by the ratio of the widths.
+            least = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
+            if not small or (result.status.ok and diagonal_of(result.landmarks) >= least):
+                break
+            small = False
         trained_on = of[0] == "picture" and current.is_trained_on(of[1])
         error = error_of(result.landmarks, truth)
         fit = Fit(secrets.token_urlsafe(9), source, fitter, result, *seconds, no_flat, error, of, trained_on)
         self._fits.put(fit.id, fit)
         return fit
-
-    def _fitted(
-        self, current: ModelInUse, fitter: Fitter, source: Source, start: Any, small: bool
-    ) -> tuple[FitResult, tuple[float, float], str | None]:
-        """Return a fit, the seconds of search and fit, and why it has no shading.
-
-        A ``small`` copy is tried first; it will do for an object that is large on it.
-        """
-        with self.pictures.at_work(source, small) as image:
-            began = time.perf_counter()
-            begin = start
-            if start is None:  # all methods share one search
-                key = (source.name, source.tag, image.shape, current.number)
-                searcher = self._searcher(current, source.raw)
-                begin = self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
-            searched = time.perf_counter()
-            result = fitter.fit(image, begin, source.name)
-            if start is None and result.quality < result.least_quality:  # try the other places that the search finds
-                result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
-            seconds = searched - began, time.perf_counter() - searched
-            no_flat = layers.why_not_flat(fitter, image, result)
-            result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
-        # Landmarks on the copy are coarser by the ratio of the widths.
-        least = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
-        if small and not (result.status.ok and diagonal_of(result.landmarks) >= least):
-            return self._fitted(current, fitter, source, start, small=False)
-        return result, seconds, no_flat
 
     def get(self, number: str) -> Fit:
         """Return the fit with an id."""

@@ -218,12 +218,7 @@ class LandmarkFiles:
         self._bars.save({each.name: before[each]["before"] for each in pictures} if bar is None else shared)
 
     def save(
-        self,
-        picture: File,
-        template: Template,
-        points: Sequence[Any],
-        invisible: Sequence[int],
-        scale: float | None = None,
+        self, picture: File, template: Template, points: Sequence, invisible: Sequence[int], scale: float | None = None
     ) -> None:
         """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed.
 

@@ -197,13 +197,7 @@ def _of_file(path: Path, read: Callable[[Path], V]) -> V:
 
 
 class Pictures:
-    """Caches of decoded pictures and of their encodings for the page; thread-safe.
-
-    Parameters
-    ----------
-    decoded, encoded : int
-        Maximum number of cached bytes.
-    """
+    """Caches of at most so many bytes of decoded pictures and of their encodings for the page; thread-safe."""
 
     def __init__(self, decoded: int = DECODED_BYTES, encoded: int = ENCODED_BYTES) -> None:
         self._decoded: Kept[Hashable, np.ndarray] = Kept(decoded, lambda image: image.nbytes)

@@ -43,13 +43,7 @@ HEADERS: dict[str, str] = {
 
 
 class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
-    """A refused request: an HTTP status, an error message, and details for the page.
-
-    Attributes
-    ----------
-    details : dict
-        Further fields of the answer besides ``error``.
-    """
+    """A refused request: an HTTP status, an error message, and ``details``, further fields of the answer."""
 
     def __init__(self, status: int, error: str, **details: Any) -> None:
         super().__init__(error)

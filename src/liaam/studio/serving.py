@@ -74,13 +74,13 @@ def serve(
         If the folder, the model, or the port cannot be used, or the ``[studio]`` extra is missing.
     """
     _uvicorn()
-    from liaam.studio.app import make_studio
+    from liaam.studio.app import Studio
 
     _return_freed_memory()
     listener = open_port(host, port)
     with listener, one_blas_thread():
         settings = Settings(host=host, port=listener.getsockname()[1], face=face)
-        studio = make_studio(folder, model, settings)
+        studio = Studio(folder, model, settings)
         server = make_server(studio)
         server.on_start = lambda: _welcome(settings, open_browser, say)
         threading.Thread(target=_read_headers, args=(studio,), name="studio-listing", daemon=True).start()

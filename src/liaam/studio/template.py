@@ -140,13 +140,7 @@ def mirror_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
 
 
 def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
-    """Pair points by position, about the best axis within 45 degrees of the vertical; None without symmetry.
-
-    Parameters
-    ----------
-    points : (n, 2) float
-        Finite coordinates.
-    """
+    """Pair finite points (n, 2) by position, about the best axis within 45 degrees of the vertical, if there is one."""
     points = np.asarray(points, dtype=np.float64)
     if len(points) < 3:
         return None
@@ -155,10 +149,7 @@ def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
 
 
 def landmarks_of(
-    template: Template,
-    points: Sequence[Sequence[float] | None],
-    invisible: Sequence[int] = (),
-    scale: float | None = None,
+    template: Template, points: Sequence[Any], invisible: Sequence[int] = (), scale: float | None = None
 ) -> Landmarks:
     """Return a picture's points as landmarks with the template's names and contours."""
     placed = [(np.nan, np.nan) if point is None else point for point in points]

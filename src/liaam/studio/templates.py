@@ -140,10 +140,7 @@ class Templates:
     def save(self, template: Template, data: dict[str, Any]) -> bool:
         """Save a template; return whether points were added, removed or reordered.
 
-        Parameters
-        ----------
-        data : dict
-            The request, with ``mapping``, the old index of each point, and ``revision`` if known.
+        ``data`` is the request, with ``mapping``, the old index of each point, and ``revision`` if known.
         """
         self.finish()
         self._listing.scan()
