@@ -79,8 +79,9 @@ class Background:
         models.listeners.append(lambda _: self.wake())
 
     def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
+        """Start the thread, unless it was stopped before: the studio may end while it still reads its folder."""
+        if not self._stopped:
+            self._thread.start()
 
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""

@@ -213,7 +213,7 @@ class Table(dict[str, Any]):
         self._kind = kind
 
     def of(self, picture: File) -> Any:
-        """Return the value for a picture, unless its ``tag`` tells that the picture has been replaced since."""
+        """Return the value for a picture, unless the picture, by its ``tag``, was replaced since."""
         value = self.get(picture.name)
         return value if value is not None and value.get("tag") == picture.tag else None
 
