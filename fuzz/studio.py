@@ -96,7 +96,8 @@ def check_state(data: bytes) -> None:
     project = Project(root)
     load_studio_model(project, ModelStore())
     overview = project.overview()
-    answers: list[Any] = [overview.pictures, project.templates.as_json(), project.problems, project.id]
+    assert overview is not None
+    answers: list[Any] = [overview.pictures, project.templates.as_json(), project.problems, project.store.id]
     answers += [project.marks(picture["name"]) for picture in overview.pictures]
     answers += [project.history("p1.png"), Versions(project.store).as_json(project.templates.order)]
     json.dumps(answers, allow_nan=False).encode()  # as sent to the page

@@ -12,7 +12,7 @@ import pytest
 from small_projects import TRIANGLE
 
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
-from liaam.studio.app import Studio, make_studio
+from liaam.studio.app import Studio
 from liaam.studio.project import Project
 from liaam.studio.serving import make_server, open_port
 from liaam.studio.settings import Settings
@@ -96,7 +96,7 @@ def serve() -> Iterator[Callable[..., Running]]:
 
     def start(folder: Path, model: Path | None = None, **settings) -> Running:
         listener = open_port("127.0.0.1", 0)
-        studio = make_studio(folder, model, Settings(port=listener.getsockname()[1], **settings))
+        studio = Studio(folder, model, Settings(port=listener.getsockname()[1], **settings))
         server = make_server(studio)
         up = threading.Event()
         server.on_start = up.set

@@ -328,7 +328,7 @@ def test_a_page_that_goes_is_forgotten(folder, serve, listen):
 def test_a_page_that_falls_behind_is_let_go():
     import asyncio
 
-    from liaam.studio.events import ROOM, Events
+    from liaam.studio.routes import ROOM, Events
 
     async def fall_behind():
         events = Events()

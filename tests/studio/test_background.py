@@ -159,7 +159,7 @@ def test_the_end_waits_for_the_fit_in_progress(folder, head_model, begin, monkey
         time.sleep(0.2)
         done.append(1)
 
-    monkeypatch.setattr(background, "_work", work)
+    monkeypatch.setattr(background, "fit_new", work)
     background.start()
     assert began.wait(60)
     background.stop()

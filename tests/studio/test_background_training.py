@@ -11,18 +11,15 @@ import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.model import SURROUNDINGS, load_model
-from liaam.studio.app import make_studio
-from liaam.studio.background import Background
+from liaam.studio.app import Studio
+from liaam.studio.background import Background, proposal_of
 from liaam.studio.folder import STATE
 from liaam.studio.model_store import (
     ModelStore,
-    follow_template,
-    forget_studio_model,
     load_studio_model,
     model_json,
 )
 from liaam.studio.project import Project
-from liaam.studio.proposals import proposal_of
 from liaam.studio.safety import Refusal
 from liaam.studio.training import Trainer
 
@@ -115,7 +112,8 @@ def test_training_places_the_points_of_the_other_pictures(setting, portraits):
     marks = again.marks("p5.png")
     again.save_marks("p5.png", marks)
     assert shown(store.current, again)["stale"] == 1
-    forget_studio_model(again, store)
+    again.templates.order = "another"  # as after a change of the points
+    Trainer(again, store, lambda *_: None).follow_template()
     assert store.current is None and not (again.root / STATE / "model.liaam").exists()
     (kept,) = (again.root / STATE / "kept").glob("model.*.liaam")
     assert load_model(kept).n_points == 58
@@ -205,7 +203,7 @@ def test_a_model_of_points_in_another_order_is_not_taken_up_again(setting):
     store = ModelStore()
     load_studio_model(Project(project.root), store)
     assert store.current is None
-    follow_template(project, models, trainer)
+    trainer.follow_template()
     assert models.current is None and not (project.root / STATE / "model.liaam").exists()
 
 
@@ -296,7 +294,7 @@ def test_a_model_without_its_facts_still_serves(folder, head_model):
 
 def test_a_given_model_serves(folder, head_model, tmp_path):
     head_model.save(tmp_path / "m.liaam")
-    studio = make_studio(folder(2), tmp_path / "m.liaam")
+    studio = Studio(folder(2), tmp_path / "m.liaam")
     assert shown(studio.models.current, studio.project)["source"] == "file"
     studio.close()
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from liaam.errors import MethodError
 from liaam.fitting import FitStatus, Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.solution import residual_at
@@ -25,17 +26,17 @@ from liaam.photometry import to_linear
 from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
-from liaam.studio.app import make_app, make_studio
+from liaam.studio.app import Studio, make_app
 from liaam.studio.export import FILES, file_of
-from liaam.studio.fit_routes import light_of, parse_start, truth_of
-from liaam.studio.fits import Fits, error_of, example, numbers
+from liaam.studio.fits import Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
-from liaam.studio.routes import attachment
+from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.uploads import Uploads
+from liaam.tracking.motion import rescaled
 from scenes import Scene
 from setups import moving_scene
 
@@ -198,9 +199,9 @@ class TestFit:
             made.append(fit(fits))
             fits.layer(made[-1], "flat", 100)
         fits.forget_former(None)  # a template that is changed leaves what is shown
-        assert {number for number, *_ in fits._fitters} == {id(made[2].model), id(made[3].model)}
-        assert {number for *_, number in fits._found} == {3, 4}
-        assert {number for number, _ in fits._lights} == {made[2].id, made[3].id}
+        assert {number for number, *_ in fits._fitters._values} == {id(made[2].model), id(made[3].model)}
+        assert {number for *_, number in fits._found._values} == {3, 4}
+        assert {number for number, _ in fits._lights._values} == {made[2].id, made[3].id}
         assert fits.get(made[2].id) is made[2]
         with pytest.raises(Refusal, match="fit again"):
             fits.get(made[1].id)
@@ -339,7 +340,7 @@ class TestLayers:
 
     def test_points_go_to_the_same_place_of_another_size(self):
         corners = np.array([[-0.5, -0.5], [639.5, 479.5], [0.0, 0.0]])
-        there = layers.scaled_points(corners, (640, 480), (320, 240))
+        there = rescaled(corners, (480, 640), (240, 320))
         assert there.tolist() == [[-0.5, -0.5], [319.5, 239.5], [-0.25, -0.25]]
 
     @pytest.mark.parametrize(
@@ -355,7 +356,7 @@ class TestLayers:
         made = fit(fits, name, method=method)
         assert made.as_json()["layers"] == ["residual"]
         for what in ("flat", "shading"):
-            with pytest.raises(layers.MethodError, match=text):
+            with pytest.raises(MethodError, match=text):
                 fits.layer(made, what, 100)
         assert fits.layer(made, "residual", 100)
 
@@ -404,7 +405,7 @@ class TestLight:
         assert fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 80).shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
-        with pytest.raises(layers.MethodError, match="method grey does not separate"):
+        with pytest.raises(MethodError, match="method grey does not separate"):
             fits.relit(fit(fits, method="grey"), FRONT, 0.3, 320)
 
     def test_on_request(self, page):
@@ -443,7 +444,7 @@ class TestTakenApart:
 
         large = cv2.resize(scene.image, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
         fitter = Fitter(head_model)
-        there = layers.scaled_points(scene.landmarks, (120, 160), (480, 640))
+        there = rescaled(scene.landmarks, (160, 120), (640, 480))
         result = fitter.fit(large, there)
         small = layers.taken_apart(fitter, large, result, (240, 320)).flat().astype(int)
         whole = averaged(layers.taken_apart(fitter, large, result, (480, 640)).flat(), (240, 320))
@@ -455,7 +456,7 @@ def mesh_mask(fitted, size: tuple[int, int], grow: int = 3) -> np.ndarray:
     """Pixels of the mesh, and some around it, or without some at its border."""
     import cv2
 
-    shape = layers.scaled_points(fitted.result.landmarks, (120, 160), size)
+    shape = rescaled(fitted.result.landmarks, (160, 120), size[::-1])
     mask = np.zeros((size[1], size[0]), np.uint8)
     for triangle in fitted.model.triangles:
         cv2.fillConvexPoly(mask, np.rint(shape[triangle]).astype(np.int32), 1)
@@ -528,7 +529,7 @@ class Page:
     def __init__(self, folder: Path, model: AAM | None) -> None:
         import httpx
 
-        self.studio = make_studio(folder, settings=SETTINGS)
+        self.studio = Studio(folder, settings=SETTINGS)
         self.studio.models.listeners.clear()
         if model is not None:
             self.studio.models.publish(model, {})

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import h11
 import pytest
 
-from liaam.studio.safety import HEADERS, RETRY_AFTER, Crowd, Guard, Stopped, is_own_host
+from liaam.studio.safety import HEADERS, RETRY_AFTER, Crowd, Guard, Refusal, is_own_host
 from liaam.studio.settings import Settings
 
 SETTINGS = Settings(
@@ -296,7 +296,7 @@ def test_what_is_too_large_is_thrown_away_for_a_while_only():
 
 def test_a_body_that_does_not_come_is_not_waited_for():
     quick = Settings(**{**SETTINGS.__dict__, "body_seconds": 0.1})
-    asked = ask(HOST, TOKEN, parts=[b"x", b"y"], wait=0.4, settings=quick)
+    asked = ask(HOST, TOKEN, method="POST", parts=[b"x", b"y"], wait=0.4, settings=quick)
     assert (asked.status, asked.inside) == (408, [])
     assert asked.error == "the rest of the request did not arrive in time: send it again"
     assert asked.n_read == 1  # nothing more is read of who sends nothing
@@ -317,9 +317,9 @@ def test_an_answer_that_has_begun_is_not_begun_again():
         sent.append(message)
 
     headers = [(name.encode(), value.encode()) for name, value in (HOST, TOKEN)]
-    scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": headers}
+    scope = {"type": "http", "method": "POST", "path": "/", "query_string": b"", "headers": headers}
     asyncio.run(Guard(app, SETTINGS)(scope, receive, send))
-    assert [message["type"] for message in sent] == ["http.response.start"]
+    assert [message["type"] for message in sent] == ["http.response.start", "http.response.body"]
 
 
 def test_who_has_sent_all_may_wait_for_the_end_of_the_connection():
@@ -335,7 +335,7 @@ def test_who_has_sent_all_may_wait_for_the_end_of_the_connection():
         return messages.pop(0)
 
     headers = [(name.encode(), value.encode()) for name, value in (HOST, TOKEN)]
-    scope = {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": headers}
+    scope = {"type": "http", "method": "POST", "path": "/", "query_string": b"", "headers": headers}
     asyncio.run(Guard(app, Settings(**{**SETTINGS.__dict__, "body_seconds": 1.0}))(scope, receive, None))  # type: ignore[arg-type]
     assert [message["type"] for message in seen] == ["http.request", "http.disconnect"]
 
@@ -363,9 +363,9 @@ def test_so_many_bytes_of_bodies_at_a_time():
         first(1000)
         second(400)
         second(100)
-        with pytest.raises(Stopped) as stopped:
+        with pytest.raises(Refusal) as refused:
             first(1)
-        assert stopped.value.refusal.status == 503
+        assert refused.value.status == 503
         first(0)
         assert (crowd.n_bytes, crowd.uploads) == (1500, 1)
     assert (crowd.n_bytes, crowd.uploads) == (0, 0)

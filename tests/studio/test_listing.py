@@ -9,7 +9,7 @@ from small_projects import POINTS, TRIANGLE, by_name, put, refused
 from liaam.datasets import load_folder
 from liaam.errors import ImageError
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.studio import listing
+from liaam.studio import folder as listing
 from liaam.studio.project import Project
 from liaam.studio.settings import Settings
 
@@ -125,7 +125,7 @@ def test_of_two_pictures_of_one_stem_the_second_is_broken(small):
 
 def test_a_picture_of_too_many_pixels_is_broken(small):
     project = Project(small.root, Settings(pixels=1000))
-    assert "40 x 30 pixels, more than the 1,000 allowed" in by_name(project)["p1.png"]["error"]
+    assert "40 x 30 pixels, more than 1,000: make" in by_name(project)["p1.png"]["error"]
 
 
 def test_sizes_are_upright(small):
@@ -158,14 +158,14 @@ def test_an_overview_does_not_wait_for_files_that_were_not_read(small, monkeypat
     monkeypatch.setattr("liaam.studio.project.READ_AT_ONCE", 0)
     put(small, "p1.png", POINTS)
     project = Project(small.root)
-    first = project.overview_since(None, seconds=0.0)
+    first = project.overview(None, seconds=0.0)
     assert {picture["state"] for picture in first.pictures} == {"reading"}
     assert [picture["name"] for picture in first.pictures] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
     assert first.done == {}
     project.read_files()
-    then = project.overview_since(first.stamp, seconds=0.0)
+    then = project.overview(first.stamp, seconds=0.0)
     assert [picture["state"] for picture in then.pictures] == ["done", "new", "new", "new"]
     assert list(then.done) == ["p1.png"]
-    assert project.overview_since(then.stamp, seconds=0.0) is None
+    assert project.overview(then.stamp, seconds=0.0) is None
     (small.root / "p2.png").unlink()
-    assert len(project.overview_since(then.stamp, seconds=0.0).pictures) == 3
+    assert len(project.overview(then.stamp, seconds=0.0).pictures) == 3

@@ -12,9 +12,8 @@ from small_projects import POINTS, by_name, proposal, refused
 from liaam.errors import LiaamError
 from liaam.io import Landmarks, atomic, read_landmarks, write_image, write_landmarks
 from liaam.studio import folder as project_folder, landmark_files
-from liaam.studio.app import make_studio
-from liaam.studio.folder import STATE
-from liaam.studio.listing import Listing
+from liaam.studio.app import Studio
+from liaam.studio.folder import STATE, Listing
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
@@ -188,31 +187,31 @@ def test_proposals_for_points_of_another_order_are_dropped(small):
 
 
 def test_a_folder_keeps_its_id_and_a_copy_has_another(small):
-    known = small.id
-    assert Project(small.root).id == known
+    known = small.store.id
+    assert Project(small.root).store.id == known
     moved = small.root.rename(small.root.with_name("moved"))
-    assert Project(moved).id == known
+    assert Project(moved).store.id == known
     shutil.copytree(moved, moved.with_name("copy"))
-    assert Project(moved.with_name("copy")).id != known
+    assert Project(moved.with_name("copy")).store.id != known
 
 
 def test_a_second_studio_on_a_folder_is_refused(small):
-    first = make_studio(small.root, settings=Settings(port=8123))
+    first = Studio(small.root, settings=Settings(port=8123))
     try:
         with pytest.raises(LiaamError, match="open in another studio") as caught:
-            make_studio(small.root)
+            Studio(small.root)
         assert f"(http://127.0.0.1:8123/, process {os.getpid()})" in str(caught.value)
         assert first.settings.token not in str(caught.value) + (small.root / STATE / "lock").read_text()
     finally:
         first.close()
-    make_studio(small.root).close()
+    Studio(small.root).close()
 
 
 def test_a_studio_that_could_not_start_leaves_the_folder_free(small, tmp_path):
     (tmp_path / "m.liaam").write_bytes(b"rubbish")
     with pytest.raises(LiaamError):
-        make_studio(small.root, tmp_path / "m.liaam")
-    make_studio(small.root).close()
+        Studio(small.root, tmp_path / "m.liaam")
+    Studio(small.root).close()
 
 
 def test_what_a_killed_process_left_is_swept(small):
@@ -222,7 +221,7 @@ def test_what_a_killed_process_left_is_swept(small):
     for path in (*left, *own):
         path.touch()
     with atomic.atomic_path(small.root / "x.csv") as being_written:
-        make_studio(small.root).close()
+        Studio(small.root).close()
         assert being_written.exists()
     assert not any(path.exists() for path in left) and all(path.exists() for path in own)
 
@@ -400,7 +399,7 @@ def test_a_page_asks_cheaply_whether_anything_changed(small, serve, head_model):
     running = serve(small.root)
     client = running.client
     project = client.get("/api/project").json()
-    assert project["id"] == running.studio.project.id
+    assert project["id"] == running.studio.project.store.id
     again = client.get("/api/project", params={"stamp": project["stamp"]}).json()
     assert again == {"unchanged": True, "stamp": project["stamp"]}
     running.studio.models.publish(head_model, {"source": "file", "trained": None, "pictures": {}})

@@ -20,7 +20,6 @@ from liaam.studio.pictures import (
     Pictures,
     Room,
     block_size,
-    checked_size,
     chroma,
     chroma_bytes,
     fitted_size,
@@ -29,6 +28,7 @@ from liaam.studio.pictures import (
     shown,
     source_of,
 )
+from liaam.studio.routes import checked_size
 from liaam.studio.safety import Refusal
 from liaam.studio.uploads import Uploads
 

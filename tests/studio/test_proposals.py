@@ -3,7 +3,7 @@
 from small_projects import POINTS, TRIANGLE, by_name, proposal, put, states
 
 from liaam.studio.project import Project
-from liaam.studio.proposals import teaching_order
+from liaam.studio.review import teaching_order
 
 
 def test_proposals_are_shown_until_there_are_landmarks(small):

@@ -12,7 +12,7 @@ from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
 from liaam.studio.export import export_of
 from liaam.studio.model_store import ModelStore, Versions, model_json
 from liaam.studio.project import Project
-from liaam.studio.training_process import choose_held_out
+from liaam.studio.training import choose_held_out
 
 MOVED = [[5.0, 6.0], *POINTS[1:]]
 

@@ -10,22 +10,25 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from liaam.datasets.label_faults import LEAST_PICTURES, find_label_faults
 from liaam.errors import LiaamError
-from liaam.fitting import Fitter
+from liaam.fitting import FitResult, Fitter
 from liaam.io import Contour, Landmarks
 from liaam.model import AAM, load_model
+from liaam.model.shape import diagonal_of
 from liaam.models import FACE
 from liaam.studio.fits import WARM_UP, example
 from liaam.studio.model_store import ModelInUse, ModelStore
+from liaam.studio.pictures import file_tag
 from liaam.studio.project import Project
-from liaam.studio.proposals import propose
 from liaam.studio.template import Template, template_of
 from liaam.studio.training import Trainer
 
@@ -65,27 +68,26 @@ class Background:
         self._publish = publish
         self._woken = threading.Event()
         self._stopped = False
-        self._fitter: tuple[AAM, Fitter] | None = None
+        self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()
         self._checked: dict[str, str] | None = None  # revisions of the landmarks that were checked, by picture
         self.checks = 0
         """Number of checks of the landmarks."""
         self._next_check = 0.0
         self._seen: object = None
-        self._started = False
         self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
         models.listeners.append(lambda _: self.wake())
 
     def start(self) -> None:
-        """Start the thread."""
-        self._started = True
-        self._thread.start()
+        """Start the thread, unless it was stopped before: the studio may end while it still reads its folder."""
+        if not self._stopped:
+            self._thread.start()
 
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""
         self._stopped = True
         self._woken.set()
-        if self._started:  # compiled code that runs when the interpreter ends aborts the process
+        if self._thread.ident is not None:  # compiled code that runs when the interpreter ends aborts the process
             self._thread.join(STOP_SECONDS)
 
     def wake(self) -> None:
@@ -95,28 +97,19 @@ class Background:
     def _run(self) -> None:
         with suppress(OSError, AttributeError):  # a person who fits a picture comes first
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
-        with suppress(LiaamError):
-            self._prepare()
+        with suppress(LiaamError):  # the first photographs do not wait until the face model is ready
+            if self.models.own is None and self._may_use_face():
+                self._lend()
+                self._fitter_of(self._face).fit(example(self._face, WARM_UP))
         while not self._stopped:
             with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
-                self._work()
+                own = self.models.own
+                now = (self.project.stamp, self.trainer.state.state, own and own.number)
+                if now != self._seen:
+                    self.fit_new()
+                    self._seen = now if self.check_landmarks() else None
             if self._woken.wait(LOOK_SECONDS):
                 self._rest()
-
-    def _work(self) -> None:
-        """Do what is to do, unless nothing has changed since."""
-        own = self.models.own
-        now = (self.project.stamp, self.trainer.state.state, own and own.number)
-        if now == self._seen:
-            return
-        self.fit_new()
-        self._seen = now if self.check_landmarks() else None
-
-    def _prepare(self) -> None:
-        """Fit an example with the face model if it may be needed, so that the first photographs do not wait for it."""
-        if self.models.own is None and self._may_use_face():
-            self._lend()
-            self._fitter_of(self._face).fit(example(self._face, WARM_UP))
 
     def _rest(self) -> None:
         """Wait until no more files arrive, but not for ever."""
@@ -189,19 +182,15 @@ class Background:
 
     def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        tags = {name: self.project.tag_of(name) for name, _ in waiting}
-        fresh = [picture for picture in waiting if (picture[0], tags[picture[0]]) not in self._without_faces][:TRIED]
+        fitter = self._fitter_of(face)
+        tagged = [(name, file_tag(path), path) for name, path in waiting]
+        fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
         with ThreadPoolExecutor(THREADS) as pool:
-            found = list(pool.map(lambda picture: propose(self._fitter_of(face), picture[1]), fresh))
+            found = list(pool.map(lambda each: propose(fitter, each[2]), fresh))
         if fresh and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh):
             return True
-        self._without_faces.update((name, tags[name]) for name, _ in fresh)
+        self._without_faces.update(each[:2] for each in fresh)
         return False
-
-    def _fitter_of(self, model: AAM) -> Fitter:
-        if self._fitter is None or self._fitter[0] is not model:
-            self._fitter = model, Fitter(model)
-        return self._fitter[1]
 
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         """Fit pictures in threads and save the proposals in batches."""
@@ -209,9 +198,7 @@ class Background:
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
         with ThreadPoolExecutor(THREADS) as pool:
-            pending: dict[Future[dict[str, Any]], str] = {
-                pool.submit(propose, fitter, path): name for name, path in waiting
-            }
+            pending = {pool.submit(propose, fitter, path): name for name, path in waiting}
             try:
                 while pending and not self._is_paused() and model in (self.models.own, self.models.spare):
                     for future in wait(pending, seconds, FIRST_COMPLETED).done:
@@ -255,10 +242,53 @@ class Background:
 
     def has_checked(self, done: Mapping[str, str]) -> bool:
         """Whether these landmarks, revisions by picture, have been checked, or nothing is checked at all."""
-        return not self._started or self._checked == done
+        return self._thread.ident is None or self._checked == done
 
 
 def template_of_model(model: AAM) -> Template:
     """Return the points of a model as a template."""
     mean = model.shape_model.mean.reshape(-1, 2)
     return template_of(Landmarks(mean, Contour.all_of(model.contours), model.landmark_names))
+
+
+def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
+    """Find the object in a picture; return the proposal as JSON, without points if there is no fit."""
+    try:
+        tag = file_tag(path)  # before reading: the proposal is not valid for a file that replaces it meanwhile
+        return {**proposal_of(fitter.fit(path)), "tag": tag}
+    except LiaamError as fault:
+        message = str(fault).replace(f"{path.parent}{os.sep}", "")
+    except MemoryError:
+        message = f"{path.name} does not fit into memory: make it smaller"
+    return {**_NOTHING, "status": "not fitted", "message": message}
+
+
+_NOTHING: dict[str, Any] = {
+    "points": None,
+    "covariances": None,
+    "quality": None,
+    "ok": False,
+    "found": False,
+    "doubtful": True,
+    "uncertainty": None,
+}
+
+
+def proposal_of(result: FitResult) -> dict[str, Any]:
+    """Return a fit as a proposal. A failed fit keeps its points: correcting them is less work than placing them."""
+    facts = {"status": str(result.status), "message": result.message}
+    if not np.isfinite(result.landmarks).all():
+        return {**_NOTHING, **facts}
+    covariances, size = result.landmark_covariances, diagonal_of(result.landmarks)
+    has_covariances = bool(np.isfinite(covariances).all()) and size > 0
+    found = not result.detection_doubtful
+    return {
+        **facts,
+        "points": [[round(x, 3), round(y, 3)] for x, y in result.landmarks.tolist()],
+        "covariances": np.round(covariances, 4).tolist() if has_covariances else None,
+        "quality": None if np.isnan(result.quality) else round(float(result.quality), 4),
+        "ok": result.status.ok,
+        "found": found,
+        "doubtful": not found or not result.status.ok,
+        "uncertainty": round(float(result.deviations.mean()) / size, 5) if has_covariances else None,
+    }

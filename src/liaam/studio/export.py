@@ -53,17 +53,18 @@ def export_of(project: Project, kind: str) -> tuple[str, bytes]:
             for file, landmarks, _ in found:
                 archive.writestr(f"{file.stem}.pts", text_of(landmarks, ".pts"))
         return name, stream.getvalue()
-    names = project.templates.current.names if project.templates.current is not None else ()
+    names = project.templates.needed.names
     collection = {file.name: replace(landmarks, names=names) for file, landmarks, _ in found}
     return name, collection_text(name, collection, {file.name: size for file, _, size in found}).encode()
 
 
 def measurements_of(project: Project, measures: str, scale: str) -> tuple[str, bytes]:
     """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
-    names = project.templates.current.names if project.templates.current is not None else ()
-    specimens = [Specimen(file.stem, own.points, names=names, scale=own.scale) for file, own, _ in project.placed()]
-    if not specimens:
+    found = project.placed()
+    if not found:
         raise Refusal(422, "no picture has landmarks yet: place the points of one, then measure")
+    names = project.templates.needed.names
+    specimens = [Specimen(file.stem, own.points, names=names, scale=own.scale) for file, own, _ in found]
     columns = measure(specimens, measures.split(), scale or None)
     return f"{plain_name(project.root.name)}-measurements.csv", columns_text(columns).encode()
 

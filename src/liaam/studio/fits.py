@@ -1,6 +1,6 @@
 """Fits for the page: computed with the current model and cached together with their layers.
 
-HTTP is in :mod:`liaam.studio.fit_routes`, the export of files in :mod:`liaam.studio.export`.
+HTTP is in :mod:`liaam.studio.app`, the export of files in :mod:`liaam.studio.export`.
 """
 
 from __future__ import annotations
@@ -12,18 +12,20 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError
+from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import finite_or_none, point_error
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.held import methods_of
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.result import FitResult
+from liaam.io import Landmarks
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb
@@ -162,7 +164,7 @@ class Fits:
         self.pictures = pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
-        self._found: Kept[tuple[str, str, tuple[int, ...], int], Detection] = Kept(settings.fits_kept)
+        self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
         self._residuals: Kept[str, layers.Residual] = Kept(RESIDUALS_KEPT)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
@@ -225,35 +227,32 @@ class Fits:
         if current is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
-        result, seconds, no_flat = self._fitted(current, fitter, source, start, start is None and source.has_copy)
+        small = start is None and source.has_copy  # tried first: it will do for an object that is large on it
+        while True:
+            with self.pictures.at_work(source, small) as image:
+                began = time.perf_counter()
+                begin = start
+                if start is None:  # all methods share one search
+                    key = (source.name, source.tag, image.shape, current.number)
+                    searcher = self._searcher(current, source.raw)
+                    begin = self._found.get(key, partial(searcher.find, image, name=source.name))[0]
+                searched = time.perf_counter()
+                result = fitter.fit(image, begin, source.name)
+                if start is None and result.quality < result.least_quality:  # try the search's other places
+                    result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
+                seconds = searched - began, time.perf_counter() - searched
+                no_flat = layers.why_not_flat(fitter, image, result)
+                result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
+            # Landmarks on the copy are coarser by the ratio of the widths.
+            least = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
+            if not small or (result.status.ok and diagonal_of(result.landmarks) >= least):
+                break
+            small = False
         trained_on = of[0] == "picture" and current.is_trained_on(of[1])
         error = error_of(result.landmarks, truth)
         fit = Fit(secrets.token_urlsafe(9), source, fitter, result, *seconds, no_flat, error, of, trained_on)
         self._fits.put(fit.id, fit)
         return fit
-
-    def _fitted(
-        self, current: ModelInUse, fitter: Fitter, source: Source, start: Any, small: bool
-    ) -> tuple[FitResult, tuple[float, float], str | None]:
-        """Return a fit, the seconds of search and fit, and why it has no shading.
-
-        A ``small`` copy is tried first; it will do for an object that is large on it.
-        """
-        with self.pictures.at_work(source, small) as image:
-            began = time.perf_counter()
-            begin = self._search(current, source, image) if start is None else start
-            searched = time.perf_counter()
-            result = fitter.fit(image, begin, source.name)
-            if start is None and result.quality < result.least_quality:  # try the other places that the search finds
-                result = max(result, fitter.fit(image, None, source.name), key=lambda fit: fit.quality)
-            seconds = searched - began, time.perf_counter() - searched
-            no_flat = layers.why_not_flat(fitter, image, result)
-            result = layers.scaled(result, (image.shape[1], image.shape[0]), source.size)
-        # Landmarks on the copy are coarser by the ratio of the widths.
-        least = SHARP * fitter.model.diagonal * source.size[0] / image.shape[1]
-        if small and not (result.status.ok and diagonal_of(result.landmarks) >= least):
-            return self._fitted(current, fitter, source, start, small=False)
-        return result, seconds, no_flat
 
     def get(self, number: str) -> Fit:
         """Return the fit with an id."""
@@ -288,7 +287,7 @@ class Fits:
         """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
         if what == "residual":
             to = fitted_size(*fit.source.size, size)
-            shape = layers.scaled_points(fit.result.landmarks, fit.source.size, to)
+            shape = layers.scaled(fit.result, fit.source.size, to).landmarks
             part = fit.fitter.part_for(fit.result).model
             return layers.residual_layer(part, shape, self._residual(fit), to)
         light, to = self._light(fit, size)
@@ -303,7 +302,6 @@ class Fits:
 
     def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
         """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
-        layers.need_flat(fit.no_flat)
         size = min(size, LIGHT_SIZE)
         to = fitted_size(*fit.source.size, max(size, LAYER_SIZE))
         light = self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to))
@@ -311,29 +309,21 @@ class Fits:
 
     def whole_light(self, fit: Fit) -> Relighter:
         """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
-        layers.need_flat(fit.no_flat)
         whole = fit.source.size
         if prod(whole) > self.settings.whole_pixels:
-            raise Refusal(
-                422,
-                f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the "
-                f"{self.settings.whole_pixels:,} that the studio relights in full size: use 'liaam relight', or a "
-                "smaller picture",
-            )
+            size = f"{whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
+            text = f"{fit.source.name} has {size} that the studio relights in full size"
+            raise Refusal(422, f"{text}: use 'liaam relight', or a smaller picture")
         if max(whole) <= LIGHT_SIZE:
             return self._light(fit, max(whole))[0]
         with self._large:
             return self._taken_apart(fit, whole)
 
     def _taken_apart(self, fit: Fit, to: tuple[int, int]) -> Relighter:
+        if fit.no_flat is not None:
+            raise MethodError(fit.no_flat)
         with self.pictures.at_work(fit.source) as image:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
-
-    def _search(self, current: ModelInUse, source: Source, image: np.ndarray) -> Detection:
-        """Search for the object; all methods share one search."""
-        searcher = self._searcher(current, source.raw)
-        key = (source.name, source.tag, image.shape, current.number)
-        return self._found.get(key, lambda: searcher.find(image, name=source.name)[0])
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
         """Return a fitter by any method of the model."""
@@ -364,3 +354,12 @@ def error_of(shape: np.ndarray, truth: np.ndarray | None) -> tuple[float, float]
         return None
     error = point_error(shape, truth)
     return error, 100.0 * error / diagonal_of(known)
+
+
+def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:
+    """Return the landmarks to compare with, NaN where one is missing or invisible."""
+    if landmarks is None:
+        return None
+    points = np.array(landmarks.points)
+    points[list(landmarks.invisible)] = np.nan
+    return points

@@ -1,4 +1,4 @@
-"""A project's folder: checks of the folder and its paths, and error messages without absolute paths.
+"""A project's folder: checks of its paths, its listing of pictures and landmark files, and whether each can be used.
 
 Names of files are relative to the folder, with ``/`` between the parts. Names of pictures are looked up in the folder's
 listing and never joined to a path. The studio neither reads nor writes through a link that leads out of the folder.
@@ -9,15 +9,32 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property, partial
+from pathlib import Path, PurePosixPath
+
+import numpy as np
 
 from liaam.errors import ImageError, LiaamError
-from liaam.io.files import may_write_in, real_path
+from liaam.io.files import count_of, may_write_in, natural_key, real_path, some_names
+from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, image_size
+from liaam.io.landmarks import LANDMARK_SUFFIXES
+from liaam.photometry.encoding import as_colour
 from liaam.studio.safety import Refusal
 
 STATE = ".liaam-studio"
 """Name of the subfolder for the studio's own files."""
+
+OWN_SUFFIXES = (".pts", ".ljson")
+"""Suffixes of the landmark files that the studio writes, in the order in which they are read."""
+
+MOST_FOLDERS = 1000
+"""Maximum number of folders that are listed."""
+
+Signature = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -56,6 +73,207 @@ class Folder:
         return str(fault).replace(f"{self.root}{os.sep}", "").replace(str(self.root), name)
 
 
+@dataclass(frozen=True)
+class File:
+    """A file of the folder, with a signature that changes with it: time, size and inode."""
+
+    name: str
+    """Relative to the folder, with ``/`` between the parts."""
+    signature: Signature
+
+    @cached_property
+    def stem(self) -> str:
+        """Name without its suffix."""
+        return self.name[: len(self.name) - len(PurePosixPath(self.name).suffix)]
+
+    @cached_property
+    def suffix(self) -> str:
+        """Suffix in lower case."""
+        return PurePosixPath(self.name).suffix.lower()
+
+    @property
+    def tag(self) -> str:
+        """Identifier of the file's contents for the page."""
+        return f"{self.signature[0]:x}-{self.signature[1]:x}"
+
+
+class Listing:
+    """The folder's files at the time of the last scan; ``version`` is incremented with every change.
+
+    If there is no picture in the folder itself, the files of its subfolders are listed as well. ``files`` are by
+    name, in natural order, ``other_files`` landmark files in other formats. ``winners`` are the pictures to which
+    landmark files belong, by stem. ``stranded`` are links that lead out of the folder, and ``unlisted`` subfolders
+    that are not listed.
+    """
+
+    def __init__(self, folder: Folder, most_pixels: int) -> None:
+        self.folder = folder
+        self.version = 0
+        self.files: dict[str, File] = {}
+        self.stranded: list[str] = []
+        self.unlisted: list[str] = []
+        self._most_pixels = most_pixels
+        self._times: dict[str, int] = {}
+        self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
+        self._arrange()
+
+    def scan(self) -> None:
+        """List the folder."""
+        self.stranded, self.unlisted, self._times = [], [], {}
+        unavailable = partial(Refusal, 503)
+        with disk_errors(f"{self.folder.root.name} cannot be read", "is the folder still there?", unavailable):
+            found, below = self._listed("")
+        waiting = deque(below)
+        if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in found):
+            self.unlisted.extend(waiting)
+            waiting.clear()
+        while waiting:
+            name = waiting.popleft()
+            with suppress(OSError):
+                if len(self._times) < MOST_FOLDERS:
+                    more, below = self._listed(name)
+                    found.update(more)
+                    waiting.extend(below)
+                    continue
+            self.unlisted.append(name)
+        if found == {name: file.signature for name, file in self.files.items()}:
+            return  # sorting thousands of files takes far longer than listing them
+        self.files = {name: File(name, found[name]) for name in sorted(found, key=natural_key)}
+        self._arrange()
+
+    def renew(self, name: str) -> None:
+        """Update the entry of one landmark file in a format that the studio writes."""
+        subfolder = name.rpartition("/")[0]
+        self._times[subfolder] = self.folder.time(subfolder)
+        try:
+            file = self.files[name] = File(name, _signature((self.folder.root / name).stat()))
+        except OSError:
+            self.files.pop(name, None)
+        else:
+            if self._own.get(file.stem, file).name == name:
+                self._own[file.stem] = file  # to arrange thousands of files for each that is written would take minutes
+                self.version += 1
+                return
+        self._arrange()
+
+    def is_current(self, *files: File) -> bool:
+        """Whether no file was added or removed, and the given files are unchanged."""
+        with suppress(OSError):
+            same = all(self.folder.time(name) == time for name, time in self._times.items())
+            return same and all(file.signature == _signature((self.folder.root / file.name).stat()) for file in files)
+        return False
+
+    def own(self, picture: File) -> File | None:
+        """Return the landmark file of a picture in a format that the studio writes."""
+        return self._own.get(picture.stem)
+
+    def _arrange(self) -> None:
+        """Sort the files into pictures, landmark files in the studio's formats, and other landmark files."""
+        files = self.files.values()
+        self.pictures = [file for file in files if file.suffix in PICTURE_SUFFIXES]
+        own_files = [file for file in files if file.suffix in OWN_SUFFIXES]
+        self._own = {file.stem: file for file in sorted(own_files, key=lambda file: -OWN_SUFFIXES.index(file.suffix))}
+        others = set(LANDMARK_SUFFIXES) - set(OWN_SUFFIXES)
+        self.other_files = [file for file in files if file.suffix in others]
+        self.winners: dict[str, str] = {}
+        for file in sorted(self.pictures, key=lambda file: PICTURE_SUFFIXES.index(file.suffix)):
+            self.winners.setdefault(file.stem, file.name)
+        self.version += 1
+
+    def _listed(self, subfolder: str) -> tuple[dict[str, Signature], list[str]]:
+        """List the files of a folder, without links that lead out and unreadable entries, and its subfolders."""
+        time = self.folder.time(subfolder)  # before the scan, so that changes during it are noticed
+        found, below = {}, []
+        with os.scandir(self.folder.root / subfolder) as entries:
+            for entry in entries:
+                if entry.name.startswith("."):
+                    continue
+                name = f"{subfolder}/{entry.name}" if subfolder else entry.name
+                try:
+                    name.encode()
+                    if entry.is_symlink() and not self.folder.leads_inside(Path(entry.path)):
+                        is_known = PurePosixPath(name).suffix.lower() in (*PICTURE_SUFFIXES, *LANDMARK_SUFFIXES)
+                        self.stranded += [name] if is_known else []
+                    elif entry.is_file():
+                        found[name] = _signature(entry.stat())
+                    elif entry.is_dir(follow_symlinks=False):  # a link could lead to a folder above it
+                        below.append(name)
+                except (OSError, UnicodeEncodeError):
+                    continue
+        self._times[subfolder] = time
+        return found, sorted(below, key=natural_key)
+
+    def fault_of(self, picture: File) -> str | None:
+        """Return why a picture cannot be used, or None if it can."""
+        winner = self.winners[picture.stem]
+        if winner != picture.name:
+            return f"{winner} has the same name except for its suffix, so both would share landmark files: rename one"
+        size = self.size_of(picture)
+        return size if isinstance(size, str) else None
+
+    def usable(self) -> list[File]:
+        """Return the pictures that can be used."""
+        return [file for file in self.pictures if self.fault_of(file) is None]
+
+    def usable_size(self, picture: File) -> tuple[int, int]:
+        """Return the width and height of a picture."""
+        fault, size = self.fault_of(picture), self.size_of(picture)
+        if fault is not None or isinstance(size, str):
+            raise Refusal(409, f"{picture.name} cannot be used: {fault or size}")
+        return size
+
+    def size_of(self, picture: File) -> tuple[int, int] | str:
+        """Return the width and height of a picture from its header, or an error message."""
+        if not self.is_read(picture):
+            size: tuple[int, int] | str
+            try:
+                size = image_size(self.folder.inside(picture.name))
+                check_pixels(picture.name, size, self._most_pixels)
+                as_colour(np.broadcast_to(np.uint8(0), (*size[::-1], 3)), picture.name)
+            except LiaamError as fault:
+                size = self.folder.plain(fault)
+            self._sizes[picture.name] = (picture.signature, size)
+        return self._sizes[picture.name][1]
+
+    def mark_unreadable(self, picture: File, fault: str) -> None:
+        """Remember that a picture cannot be decoded, although its header can be read."""
+        self._sizes[picture.name] = (picture.signature, self.folder.plain(fault))
+        self.version += 1
+
+    def is_read(self, picture: File) -> bool:
+        """Whether the header of a picture was read before, so that :meth:`size_of` is quick."""
+        return picture.name in self._sizes and self._sizes[picture.name][0] == picture.signature
+
+    def notices(self) -> list[str]:
+        """Return messages about files that look like pictures but are skipped, and landmark files without a picture."""
+        files = self.files.values()
+        unread = [file.name for file in files if file.suffix in UNREAD_SUFFIXES]
+        kinds = Counter(PurePosixPath(name).suffix.lower() for name in unread)
+        endings = ", ".join(f"{count} {suffix}" for suffix, count in sorted(kinds.items()))
+        below = [name for name in self.unlisted if self._has_pictures(name)]
+        reason = "there are too many" if len(self._times) > 1 else "the folder itself has pictures"
+        orphans = [file.name for file in files if file.suffix in OWN_SUFFIXES and file.stem not in self.winners]
+        remedy = "if the picture was renamed, rename the landmark file too"
+        notices = (
+            (unread, "picture", f"skipped, because the format is not supported ({endings}): save as PNG or JPEG"),
+            (self.stranded, "file", "skipped, because the link leads out of the folder: put a copy in its place"),
+            (below, "subfolder", f"with pictures not shown, because {reason}: open the studio on a subfolder"),
+            (orphans, "landmark file", f"without a picture of the same name: {remedy}"),
+        )
+        return [f"{count_of(len(names), what)} ({some_names(names, 3)}) {why}" for names, what, why in notices if names]
+
+    def _has_pictures(self, name: str) -> bool:
+        try:
+            with os.scandir(self.folder.root / name) as entries:
+                return any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries)
+        except OSError:
+            return False
+
+
+def _signature(facts: os.stat_result) -> Signature:
+    return facts.st_mtime_ns, facts.st_size, facts.st_ino
+
+
 def is_relative(name: str) -> bool:
     """Whether a name stays in the folder and names no hidden file or folder."""
     return all(part and not part.startswith(".") for part in name.split("/")) and not Path(name).is_absolute()
@@ -64,25 +282,32 @@ def is_relative(name: str) -> bool:
 def checked_folder(folder: str | os.PathLike[str]) -> Path:
     """Check a folder and return it with links resolved."""
     folder = Path(folder)
-    try:
+    with disk_errors(f"{folder} cannot be read", error=ImageError):
         if not folder.is_dir():
             what = "is a file, not a folder" if folder.exists() else "does not exist"
             raise ImageError(f"{folder} {what}: name the folder that holds the pictures.")
         with os.scandir(folder):
             pass
-    except OSError as fault:
-        raise ImageError(f"{folder} cannot be read ({fault.strerror or fault}): check the rights on it.") from fault
     if not may_write_in(folder):
         raise ImageError(f"{folder} cannot be written to: check the rights on it; landmarks are saved beside pictures.")
     return real_path(folder)
 
 
-def remove(path: Path) -> None:
-    """Remove a file if it exists."""
+@contextmanager
+def disk_errors(
+    what: str, remedy: str = "check the rights on it.", error: Callable[[str], LiaamError] = LiaamError
+) -> Iterator[None]:
+    """Raise an error of the disk in the block as one that says what failed and what to do."""
     try:
-        path.unlink(missing_ok=True)
+        yield
     except OSError as fault:
-        raise LiaamError(f"{path} cannot be removed ({fault.strerror or fault}): check the rights on it.") from fault
+        raise error(f"{what} ({fault.strerror or fault}): {remedy}") from fault
+
+
+def check_pixels(name: str, size: tuple[int, int], most: int) -> None:
+    """Refuse a picture of a size (width, height) with more than so many pixels."""
+    if size[0] * size[1] > most:
+        raise Refusal(413, f"{name} has {size[0]} x {size[1]} pixels, more than {most:,}: make the picture smaller")
 
 
 def status_of(fault: BaseException | None) -> int:

@@ -1,17 +1,20 @@
-"""The landmark files of a project: reading and writing.
+"""The landmarks of a project: its landmark files, scale bars, and what the model proposes.
 
 Landmarks are saved beside the picture as ``.ljson``, or in an existing ``.pts``, which :func:`liaam.load_folder`
 prefers. Files of other formats are read but never written or removed; a saved ``.ljson`` takes precedence over them.
+A scale bar, such as one along a ruler, gives the length of a pixel in millimetres: the scale of a picture's landmarks.
 The studio also keeps the invisible points, which a ``.pts`` cannot store, and in ``kept`` copies of unreadable landmark
 files that were replaced.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +24,15 @@ from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.io.landmarks.formats import writer_of
-from liaam.studio.folder import remove, revision_of
-from liaam.studio.listing import OWN_SUFFIXES, File, Listing, Signature
+from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
 from liaam.studio.safety import Refusal
-from liaam.studio.scale_bar import pixel_length
-from liaam.studio.store import Store
-from liaam.studio.template import Template, landmarks_of
+from liaam.studio.store import Store, Table
+from liaam.studio.template import Template, landmarks_of, parse_points
+
+UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+"""Units of length, in millimetres."""
+
+LONGEST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +60,11 @@ class Marks:
         """Number of placed points."""
         return 0 if self.landmarks is None else int((~self.landmarks.missing).sum())
 
+    def fits(self, template: Template | None) -> bool:
+        """Whether points are placed, and there are as many as the template has."""
+        count = None if self.landmarks is None or not self.n_placed else len(self.landmarks)
+        return template is not None and count == len(template)
+
 
 _NO_MARKS = Marks()
 
@@ -75,8 +86,8 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
-        self._bars = store.table("bar")
-        self._invisible = store.table("invisible")  # points by name and revision of a .pts
+        self._bars = Table(store, "bar")
+        self._invisible = Table(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
@@ -102,10 +113,6 @@ class LandmarkFiles:
         known = None if own is None else self._read.get(own.name)
         return own is None or (known is not None and known[0] == own.signature)
 
-    def forget(self) -> None:
-        """Clear the cache."""
-        self._read.clear()
-
     def _own(self, own: File) -> Marks:
         known = self._read.get(own.name)
         if known is None or known[0] != own.signature:
@@ -113,15 +120,14 @@ class LandmarkFiles:
         return known[1]
 
     def _read_own(self, own: File) -> Marks:
+        revision = ""
         try:
             data = self._bytes(self._folder.inside(own.name))
-        except LandmarkError as fault:
-            return Marks(own.name, "", None, self._folder.plain(fault))
-        revision = revision_of(data)
-        try:
+            revision = revision_of(data)
             landmarks = parse_landmark_data(own.name, data)
         except LandmarkError as fault:
-            return Marks(own.name, revision, None, f"{fault} A copy is kept when you place the points again.")
+            text = f"{fault} A copy is kept when you place the points again." if revision else self._folder.plain(fault)
+            return Marks(own.name, revision, None, text)
         assert isinstance(landmarks, Landmarks)  # these formats hold one picture
         invisible = self._invisible.get(f"{own.name} {revision}", ())
         if max(invisible, default=0) < len(landmarks):
@@ -146,18 +152,19 @@ class LandmarkFiles:
         images = [root / name for name in listing.winners.values()]
         samples, left_out = pair_files(root, images, [root / file.name for file in listing.other_files])
         marks, faults, problems = {}, {}, []
-        revisions: dict[Path, str | None] = {}
+
+        @cache  # one file may hold the landmarks of all pictures
+        def revision_in(file: Path) -> str | None:
+            try:
+                return revision_of(self._bytes(file))
+            except LandmarkError as fault:  # it has changed since it was parsed
+                problems.append(self._folder.plain(fault))
+                return None
+
         for sample in samples:
             file = sample.landmark_file
-            assert isinstance(sample.image, Path)
-            assert file is not None
-            if file not in revisions:  # one file may hold the landmarks of all pictures
-                try:
-                    revisions[file] = revision_of(self._bytes(file))
-                except LandmarkError as fault:  # it has changed since it was parsed
-                    revisions[file] = None
-                    problems.append(self._folder.plain(fault))
-            revision = revisions[file]
+            assert isinstance(sample.image, Path) and file is not None
+            revision = revision_in(file)
             if revision is not None:  # of several objects in a picture, the largest comes first
                 marks.setdefault(name_of(sample.image), Marks(name_of(file), revision, sample.landmarks))
         several = [name for name, mark in marks.items() if mark.landmarks is not None and mark.landmarks.others]
@@ -185,9 +192,10 @@ class LandmarkFiles:
         return self._scale(picture)["bar"]
 
     def scale_of(self, picture: File) -> float | None:
-        """Return the length of a pixel: by the scale bar, or else by the landmark file."""
+        """Return the length of a pixel in millimetres: by the scale bar, or else by the landmark file."""
         known = self._scale(picture)
-        return known["scale"] if known["bar"] is None else pixel_length(known["bar"])
+        bar = known["bar"]
+        return known["scale"] if bar is None else bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])
 
     def shares_scale(self, picture: File) -> bool:
         """Whether the scale bar of a picture was drawn on another one."""
@@ -195,51 +203,39 @@ class LandmarkFiles:
 
     def _scale(self, picture: File) -> dict[str, Any]:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
-        known, landmarks = self._bars.get(picture.name), self.of(picture).landmarks
-        if known is not None and known["tag"] == picture.tag:
-            return known
-        return {"tag": picture.tag, "bar": None, "scale": None if landmarks is None else landmarks.scale}
+        landmarks = self.of(picture).landmarks
+        scale = None if landmarks is None else landmarks.scale
+        return self._bars.of(picture) or {"tag": picture.tag, "bar": None, "scale": scale}
 
     def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
         """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
         self._bars.save({picture.name: {"tag": picture.tag, "bar": bar, "scale": None}})
 
-    def share_bar(self, pictures: Sequence[File], bar: dict[str, Any]) -> None:
-        """Set a scale bar that was drawn on another picture."""
-        shared = {"bar": bar, "scale": None}
-        self._bars.save({each.name: {"tag": each.tag, **shared, "before": self._scale(each)} for each in pictures})
-
-    def unshare_bar(self, pictures: Sequence[File]) -> None:
-        """Give pictures the scale that they had before :meth:`share_bar`."""
-        self._bars.save({each.name: self._scale(each)["before"] for each in pictures})
-
-    def write_scale(self, picture: File, template: Template) -> None:
-        """Write the scale into the landmark file of a picture, if there is one that can hold it."""
-        marks = self.of(picture)
-        fits = marks.landmarks is not None and marks.n_placed and len(marks.landmarks) == len(template)
-        if marks.landmarks is not None and fits and self.target(picture).suffix.lower() != ".pts":
-            self.save(picture, template, marks.points, marks.landmarks.invisible)
+    def share_bar(self, pictures: Sequence[File], bar: dict[str, Any] | None) -> None:
+        """Set a scale bar that was drawn on another picture; None gives pictures the scale that they had before."""
+        before = {each: self._scale(each) for each in pictures}
+        shared = {each.name: {"tag": each.tag, "bar": bar, "scale": None, "before": before[each]} for each in pictures}
+        self._bars.save({each.name: before[each]["before"] for each in pictures} if bar is None else shared)
 
     def save(
-        self,
-        picture: File,
-        template: Template,
-        points: Sequence[Any],
-        invisible: Sequence[int],
-        scale: float | None = None,
+        self, picture: File, template: Template, points: Sequence, invisible: Sequence[int], scale: float | None = None
     ) -> None:
         """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed.
 
-        ``scale`` is written if the picture has none.
+        ``scale`` is written if the picture has none. A file that cannot be read, or that has another number of points,
+        is kept as a copy.
         """
         target, before = self.target(picture), self.of(picture)
         name = self._folder.name_of(target)
-        if before.file == name:
-            self._keep_unreadable(before, target, template)
+        if before.file == name and (before.landmarks is None or len(before.landmarks) != len(template)):
+            data = self._bytes(target, sys.maxsize)
+            copy = self._store.path(f"kept/{target.stem}.{revision_of(data)}{target.suffix}")
+            write_bytes_atomically(copy, data)
         # If the .ljson were removed, a file of another format would be read again.
         is_alone = picture.name not in self._foreign()
         if not any(points) and target.suffix.lower() == ".ljson" and is_alone:
-            remove(target)
+            with disk_errors(f"{target} cannot be removed"):
+                target.unlink(missing_ok=True)
         else:
             landmarks = landmarks_of(template, points, invisible, self.scale_of(picture) or scale)
             text = text_of(landmarks, target.suffix)
@@ -250,6 +246,7 @@ class LandmarkFiles:
 
     def rewrite(self, name: str, text: str, before: str | None, invisible: Sequence[int]) -> None:
         """Replace a file if its revision is ``before``; leave it alone otherwise, or if its folder is gone."""
+        self._read.pop(name, None)
         try:
             target, after = self._folder.inside(name), text.encode()
         except Refusal:  # it has become a link that leads out of the folder
@@ -262,13 +259,6 @@ class LandmarkFiles:
         self._remember_invisible(name, after, invisible)
         if data != after:
             write_bytes_atomically(target, after, LandmarkError)
-
-    def _keep_unreadable(self, before: Marks, target: Path, template: Template) -> None:
-        """Keep a copy of a file that cannot be read, or that has another number of points."""
-        if before.landmarks is None or len(before.landmarks) != len(template):
-            data = self._bytes(target, sys.maxsize)
-            copy = self._store.path(f"kept/{target.stem}.{revision_of(data)}{target.suffix}")
-            write_bytes_atomically(copy, data)
 
     def _bytes(self, path: Path, most: int | None = None) -> bytes:
         """Read a landmark file; raise LandmarkError if it cannot be read."""
@@ -284,3 +274,22 @@ class LandmarkFiles:
 def text_of(landmarks: Landmarks, suffix: str) -> str:
     """Return the text of a landmark file in a format that can be written."""
     return writer_of(Path(f"x{suffix}"))(landmarks)
+
+
+def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
+    """Return a hash of a proposal."""
+    return revision_of(json.dumps(proposal, sort_keys=True).encode())
+
+
+def parse_bar(data: Any) -> dict[str, Any] | None:
+    """Parse and check a scale bar from JSON: ``ends``, ``length`` and ``unit``, or null."""
+    if data is None:
+        return None
+    if not isinstance(data, dict) or data.get("unit") not in UNITS:
+        raise Refusal(422, f"the scale bar is not valid: send ends, length and unit, one of {', '.join(UNITS)}")
+    ends, length = parse_points(data.get("ends"), 2), data.get("length")
+    if isinstance(length, bool) or not isinstance(length, int | float) or not 0 < length < LONGEST:
+        raise Refusal(422, "the length of the scale bar is not valid: enter a positive number")
+    if ends[0] is None or ends[1] is None or math.dist(ends[0], ends[1]) < 1:
+        raise Refusal(422, "the ends of the scale bar are less than a pixel apart: draw it longer")
+    return {"ends": [list(ends[0]), list(ends[1])], "length": length, "unit": data["unit"]}

@@ -9,17 +9,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.solution import residual_at
 from liaam.model import AAM
-from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import Similarity
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
 from liaam.relighting import Relighter, paint
 from liaam.studio.pictures import averaged
+from liaam.tracking.motion import rescaled
 
 LAYERS = ("residual", "shading", "flat", "normals")
 
@@ -69,21 +68,11 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residua
     sizes = sizes[np.isfinite(sizes)]
     limit = float(np.percentile(sizes, RESIDUAL_SHARE)) if len(sizes) else 0.0
     names = _ROWS.get(method.metric, ())
-    values = _inside(model, fitter.view.warp.frame, values)
+    frame = fitter.view.warp.frame
+    if frame is not model.frame:  # select the model's pixels from those of a larger frame
+        rows, columns = (model.frame.pixels + (model.frame.origin - frame.origin)[::-1].astype(int)).T
+        values = frame.picture(values)[rows, columns]
     return Residual(values, max(limit, 1e-6), names[row] if row < len(names) else method.metric)
-
-
-def _inside(model: AAM, frame: ReferenceFrame, values: np.ndarray) -> np.ndarray:
-    """Select the values (n, c) at the model's pixels from those of a larger frame."""
-    if frame is model.frame:
-        return values
-    rows, columns = (model.frame.pixels + (model.frame.origin - frame.origin)[::-1].astype(int)).T
-    return frame.picture(values)[rows, columns]
-
-
-def scaled_points(points: np.ndarray, size: tuple[int, int], to: tuple[int, int]) -> np.ndarray:
-    """Scale points (n, 2) from one picture size (width, height) to another; pixel centres are integers."""
-    return (points + 0.5) * (np.array(to) / np.array(size)) - 0.5
 
 
 def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> FitResult:
@@ -92,7 +81,7 @@ def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> Fit
         return result
 
     def there(points: np.ndarray) -> np.ndarray:
-        return scaled_points(points, size, to)
+        return rescaled(points, (size[1], size[0]), (to[1], to[0]))
 
     def moved(found: Detection) -> Detection:
         others = tuple(map(moved, found.others))
@@ -185,9 +174,3 @@ def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...]) -> n
 
 def _with_alpha(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
     return np.dstack([colours * inside[..., None], np.where(inside, 255, 0).astype(np.uint8)])
-
-
-def need_flat(reason: str | None) -> None:
-    """Raise :class:`MethodError` if there is a reason why the shading cannot be computed."""
-    if reason is not None:
-        raise MethodError(reason)

@@ -126,13 +126,7 @@ def in_whole(tracked: TrackedFrame, size: tuple[int, int], whole: tuple[int, int
 
 
 class LiveVideos:
-    """The videos that are tracked live; thread-safe.
-
-    Parameters
-    ----------
-    models : ModelStore
-        A new model ends all videos. Their pages start them again.
-    """
+    """The videos that are tracked live; thread-safe. A new model ends all of them; their pages start them again."""
 
     def __init__(self, models: ModelStore, settings: Settings | None = None) -> None:
         self.models = models

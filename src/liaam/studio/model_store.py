@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import tempfile
-import threading
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from liaam.errors import LiaamError, ModelFileError
+from liaam.fitting.held import methods_of
 from liaam.model import AAM, load_model
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
-
-if TYPE_CHECKING:
-    from liaam.studio.training import Trainer
 
 MODEL_FILE = "model.liaam"
 """File of the trained model; the facts about it are in the store."""
@@ -36,7 +34,7 @@ class ModelInUse:
     """Incremented with every published model."""
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
-    model of the studio also has ``order`` (:attr:`TemplateStore.order`), a guest its ``name``."""
+    model of the studio also has ``order`` (:attr:`Templates.order`), a guest its ``name``."""
 
     @property
     def key(self) -> str:
@@ -59,11 +57,10 @@ class ModelStore:
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
         self.guest: ModelInUse | None = None
         self.own: ModelInUse | None = None
         self.spare: ModelInUse | None = None
-        self._number = 0
+        self._numbers = count(1)
         self.listeners: list[Callable[[ModelInUse | None], object]] = []
         """Called in the publishing thread after the current model may have changed."""
 
@@ -74,9 +71,7 @@ class ModelStore:
 
     def publish(self, model: AAM, facts: Mapping[str, Any], place: Place = "own") -> ModelInUse:
         """Set a model by its place."""
-        with self._lock:
-            self._number += 1
-            made = ModelInUse(model, self._number, dict(facts))
+        made = ModelInUse(model, next(self._numbers), dict(facts))
         self._set(place, made)
         return made
 
@@ -103,13 +98,13 @@ class Versions:
 
     def add(self, facts: Mapping[str, Any], errors: Mapping[str, float]) -> None:
         """Append a trained model."""
-        count = len(facts["pictures"]) - len(facts["left_out"])
-        version = {"time": facts["trained"], "pictures": count, "order": facts["order"], "errors": dict(errors)}
+        n_used = len(facts["pictures"]) - len(facts["left_out"])
+        version = {"time": facts["trained"], "pictures": n_used, "order": facts["order"], "errors": dict(errors)}
         self._store.append("version", [version])
         self._all.append(version)
 
     def held_out(self, order: str) -> list[str]:
-        """Return the held-out pictures of the newest model with an :attr:`TemplateStore.order` of its points."""
+        """Return the held-out pictures of the newest model with an :attr:`Templates.order` of its points."""
         return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
 
     def as_json(self, order: str) -> list[dict[str, Any]]:
@@ -144,26 +139,6 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
         project.store.note(MODEL_FILE, f"{fault}; the model is ignored: train again")
 
 
-def forget_studio_model(project: Project, models: ModelStore) -> None:
-    """Withdraw the studio's model and remove its files, because the template changed. A given model stays.
-
-    A copy of the model is kept.
-    """
-    own = models.own
-    if own is not None and own.facts["source"] == "studio":
-        models.withdraw()
-    project.store.set_aside(MODEL_FILE)
-    project.store.put("model", {MODEL_FILE: None})
-
-
-def follow_template(project: Project, models: ModelStore, trainer: Trainer) -> None:
-    """Stop the training and withdraw the model if they are for an earlier set or order of points."""
-    trainer.stop_unless(project.templates.order)
-    own = models.own
-    if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != project.templates.order:
-        forget_studio_model(project, models)
-
-
 def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
     """Read a model that was dropped on the page, with at most so many points."""
     with tempfile.TemporaryDirectory() as folder:  # safetensors reads the metadata of files only
@@ -185,30 +160,26 @@ def model_json(
 
     ``done`` holds the revisions of the pictures for training by name; ``unread`` are those not known yet.
     """
-    from liaam.fitting.held import methods_of
-
     if current is None:
         return None
     model, facts = current.model, current.facts
-    known = facts["pictures"]
-    changed = sum(known.get(name) != revision for name, revision in done.items())
-    served = known.keys() - facts.get("left_out", {}).keys()
-    lost = served - done.keys() - set(unread)  # left out by the user since, or without landmarks now
+    known, left_out = facts["pictures"], facts.get("left_out", {})
+    lost = known.keys() - left_out - done.keys() - set(unread)  # left out by the user since, or without landmarks now
     # A picture that has changed since may be used by the next training.
-    same = {name for name, revision in done.items() if facts["pictures"].get(name) == revision}
+    same = {name for name, revision in done.items() if known.get(name) == revision}
     return {
         "number": current.number,
         "name": facts.get("name", model.name),
         "n_images": model.n_all_images,
         "n_points": model.n_points,
         "trained": facts["trained"],
-        "stale": changed + len(lost),
+        "stale": len(done) - len(same) + len(lost),
         "colour": model.is_colour,
         "methods": methods_of(model),
         "triangles": model.triangles.tolist(),
         "theta_deg": float(np.rad2deg(model.theta)),
         "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
         "source": facts["source"],
-        "left_out": {name: why for name, why in facts.get("left_out", {}).items() if name in same},
+        "left_out": {name: why for name, why in left_out.items() if name in same},
         "mean": model.shape_model.mean.tolist(),
     }

@@ -25,12 +25,10 @@ from liaam.errors import ImageError
 from liaam.io import image_size, is_raw, read_image, read_preview
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
+from liaam.studio.folder import disk_errors
 from liaam.studio.safety import Refusal
 
 JPEG_QUALITY = 92
-
-SIZES = (16, 16384)
-"""Smallest and largest size of the longest side that a request may ask for, in pixels."""
 
 CHROMA_STEP = 1 / 4096
 """Step of chroma's 16-bit integers: natural logarithm of a ratio of light."""
@@ -65,16 +63,12 @@ class Kept(Generic[K, V]):
         self.limit = limit
         self.weight = 0
         self._weigh = weigh
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._being_made: dict[K, Future[V]] = {}
 
     def __len__(self) -> int:
         return len(self._values)
-
-    def __iter__(self) -> Iterator[K]:
-        with self._lock:
-            return iter(list(self._values))
 
     def peek(self, key: K) -> V | None:
         """Return the value of a key, or None."""
@@ -90,46 +84,35 @@ class Kept(Generic[K, V]):
             if key in self._values:
                 self._values.move_to_end(key)
                 return self._values[key][0]
-            future = self._being_made.get(key)
-            is_first = future is None
-            if future is None:
-                future = self._being_made[key] = Future()
-        if not is_first:
-            return future.result()
-        try:
-            value = make()
-        except BaseException as fault:
+            known = self._being_made.get(key)
+            future = self._being_made[key] = known or Future()
+        if known is None:
+            try:
+                future.set_result(make())
+            except BaseException as fault:
+                future.set_exception(fault)
             with self._lock:
                 del self._being_made[key]
-            future.set_exception(fault)
-            raise
-        with self._lock:
-            del self._being_made[key]
-            self._put(key, value)
-        future.set_result(value)
-        return value
+                if future.exception() is None:
+                    self.put(key, future.result())
+        return future.result()
 
     def put(self, key: K, value: V) -> None:
         """Cache a value."""
+        weight = self._weigh(value)
         with self._lock:
-            self._put(key, value)
+            self.weight -= self._values.pop(key, (value, 0))[1]
+            if weight <= self.limit:
+                self._values[key] = value, weight
+                self.weight += weight
+            while self.weight > self.limit:
+                self.weight -= self._values.popitem(last=False)[1][1]
 
     def keep_only(self, wanted: Callable[[K, V], bool]) -> None:
         """Remove all values for which ``wanted(key, value)`` is false."""
         with self._lock:
             for key in [key for key, (value, _) in self._values.items() if not wanted(key, value)]:
                 self.weight -= self._values.pop(key)[1]
-
-    def _put(self, key: K, value: V) -> None:
-        if key in self._values:
-            self.weight -= self._values.pop(key)[1]
-        weight = self._weigh(value)
-        if weight > self.limit:
-            return
-        self._values[key] = value, weight
-        self.weight += weight
-        while self.weight > self.limit:
-            self.weight -= self._values.popitem(last=False)[1][1]
 
 
 class Room:
@@ -200,10 +183,8 @@ def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
 
 def file_tag(path: Path) -> str:
     """Return an identifier of a file's contents, from its time and size."""
-    try:
+    with disk_errors(f"{path.name} cannot be read", "put it back, or reload", ImageError):
         facts = path.stat()
-    except OSError as fault:
-        raise ImageError(f"{path.name} cannot be read ({fault.strerror or fault}): put it back, or reload") from fault
     return f"{facts.st_mtime_ns:x}-{facts.st_size:x}"
 
 
@@ -216,13 +197,7 @@ def _of_file(path: Path, read: Callable[[Path], V]) -> V:
 
 
 class Pictures:
-    """Caches of decoded pictures and of their encodings for the page; thread-safe.
-
-    Parameters
-    ----------
-    decoded, encoded : int
-        Maximum number of cached bytes.
-    """
+    """Caches of at most so many bytes of decoded pictures and of their encodings for the page; thread-safe."""
 
     def __init__(self, decoded: int = DECODED_BYTES, encoded: int = ENCODED_BYTES) -> None:
         self._decoded: Kept[Hashable, np.ndarray] = Kept(decoded, lambda image: image.nbytes)
@@ -255,7 +230,19 @@ class Pictures:
 
     def image(self, source: Source, size: int) -> bytes:
         """Return a JPEG for display, its longest side at most ``size``."""
-        return self._encoded.get(("image", source.name, source.tag, size), lambda: self._image(source, size))
+
+        def shown_as_jpeg(image: np.ndarray) -> bytes:
+            return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
+
+        def make() -> bytes:
+            # At half size or less, decoding a preview may be faster, and independent of the cache.
+            if source.preview is not None and 2 * size <= max(source.size):
+                with self.room.of(prod(source.size)):
+                    return shown_as_jpeg(source.preview(size))
+            with self.at_work(source) as image:
+                return shown_as_jpeg(image)
+
+        return self._encoded.get(("image", source.name, source.tag, size), make)
 
     def chroma(self, source: Source, size: int, response: Response) -> bytes:
         """Return the chroma of a picture (see :func:`chroma`)."""
@@ -266,27 +253,6 @@ class Pictures:
                 return chroma_bytes(image, size, response, source.name)
 
         return self._encoded.get(key, make)
-
-    def _image(self, source: Source, size: int) -> bytes:
-        # At half size or less, decoding a preview may be faster, and independent of the cache.
-        if source.preview is not None and 2 * size <= max(source.size):
-            with self.room.of(prod(source.size)):
-                return _displayed(source, source.preview(size), size)
-        with self.at_work(source) as image:
-            return _displayed(source, image, size)
-
-
-def _displayed(source: Source, image: np.ndarray, size: int) -> bytes:
-    return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
-
-
-def checked_size(text: str | None, otherwise: int) -> int:
-    """Parse a requested size and clip it to :data:`SIZES`."""
-    if text is None:
-        return otherwise
-    if not (text.isascii() and text.isdigit() and len(text) < 7):
-        raise Refusal(422, f"size {text[:20]!r} is not a whole number of pixels: send the longest side, such as 1024")
-    return int(np.clip(int(text), *SIZES))
 
 
 def fitted_size(width: int, height: int, size: int) -> tuple[int, int]:

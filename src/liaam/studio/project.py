@@ -3,13 +3,11 @@
 :class:`Project` is the thread-safe interface for the rest of the studio. Its parts are not thread-safe, and each
 depends only on those before it in this list:
 
-- :mod:`~liaam.studio.folder`: checks of paths; :mod:`~liaam.studio.store`: what the studio keeps;
-- :mod:`~liaam.studio.listing`: the pictures, and whether each can be used;
-- :mod:`~liaam.studio.landmark_files`: reading and writing landmark files;
-- :mod:`~liaam.studio.proposals`: landmarks proposed by the model, and pictures left at the mean shape;
-- :mod:`~liaam.studio.template_store`: the template; :mod:`~liaam.studio.template_change`: its changes;
-- :mod:`~liaam.studio.picture_states`: the state of each picture; :mod:`~liaam.studio.review`: the log of who changed
-  what, and actions on several pictures.
+- :mod:`~liaam.studio.folder`: checks of paths, the pictures, and whether each can be used;
+- :mod:`~liaam.studio.store`: what the studio keeps;
+- :mod:`~liaam.studio.landmark_files`: reading and writing landmark files, and landmarks proposed by the model;
+- :mod:`~liaam.studio.templates`: the template and its changes;
+- :mod:`~liaam.studio.review`: the log of who changed what, the state of each picture, and actions on several pictures.
 """
 
 from __future__ import annotations
@@ -20,7 +18,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
@@ -32,21 +30,16 @@ import numpy as np
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, parse_landmark_data
-from liaam.studio.folder import Folder, checked_folder, revision_of
-from liaam.studio.intake import Intake
-from liaam.studio.landmark_files import LandmarkFiles
-from liaam.studio.listing import File, Listing
-from liaam.studio.picture_states import PictureStates
+from liaam.studio.folder import File, Folder, Listing, checked_folder, revision_of
+from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.pictures import Source, source_of
-from liaam.studio.proposals import Proposals
-from liaam.studio.review import ReviewActions, ReviewLog, Sharing, parse_who
+from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
 from liaam.studio.safety import Refusal
-from liaam.studio.scale_bar import parse_bar
 from liaam.studio.settings import Settings
-from liaam.studio.store import Store
+from liaam.studio.store import Store, Table
 from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
-from liaam.studio.template_change import TemplateChanges
-from liaam.studio.template_store import TemplateStore
+from liaam.studio.templates import Templates
+from liaam.studio.uploads import Intake
 
 PART_SECONDS = 0.02
 """How long files are read at a time, while requests wait."""
@@ -94,28 +87,24 @@ class Project:
 
     def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        self._folder = Folder(checked_folder(folder))
-        self.root = self._folder.root
-        self.store = Store(self._folder)
+        self.folder = Folder(checked_folder(folder))
+        self.root = self.folder.root
+        self.store = Store(self.folder)
         self._lock = threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
-        self._listing = listing = Listing(self._folder, self.settings.pixels)
-        listing.scan()
+        self._listing = listing = Listing(self.folder, self.settings.pixels)
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
-        self._proposals = Proposals(listing, self.store)
-        self.templates = TemplateStore(listing, self.store, self._landmarks, self._proposals, self._lock)
+        self._proposals = Table(self.store, "proposal")
+        # Pictures left at the mean shape have no landmark file, so no training uses them.
+        self._unchecked = Table(self.store, "unchecked")
+        self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(listing, self._landmarks, self._proposals, self.templates, self._log)
-        self._actions = ReviewActions(self.store, self._landmarks, self.templates, self._states, self._log)
-        self._changes = TemplateChanges(listing, self.store, self._landmarks, self._proposals, self.templates)
+        self._states = PictureStates(
+            listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log
+        )
         self._intake = Intake(listing, self.settings.pixels)
-        self._changes.try_to_finish()
-
-    @property
-    def id(self) -> str:
-        """Unique identifier of the folder. It survives a move; a copy has another one."""
-        return self.store.id
+        self._rescan()
 
     @property
     def stamp(self) -> str:
@@ -124,20 +113,20 @@ class Project:
             self._rescan()
             return self._stamp()
 
-    def check_id(self, data: Any) -> None:
-        """Refuse a request whose ``folder`` is the id of another folder."""
-        if isinstance(data, dict) and data.get("folder", self.id) != self.id:
-            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=self.id)
+    def checked(self, data: Any, wanted: str) -> dict[str, Any]:
+        """Return the JSON of a request. Refuse what is no object, or whose ``folder`` is the id of another folder."""
+        if not isinstance(data, dict):
+            raise Refusal(422, f"send an object with {wanted}")
+        own = self.store.id
+        if data.get("folder", own) != own:
+            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=own)
+        return data
 
     def prepare(self) -> None:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
         with self._lock, suppress(LiaamError, OSError):
-            _ = self.id
+            _ = self.store.id
             self.store.sweep()
-
-    def plain(self, fault: object) -> str:
-        """Return an error message in which the folder's path is replaced by its name."""
-        return self._folder.plain(fault)
 
     @property
     def problems(self) -> list[str]:
@@ -145,33 +134,22 @@ class Project:
         with self._lock:
             return [*self.store.faults.values(), *self._landmarks.problems, *self._listing.notices()]
 
-    def _rescan(self) -> None:
-        """Scan the folder; ignore a change of the template that cannot be finished yet."""
-        self._changes.try_to_finish()
+    def _rescan(self, strict: bool = False) -> None:
+        """Scan the folder; only if ``strict``, raise if a change of the template cannot be finished yet."""
+        try:
+            self.templates.finish()
+        except Refusal:  # it has been noted
+            if strict:
+                raise
         self._listing.scan()
 
     def _stamp(self) -> str:
-        listing, store = self._listing, self.store
-        faults = sorted(store.faults.items())
-        known = (
-            self._salt,
-            store.writes,
-            self.templates.offered,
-            self._states.slips,
-            self._changes.is_pending,
-            faults,
-            listing.stranded,
-            listing.unlisted,
-        )
-        return revision_of(repr((known, listing.version)).encode())
+        listing, store, templates = self._listing, self.store, self.templates
+        files = (listing.version, listing.stranded, listing.unlisted)
+        own = (store.writes, sorted(store.faults.items()), templates.offered, templates.is_pending, self._states.slips)
+        return revision_of(repr((self._salt, files, own)).encode())
 
-    def overview(self) -> Overview:
-        """Return all pictures."""
-        with self._lock:
-            self._rescan()
-            return self._overview(math.inf)
-
-    def overview_since(self, stamp: str | None, seconds: float = math.inf) -> Overview | None:
+    def overview(self, stamp: str | None = None, seconds: float = math.inf) -> Overview | None:
         """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
 
         Files are read for about so many ``seconds``, but those of the first pictures in any case. The remaining
@@ -180,14 +158,23 @@ class Project:
         self._asked = time.monotonic()
         with self._lock:
             self._rescan()
-            return None if self._stamp() == stamp else self._overview(seconds)
+            if self._stamp() == stamp:
+                return None
+            files, states = self._listing.pictures, self._states
+            is_long = len(files) > LONG and seconds < math.inf
+            self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
+            stamp, ranks = self._stamp(), states.ranks()
+            read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
+            pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
+            stamp += "" if len(read) == len(pictures) else "-reading"
+            done = {item.name: item.revision for item in self._annotated(read)}
+            return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def read_files(self) -> None:
         """Read the files of all pictures in small parts, so that others can use the project meanwhile."""
-        waiting: deque[File] = deque()
         with self._lock:
             self._rescan()
-            waiting.extend(self._listing.pictures)
+            waiting = deque(self._listing.pictures)
         while waiting:
             with self._lock:
                 self._read_for(PART_SECONDS, waiting)
@@ -202,22 +189,11 @@ class Project:
             if self._listing.files.get(file.name) == file:
                 self._states.as_json(file, {})
 
-    def _overview(self, seconds: float) -> Overview:
-        files, states = self._listing.pictures, self._states
-        is_long = len(files) > LONG and seconds < math.inf
-        self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
-        stamp, ranks = self._stamp(), states.ranks()
-        read = {file.name for file in files if states.is_read(file)}
-        pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
-        stamp += "" if len(read) == len(pictures) else "-reading"
-        done = {item.name: item.revision for item in self._annotated(read)}
-        return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
-
     def source(self, name: str) -> Source:
         """Return a picture that can be decoded."""
         with self._lock:
             self._listing.usable_size(self._find(name))
-            path = self._folder.inside(name)
+            path = self.folder.inside(name)
         return source_of(path, self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
@@ -240,42 +216,31 @@ class Project:
     def annotated(self) -> list[Annotated]:
         """Return the done pictures, which have all their points, except those left out of training."""
         with self._lock:
-            self._changes.finish()
-            self._listing.scan()
+            self._rescan(strict=True)
             return self._annotated()
 
     def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
         """Return the done pictures, or those of them with a name that is in ``among``."""
-        files = [file for file in self._listing.pictures if among is None or file.name in among]
-        usable = [file for file in files if self._listing.fault_of(file) is None]
-        kept = [file for file in usable if self._log.left_out_by(file.name) is None]
-        found = [(file, self._landmarks.of(file)) for file in kept if self._states.is_done(file)]
-        return [
-            Annotated(
-                file.name,
-                self.root / file.name,
-                marks.landmarks.points,
-                self._states.version_of(marks),
-                self._states.slip_of(file)[0],
-            )
-            for file, marks in found
-            if marks.landmarks is not None
-        ]
+        states, found = self._states, []
+        for file in self._listing.pictures:
+            is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
+            if is_among and states.is_done(file) and self._log.left_out_by(file.name) is None:
+                marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
+                assert marks.landmarks is not None
+                version = states.version_of(marks)
+                found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
+        return found
 
     def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
         with self._lock:
-            self._changes.finish()
-            self._listing.scan()
+            self._rescan(strict=True)
             template, landmarks = self.templates.current, self._landmarks
             found = [(file, landmarks.of(file)) for file in self._listing.usable()]
             return [
                 (file, replace(marks.landmarks, scale=landmarks.scale_of(file)), self._listing.usable_size(file))
                 for file, marks in found
-                if marks.landmarks is not None
-                and marks.n_placed
-                and template is not None
-                and len(marks.landmarks) == len(template)
+                if marks.landmarks is not None and marks.fits(template)
             ]
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
@@ -286,30 +251,23 @@ class Project:
         """
         with self._lock:
             self._rescan()
-            landmarks, proposals = self._landmarks, self._proposals
-            found = [file for file in self._listing.pictures if not proposals.is_by(model, file)]
-            blank = [file for file in found if not landmarks.of(file).n_placed]
+            proposals = self._proposals
+            by = {file: (proposals.of(file) or {"model": None}).get("model", "") for file in self._listing.pictures}
+            blank = [file for file in by if by[file] != model and not self._landmarks.of(file).n_placed]
             names = [file.name for file in blank if self._listing.fault_of(file) is None]
             ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
             known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
             turns = zip_longest(known, (name for name in names if name not in ranks))
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
-    def tag_of(self, name: str) -> str:
-        """Return the identifier of a picture's contents."""
-        with self._lock:
-            return self._find(name).tag
-
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
-        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.intake.Intake.add`)."""
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.uploads.Intake.add`)."""
         with self._lock:
             return self._intake.add(name, data)
 
     def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""
-        with self._lock:
-            self._states.slips.clear()
-            self._states.slips.update(slips)
+        self._states.slips = slips
 
     def _find(self, name: str) -> File:
         """Find a picture in the listing; scan the folder again if the picture or its files have changed."""
@@ -330,7 +288,7 @@ class Project:
     def marks(self, name: str) -> dict[str, Any]:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             return self._states.marks_json(self._find(name))
 
     def save_marks(self, name: str, data: Any) -> dict[str, Any]:
@@ -338,15 +296,14 @@ class Project:
 
         The data are JSON with ``points``, ``invisible`` and the ``revision`` of the file; optionally
         ``template``, the revision of the template of the points, to check; ``unchecked``, whether a picture
-        without points was left at the mean shape; ``bar``, the scale bar (:mod:`liaam.studio.scale_bar`), which stays
-        as it is without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
+        without points was left at the mean shape; ``bar``, the scale bar (:func:`parse_bar`), which stays as it is
+        without it; and ``who``, the name of the person, for the log. Landmarks equal to those in the file are
         accepted with any revision, since an earlier answer may have been lost.
         """
-        if not isinstance(data, dict):
-            raise Refusal(422, "send an object with points, invisible and revision")
+        data = self.checked(data, "points, invisible and revision")
         who = parse_who(data.get("who"))
         with self._lock:
-            self._changes.finish()
+            self.templates.finish()
             file, template = self._find(name), self.templates.needed
             if "template" in data:
                 self.templates.check(data["template"], f"the landmarks of {name}")
@@ -363,40 +320,35 @@ class Project:
                     raise Refusal(409, _clash(name, current["revision"]), current=current)
                 if bar != current["bar"]:
                     self._landmarks.set_bar(file, bar)
-                self._save(file, template, points, invisible, who if moved else None)
+                if moved:
+                    self.templates.keep()  # the first save fixes a template that was taken from a file
+                if moved or self._landmarks.of(file).n_placed:
+                    self._landmarks.save(file, template, points, invisible)
+                if moved:
+                    with suppress(LiaamError):  # the landmarks are saved
+                        did = "placed" if any(points) else "cleared"
+                        self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
-                self._proposals.mark_unchecked(file, bool(data["unchecked"]))
+                tag = file.tag if data["unchecked"] else None
+                if self._unchecked.get(file.name) != tag:
+                    self._unchecked.save({file.name: tag})
             revision = self._landmarks.of(file).revision
             return {"revision": revision, "picture": self._states.as_json(file, self._states.ranks())}
 
-    def _save(
-        self, file: File, template: Template, points: Sequence[Any], invisible: Sequence[int], who: str | None
-    ) -> None:
-        """Write landmarks; ``who`` is for the log, None if only the scale bar has changed."""
-        if who is None and not self._landmarks.of(file).n_placed:
-            return
-        if who is not None:
-            self.templates.keep()  # the first save fixes a template that was taken from a file
-        self._landmarks.save(file, template, points, invisible)
-        if who is not None:
-            with suppress(LiaamError):  # the landmarks are saved
-                did = "placed" if any(points) else "cleared"
-                self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
-
     def review(self, data: Any) -> dict[str, Any]:
-        """Apply an action to several pictures (:meth:`liaam.studio.review.ReviewActions.apply`).
+        """Apply an action to several pictures (:meth:`liaam.studio.review.PictureStates.apply`).
 
         The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
         and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
         drawn, and ``anyway`` see :class:`liaam.studio.review.Sharing`.
         """
-        names = data.get("pictures") if isinstance(data, dict) else None
+        data = self.checked(data, "pictures, a list of names, and did")
+        names = data.get("pictures")
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise Refusal(422, "send an object with pictures, a list of names, and did")
         who = parse_who(data.get("who"))
         with self._lock:
-            self._changes.finish()
-            self._listing.scan()
+            self._rescan(strict=True)
             files = [self._find(name) for name in dict.fromkeys(names)]
             did, sharing = str(data.get("did")), None
             if did == "scaled":
@@ -405,7 +357,7 @@ class Project:
                     raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
                 size = self._listing.usable_size(self._find(drawn_on))
                 sharing = Sharing(bar, size, data.get("anyway") is True)
-            return self._actions.apply(files, did, who, sharing)
+            return self._states.apply(files, did, who, sharing)
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the newest entries of a picture in the log."""
@@ -418,9 +370,9 @@ class Project:
         The data are JSON of the template; optionally ``mapping``, the old index of each point or null for a new
         one, by which landmark files are updated, and ``revision``, that of the template that is being changed.
         """
-        template = parse_template(data, self.settings.points)
+        template = parse_template(self.checked(data, "names, contours, mirror and points"), self.settings.points)
         with self._lock:
-            return template, self._changes.save(template, data)
+            return template, self.templates.save(template, data)
 
     def read_template(self, name: str, data: bytes) -> Template:
         """Create a template from the contents of a landmark file, without saving it."""
@@ -440,7 +392,9 @@ class Project:
         """
         with self._lock:
             if order in (None, self.templates.order):
-                self._proposals.add(proposals)
+                files = self._listing.files
+                tags = {name: files[name].tag if name in files else None for name in proposals}
+                self._proposals.save({name: {"tag": tags[name], **item} for name, item in proposals.items()})
 
 
 def _unread(file: File) -> dict[str, Any]:

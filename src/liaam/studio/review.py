@@ -1,4 +1,4 @@
-"""Reviews: who changed what, the states of pictures that follow from it, and actions on several pictures.
+"""Reviews: who changed what, the state of each picture that follows from it, and actions on several pictures.
 
 A picture is checked while its landmarks have the revision that was checked, so every change withdraws the check. The
 other states hold until the opposite entry. An action is written to the log before anything else changes; deleted
@@ -9,22 +9,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
-from liaam.studio.folder import revision_of
-from liaam.studio.landmark_files import LandmarkFiles, text_of
-from liaam.studio.listing import File
-from liaam.studio.proposals import revision_of_proposal
+from liaam.studio.folder import File, Listing, revision_of
+from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal, text_of
 from liaam.studio.safety import Refusal
-from liaam.studio.store import Store
-from liaam.studio.template_store import TemplateStore
-
-if TYPE_CHECKING:
-    from liaam.studio.picture_states import PictureStates
+from liaam.studio.store import Store, Table
+from liaam.studio.templates import Templates
 
 UNDONE = {
     "unchecked": ("checked", "not checked"),
@@ -89,12 +86,13 @@ class ReviewLog:
     def checked_by(self, name: str, revision: str | None) -> str | None:
         """Return who checked a revision of the landmarks; None without landmarks."""
         last = self.standing(name, "checked")
-        return _who(last) if last is not None and revision is not None and last["revision"] == revision else None
+        is_same = last is not None and revision is not None and last["revision"] == revision
+        return last["who"] or "someone" if last is not None and is_same else None
 
     def left_out_by(self, name: str) -> str | None:
         """Return who left a picture out of training."""
         last = self.standing(name, "left out")
-        return None if last is None else _who(last)
+        return None if last is None else last["who"] or "someone"
 
 
 @dataclass(frozen=True)
@@ -108,15 +106,141 @@ class Sharing:
     """Whether pictures of another size, or with a scale of their own, get it as well."""
 
 
-@dataclass(frozen=True, eq=False)
-class ReviewActions:
-    """Actions on pictures: accept or discard proposals, mark as checked, leave out of training, delete, and undo."""
+@dataclass(eq=False)
+class PictureStates:
+    """Describes pictures for the page from their listing, landmarks, proposals and reviews, and acts on several."""
 
+    listing: Listing
     store: Store
     landmarks: LandmarkFiles
-    templates: TemplateStore
-    states: PictureStates
+    proposals: Table
+    unchecked: Table
+    templates: Templates
     log: ReviewLog
+    slips: dict[str, tuple[str, str, list[int]]] = field(default_factory=dict)
+    """:meth:`version_of` the landmarks in which a slip was found, its description, and its points, by picture."""
+
+    def ranks(self) -> dict[str, int]:
+        """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
+        waiting = {
+            file.name: proposal
+            for file in self.listing.pictures
+            if (proposal := self.proposal_of(file)) is not None and not self.landmarks.of(file).n_placed
+        }
+        return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
+
+    def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
+        """Return one picture as JSON for the page."""
+        size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)
+        proposal = None if marks.n_placed or fault is not None else self.proposal_of(file)
+        if fault is not None:
+            state = "broken"
+        elif marks.n_placed:
+            state = "done" if self.is_done(file) else "partial"
+        else:
+            state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
+        checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
+        slip, wrong = self.slip_of(file) if state == "done" else (None, [])
+        return {
+            "name": file.name,
+            "tag": file.tag,
+            "state": state,
+            "placed": marks.n_placed,
+            "error": fault or self._error_of(file, marks),
+            "width": None if isinstance(size, str) else size[0],
+            "height": None if isinstance(size, str) else size[1],
+            "uncertainty": proposal["uncertainty"] if proposal else None,
+            "quality": proposal["quality"] if proposal else None,
+            "doubtful": bool(proposal and proposal["doubtful"]),
+            "rank": ranks.get(file.name) if proposal else None,
+            "checked": checked,
+            "slip": slip,
+            "slip_points": wrong,
+            "left_out": self.log.left_out_by(file.name),
+            "revision": marks.revision,
+        }
+
+    def marks_json(self, file: File) -> dict[str, Any]:
+        """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
+        width, height = self.listing.usable_size(file)
+        template, marks = self.templates.current, self.landmarks.of(file)
+        answer: dict[str, Any] = {
+            "points": [None] * (0 if template is None else len(template)),
+            "invisible": [],
+            "revision": marks.revision,
+            "source": "none",
+            "tag": file.tag,
+            "file": marks.file or None,
+            "covariances": None,
+            "quality": None,
+            "status": None,
+            "doubtful": False,
+            "error": marks.error,
+            "width": width,
+            "height": height,
+            "bar": self.landmarks.bar_of(file),
+        }
+        if marks.landmarks is not None and marks.n_placed:
+            return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
+        proposal = self.proposal_of(file)
+        if proposal is None:
+            return answer
+        shown = ("points", "covariances", "quality", "status", "doubtful")
+        return {**answer, **{key: proposal[key] for key in shown}, "source": "proposal"}
+
+    def proposal_of(self, file: File) -> dict[str, Any] | None:
+        """Return the proposal for a picture, unless it does not fit the template or was discarded."""
+        template, proposal = self.templates.current, self.proposals.of(file)
+        points = None if proposal is None else proposal["points"]
+        if proposal is None or points is None or template is None or len(points) != len(template):
+            return None
+        discarded = self.log.standing(file.name, "discarded")
+        return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
+
+    def slip_of(self, file: File) -> tuple[str | None, list[int]]:
+        """Return the slip that was found in the landmarks of a picture, and its points; None once they are checked."""
+        marks = self.landmarks.of(file)
+        revision, slip, wrong = self.slips.get(file.name, (None, None, []))
+        is_open = revision == self.version_of(marks) and not self.log.checked_by(file.name, marks.placement)
+        return (slip, wrong) if is_open else (None, [])
+
+    def version_of(self, marks: Marks) -> str:
+        """Return a value that changes with what a model is trained on: points and template, but not the scale."""
+        return f"{marks.placement}-{self.templates.revision}"
+
+    def is_done(self, file: File) -> bool:
+        """Whether all points of a picture are placed, most of them inside it."""
+        template, marks = self.templates.current, self.landmarks.of(file)
+        is_complete = template is not None and marks.fits(template) and marks.n_placed == len(template)
+        return is_complete and self._misplaced(file, marks) is None
+
+    def _error_of(self, file: File, marks: Marks) -> str | None:
+        """Return what is wrong with the landmarks of a usable picture."""
+        template = self.templates.current
+        if not marks.file:
+            proposal = self.proposals.of(file)
+            failed = proposal is not None and proposal["points"] is None
+            return self.landmarks.fault_of(file) or (proposal["message"] if proposal and failed else None)
+        if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
+            return (
+                f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
+                "place the points again (a copy of the file is kept), or remove that file"
+            )
+        return marks.error or self._misplaced(file, marks)
+
+    def _misplaced(self, file: File, marks: Marks) -> str | None:
+        """Return an error if most points lie outside the picture, as after it was replaced."""
+        size = self.listing.size_of(file)
+        if isinstance(size, str) or marks.landmarks is None:
+            return None
+        placed = marks.landmarks.points[~marks.landmarks.missing]
+        n_outside = int(((placed < -0.5) | (placed > np.array(size) - 0.5)).any(axis=1).sum())
+        if 2 * n_outside <= len(placed):
+            return None
+        return (
+            f"{n_outside} of the {len(placed)} points of {marks.file} lie outside the picture of "
+            f"{size[0]} x {size[1]} pixels, which may have been replaced: place them again, or put the picture back"
+        )
 
     def apply(self, files: list[File], did: str, who: str, sharing: Sharing | None = None) -> dict[str, Any]:
         """Apply an action; ``sharing`` is the scale bar of "scaled".
@@ -138,10 +262,8 @@ class ReviewActions:
         if did == "accepted" and revisions:
             self.templates.keep()  # the first save fixes a template that was taken from a file or offered
         written = [file for file in files if file.name in revisions] if did in WRITING else []
-        if sharing is not None:
-            self.landmarks.share_bar(written, sharing.bar)
-        elif did == "unscaled":
-            self.landmarks.unshare_bar(written)
+        if did in ("scaled", "unscaled"):
+            self.landmarks.share_bar(written, sharing and sharing.bar)
         for file in written:
             self._write(file, did, revisions[file.name])
         now = {file.name: self.landmarks.of(file).revision for file in written}
@@ -149,7 +271,7 @@ class ReviewActions:
 
     def _revision(self, file: File, did: str, sharing: Sharing | None) -> str | None:
         """Return the revision of what an action is done to; refuse one that changes nothing."""
-        marks, proposal = self.landmarks.of(file), self.states.proposal_of(file)
+        marks, proposal = self.landmarks.of(file), self.proposal_of(file)
         if did in ("scaled", "unscaled"):
             self._check_scale(file, sharing)
             return marks.revision
@@ -168,11 +290,11 @@ class ReviewActions:
                 raise Refusal(409, "no proposed points")
             return revision_of_proposal(proposal)
         if did == "left out":
-            if self.log.left_out_by(file.name) is not None:
-                raise Refusal(409, "left out of training already")
-            return None
+            if self.log.left_out_by(file.name) is None:
+                return None
+            raise Refusal(409, "left out of training already")
         if did == "checked":
-            if not self.states.is_done(file):
+            if not self.is_done(file):
                 raise Refusal(409, "not all points are placed: place them first")
             if self.log.checked_by(file.name, marks.placement):
                 raise Refusal(409, "checked already")
@@ -187,7 +309,7 @@ class ReviewActions:
     def _check_scale(self, file: File, sharing: Sharing | None) -> None:
         """Refuse to replace a scale of the picture's own, and to share one among pictures of several sizes."""
         shares = self.landmarks.shares_scale(file)
-        size = self.states.listing.usable_size(file)
+        size = self.listing.usable_size(file)
         if sharing is None:
             if not shares:
                 raise Refusal(409, "the scale was not set together with others")
@@ -201,15 +323,17 @@ class ReviewActions:
     def _write(self, file: File, did: str, revision: str | None) -> None:
         """Write landmarks from the proposal or from a copy, or remove them; or write their scale."""
         if did in ("scaled", "unscaled"):
-            if self.templates.current is not None:
-                self.landmarks.write_scale(file, self.templates.current)
+            marks, template = self.landmarks.of(file), self.templates.current
+            has_place = self.landmarks.target(file).suffix.lower() != ".pts"
+            if template is not None and marks.landmarks is not None and marks.fits(template) and has_place:
+                self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
             return
         template = self.templates.needed
         points: Sequence[Any] = [None] * len(template)
         invisible: Sequence[int] = ()
         scale = None
         if did == "accepted":
-            points = (self.states.proposal_of(file) or {})["points"]
+            points = (self.proposal_of(file) or {})["points"]
         elif did == "undeleted":
             landmarks = self._copy_of(revision or "")
             points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
@@ -225,6 +349,23 @@ class ReviewActions:
         return landmarks
 
 
+def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Order pictures by how useful their annotation is for training (active learning).
+
+    First come pictures in which the search is confident (``found``) but the fit failed (not ``ok``): the object
+    looks unlike those in the training pictures. Then pictures by decreasing ``uncertainty``. Last come pictures in
+    which the search itself has low confidence: often the object is occluded, cut off or missing, so that annotation
+    takes long and helps little.
+    """
+
+    def key(name: str) -> tuple[int, float]:
+        proposal = proposals[name]
+        group = 2 if not proposal["found"] else int(bool(proposal["ok"]))
+        return group, -(proposal["uncertainty"] or 0.0)
+
+    return sorted(proposals, key=key)
+
+
 def parse_who(name: Any) -> str:
     """Check the name of the person who works in the page; "" if it is not known."""
     if name is None:
@@ -232,7 +373,3 @@ def parse_who(name: Any) -> str:
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not name.isprintable():
         raise Refusal(422, f"your name is not valid: enter at most {LONGEST_NAME} printable characters")
     return name.strip()
-
-
-def _who(entry: Mapping[str, Any]) -> str:
-    return entry["who"] or "someone"

@@ -1,19 +1,36 @@
-"""Routes of the web application: functions that run in threads, and the bodies that they take."""
+"""Routes of the web application: functions that run in threads, what requests may say, and events for the pages."""
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Awaitable, Callable
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import suppress
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 from anyio import CapacityLimiter
 from anyio.to_thread import run_sync
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from liaam.errors import LiaamError
+from liaam.photometry import srgb_to_linear
+from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.safety import Refusal
+
+SIZES = (16, 16384)
+"""Smallest and largest size of the longest side that a request may ask for, in pixels."""
+
+MOST_LAMPS = 8
+"""Maximum number of lamps of a relit picture."""
+
+ROOM = 100
+"""Maximum number of events queued for a page. A page that falls further behind is disconnected; it reconnects and
+reloads the project."""
 
 Reader = Callable[[Request], Awaitable[Any]]
 """Reads the body of a request, whose size :class:`liaam.studio.safety.Guard` has limited."""
@@ -32,12 +49,15 @@ def route(
     ``act`` runs in a thread, which keeps the event loop free. It takes the request and, with ``read``, its body.
     """
 
-    async def endpoint(request: Request) -> Response:
-        body = () if read is None else (await read(request),)
-        answer = await run_sync(act, request, *body, limiter=limiter)
+    def answered(request: Request, *body: Any) -> Response:
+        answer = act(request, *body)
         if isinstance(answer, Response):
             return answer
         return Response(status_code=204) if answer is None else JSONResponse(answer, status)
+
+    async def endpoint(request: Request) -> Response:
+        body = () if read is None else (await read(request),)
+        return await run_sync(answered, request, *body, limiter=limiter)
 
     return Route(path, endpoint, methods=[method])
 
@@ -71,3 +91,112 @@ def attachment(name: str, data: bytes, kind: str = "application/octet-stream") -
     plain = "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._- ") else "_" for letter in name)
     place = f"attachment; filename=\"{plain}\"; filename*=UTF-8''{quote(name, safe='')}"
     return Response(data, media_type=kind, headers={"content-disposition": place, "cache-control": "no-store"})
+
+
+def checked_size(text: str | None, otherwise: int) -> int:
+    """Parse a requested size and clip it to :data:`SIZES`."""
+    if text is None:
+        return otherwise
+    if not (text.isascii() and text.isdigit() and len(text) < 7):
+        raise Refusal(422, f"size {text[:20]!r} is not a whole number of pixels: send the longest side, such as 1024")
+    return int(np.clip(int(text), *SIZES))
+
+
+def parse_start(data: Any) -> Any:
+    """Parse the start of a fit: null, a box, or a shape whose points may be null."""
+    if data is None:
+        return None
+    if isinstance(data, dict) and len(data) == 1:
+        if _are_numbers(data.get("box"), 4):
+            return tuple(float(value) for value in data["box"])
+        points: Any = data.get("shape")
+        are_points = isinstance(points, list) and all(each is None or _are_numbers(each, 2) for each in points)
+        if are_points and 0 < len(points) <= 100_000:
+            return np.array([[np.nan, np.nan] if point is None else point for point in points], np.float64)
+    raise Refusal(422, "the start is unclear: send null, {box: [left, top, right, bottom]} or {shape: [[x, y], ...]}")
+
+
+def _are_numbers(values: Any, n: int) -> bool:
+    # No pixel lies beyond this limit, and arithmetic may overflow.
+    are_in_range = isinstance(values, list) and all(type(x) in (int, float) and -1e9 < x < 1e9 for x in values)
+    return are_in_range and len(values) == n
+
+
+def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
+    """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp`, and ``ambient``; by default from the front.
+
+    Colours are sRGB values.
+    """
+    try:
+        light = json.loads(query.get("light", '{"lamps": [{"direction": [0, 0, 1]}]}'))
+        lamps = []
+        for lamp in light["lamps"]:
+            colour = srgb_to_linear(np.array(lamp.get("colour", (1, 1, 1)), np.float64))
+            lamps.append(Lamp(**{**lamp, "colour": tuple(colour.tolist())}))
+        ambient = light.get("ambient", AMBIENT)
+        check_ambient(ambient)
+    except LiaamError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as fault:
+        raise Refusal(422, "the light is unclear: send JSON with lamps, each with a direction, and ambient") from fault
+    if len(lamps) > MOST_LAMPS:
+        raise Refusal(422, f"{len(lamps)} lamps are too many: send at most {MOST_LAMPS}")
+    return lamps, ambient
+
+
+class Events:
+    """Sends events to the open pages; thread-safe."""
+
+    def __init__(self, heartbeat: float = 15.0) -> None:
+        self._heartbeat = heartbeat
+        self._lock = threading.Lock()
+        self._pages: dict[asyncio.Queue[str | None], asyncio.AbstractEventLoop] = {}
+        self._closed = False
+
+    def __len__(self) -> int:
+        return len(self._pages)
+
+    def publish(self, kind: str, data: Any) -> None:
+        """Send an event to all pages."""
+        self._send(f"event: {kind}\ndata: {json.dumps(data)}\n\n")
+
+    def close(self) -> None:
+        """End all present and future streams, because the server stops."""
+        self._closed = True
+        self._send(None)
+
+    async def stream(self) -> AsyncIterator[str]:
+        """Yield the events of one page until it disconnects, falls behind, or the server stops."""
+        queue: asyncio.Queue[str | None] = asyncio.Queue()
+        with self._lock:
+            self._pages[queue] = asyncio.get_running_loop()
+        try:
+            yield "retry: 1000\n\n"  # milliseconds until a browser reconnects
+            while not self._closed:
+                text: str | None = ": still here\n\n"  # a comment, if there is nothing else to say
+                with suppress(TimeoutError):
+                    text = await asyncio.wait_for(queue.get(), self._heartbeat)
+                if text is None:
+                    return
+                yield text
+        finally:
+            with self._lock:
+                self._pages.pop(queue, None)
+
+    def _send(self, text: str | None) -> None:
+        """Queue an event for each page on its event loop; None ends the stream."""
+        with self._lock:
+            pages = list(self._pages.items())
+        for queue, loop in pages:
+            with suppress(RuntimeError):  # the event loop is closed
+                loop.call_soon_threadsafe(_put, queue, text)
+
+
+def _put(queue: asyncio.Queue[str | None], text: str | None) -> None:
+    """Queue an event. At the end, or if a page falls behind, drop what is queued and end the stream."""
+    if text is not None and queue.qsize() < ROOM:
+        queue.put_nowait(text)
+        return
+    while not queue.empty():
+        queue.get_nowait()
+    queue.put_nowait(None)

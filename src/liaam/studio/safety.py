@@ -10,9 +10,8 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import socket
-import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -44,18 +43,21 @@ HEADERS: dict[str, str] = {
 
 
 class Refusal(LiaamError):  # noqa: N818 (an answer, not a program error)
-    """A refused request: an HTTP status, an error message, and details for the page.
-
-    Attributes
-    ----------
-    details : dict
-        Further fields of the answer besides ``error``.
-    """
+    """A refused request: an HTTP status, an error message, and ``details``, further fields of the answer."""
 
     def __init__(self, status: int, error: str, **details: Any) -> None:
         super().__init__(error)
         self.status = status
         self.details = details
+
+
+@contextmanager
+def refusing() -> Iterator[None]:
+    """Refuse the request if what it sent raises an error in the block."""
+    try:
+        yield
+    except LiaamError as fault:
+        raise fault if isinstance(fault, Refusal) else Refusal(422, str(fault)) from fault
 
 
 class Guard:
@@ -71,22 +73,25 @@ class Guard:
         import h11
 
         with suppress(h11.LocalProtocolError):  # invalid data after the request has closed the connection
-            await self._handle(scope, receive, send)
+            if scope["type"] == "http":
+                await self._handle(scope, receive, _with_headers(send))
+            elif scope["type"] == "lifespan":
+                await self.app(scope, receive, send)
+            else:  # web sockets are not supported
+                await send({"type": "websocket.close", "code": 1008})
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "lifespan":
-            await self.app(scope, receive, send)
-            return
-        if scope["type"] != "http":  # web sockets are not supported
-            await send({"type": "websocket.close", "code": 1008})
-            return
-        send = _with_headers(send)
         request = HTTPConnection(scope)
         refusal = self._refusal(request.headers)
-        shows_token = refusal is None and self._shows_token(request)
-        if refusal is None and not shows_token and not self._knows_token(request):
-            no_token = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
-            refusal = Refusal(401, no_token)
+        given = request.query_params.getlist("token")
+        is_page = scope["method"] == "GET" and scope["path"] == "/"
+        shows_token = refusal is None and is_page and len(given) == 1 and self._is_token(given[0])
+        if refusal is None and not shows_token:
+            lines = request.headers.getlist("authorization")
+            bearers = [text[7:].strip() for text in lines if text[:7].lower() == "bearer "]
+            if not any(map(self._is_token, (*bearers, request.cookies.get(self.settings.cookie, "")))):
+                no_token = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
+                refusal = Refusal(401, no_token)
         if refusal is not None:
             # The message contains no user input, so it needs no escaping.
             page = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"
@@ -105,47 +110,60 @@ class Guard:
         hosts = headers.getlist("host")
         if len(hosts) != 1 or not is_own_host(hosts[0], self.settings):
             return Refusal(421, "this server has another name: open the address that 'liaam studio' printed")
-        origins = headers.getlist("origin")
-        if any(not _is_own_origin(origin, self.settings) for origin in origins):
+        origins = [origin.partition("http://") for origin in headers.getlist("origin")]
+        if any(scheme or not is_own_host(host, self.settings) for scheme, _, host in origins):
             return Refusal(403, "the request comes from another site: send it from the studio's own page")
         if any(site not in ("same-origin", "none") for site in headers.getlist("sec-fetch-site")):
             return Refusal(403, "the request comes from another site: type or paste the studio's address instead")
         return None
 
-    def _shows_token(self, request: HTTPConnection) -> bool:
-        given = request.query_params.getlist("token")
-        is_page = request.scope["method"] == "GET" and request.scope["path"] == "/"
-        return is_page and len(given) == 1 and self._is_token(given[0])
-
-    def _knows_token(self, request: HTTPConnection) -> bool:
-        lines = request.headers.getlist("authorization")
-        bearers = [text[7:].strip() for text in lines if text[:7].lower() == "bearer "]
-        return any(self._is_token(text) for text in (*bearers, request.cookies.get(self.settings.cookie, "")))
-
     def _is_token(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(errors="replace"), self.settings.token.encode())
 
     async def _limited(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
-        """Pass a request to the application and limit the size of its body."""
+        """Read a body of limited size, then pass the request to the application."""
         is_upload = scope["path"] in (UPLOADS, GUEST, FILES, RECORDINGS)
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         declared = headers.get("content-length", "")
-        if declared.isdecimal() and int(declared[:20]) > limit:
-            await self._refuse_body(scope, receive, send, _too_large(limit))
-            return
-        started = False
+        with ExitStack() as stack:
+            try:
+                if declared.isdecimal() and int(declared[:20]) > limit:
+                    raise _too_large(limit)
+                hold = stack.enter_context(self.crowd.one(is_upload and scope["method"] == "POST"))
+                # Nobody waits for the body of a request that needs none.
+                body = b"" if scope["method"] in ("GET", "HEAD") else await self._read(receive, limit, hold)
+            except Refusal as refusal:
+                stack.close()
+                await self._refuse_body(scope, receive, send, refusal)
+                return
+            if body is None:
+                return
+            messages = iter([{"type": "http.request", "body": body}])
 
-        async def watched(message: Message) -> None:
-            nonlocal started
-            started = True
-            await send(message)
+            async def again() -> Message:
+                return next(messages, None) or await receive()
 
-        try:
-            with self.crowd.one(is_upload and scope["method"] == "POST") as hold:
-                await self.app(scope, _Body(receive, limit, self.settings.body_seconds, hold), watched)
-        except Stopped as stopped:
-            if not started:
-                await self._refuse_body(scope, receive, send, stopped.refusal)
+            await self.app(scope, again, send)
+
+    async def _read(self, receive: Receive, limit: int, hold: Callable[[int], None]) -> bytes | None:
+        """Return a whole body; None if the client is gone."""
+        import anyio
+
+        parts, left = [], limit
+        with anyio.move_on_after(self.settings.body_seconds):
+            while True:
+                message = await receive()
+                if message["type"] != "http.request":
+                    return None
+                part = message.get("body", b"")
+                left -= len(part)
+                if left < 0:
+                    raise _too_large(limit)
+                hold(len(part))
+                parts.append(part)
+                if not message.get("more_body", False):
+                    return b"".join(parts)
+        raise Refusal(408, "the rest of the request did not arrive in time: send it again")
 
     async def _refuse_body(self, scope: Scope, receive: Receive, send: Send, refusal: Refusal) -> None:
         """Discard the rest of the body for a while, because a client that is cut off does not read the answer."""
@@ -173,14 +191,6 @@ def _busy() -> Refusal:
     return Refusal(503, "the studio is busy with other pictures: try again in a moment", retry_after=RETRY_AFTER)
 
 
-class Stopped(Exception):  # noqa: N818 (an event, not a program error)
-    """Raised to stop reading a request. It bypasses the error handlers of the application."""
-
-    def __init__(self, refusal: Refusal) -> None:
-        super().__init__(str(refusal))
-        self.refusal = refusal
-
-
 class Crowd:
     """Limits the bytes of concurrent request bodies and the number of concurrent uploads. Not thread-safe."""
 
@@ -193,13 +203,13 @@ class Crowd:
     def one(self, is_upload: bool) -> Iterator[Callable[[int], None]]:
         """Admit a request until it is answered; yield a function to call with the size of each received part."""
         if is_upload and self.uploads >= self.settings.uploads_at_once:
-            raise Stopped(_busy())
+            raise _busy()
         held = 0
 
         def hold(n_bytes: int) -> None:
             nonlocal held
             if self.n_bytes + n_bytes > self.settings.bodies_bytes:
-                raise Stopped(_busy())
+                raise _busy()
             self.n_bytes += n_bytes
             held += n_bytes
 
@@ -209,35 +219,6 @@ class Crowd:
         finally:
             self.uploads -= is_upload
             self.n_bytes -= held
-
-
-class _Body:
-    """Reads a body up to its own limit of bytes, the shared limit, and a time limit."""
-
-    def __init__(self, receive: Receive, limit: int, seconds: float, hold: Callable[[int], None]) -> None:
-        self.receive = receive
-        self.limit = self.left = limit
-        self.due = time.monotonic() + seconds
-        self.hold = hold
-        self.whole = False
-
-    async def __call__(self) -> Message:
-        import anyio
-
-        if self.whole:  # the application now waits for the end of the connection
-            return await self.receive()
-        message = None
-        with anyio.move_on_after(self.due - time.monotonic()):
-            message = await self.receive()
-        if message is None:
-            raise Stopped(Refusal(408, "the rest of the request did not arrive in time: send it again"))
-        self.whole = not message.get("more_body", False)
-        n_bytes = len(message.get("body", b""))
-        self.left -= n_bytes
-        if self.left < 0:
-            raise Stopped(_too_large(self.limit))
-        self.hold(n_bytes)
-        return message
 
 
 def is_own_host(host: str, settings: Settings) -> bool:
@@ -256,19 +237,9 @@ def is_own_host(host: str, settings: Settings) -> bool:
         return True
     if settings.host not in ("0.0.0.0", "::"):
         return False
-    return bare == socket.gethostname().lower() or _is_address(bare)
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _is_own_origin(origin: str, settings: Settings) -> bool:
-    return origin.startswith("http://") and is_own_host(origin.removeprefix("http://"), settings)
+    with suppress(ValueError):
+        return bare == socket.gethostname().lower() or bool(ipaddress.ip_address(bare))
+    return False
 
 
 def _with_headers(send: Send) -> Send:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import sys
 import threading
@@ -74,15 +73,15 @@ def serve(
     LiaamError
         If the folder, the model, or the port cannot be used, or the ``[studio]`` extra is missing.
     """
-    uvicorn = _uvicorn()
-    from liaam.studio.app import make_studio
+    _uvicorn()
+    from liaam.studio.app import Studio
 
     _return_freed_memory()
     listener = open_port(host, port)
     with listener, one_blas_thread():
         settings = Settings(host=host, port=listener.getsockname()[1], face=face)
-        studio = make_studio(folder, model, settings)
-        server = make_server(studio, uvicorn)
+        studio = Studio(folder, model, settings)
+        server = make_server(studio)
         server.on_start = lambda: _welcome(settings, open_browser, say)
         threading.Thread(target=_read_headers, args=(studio,), name="studio-listing", daemon=True).start()
         try:
@@ -93,9 +92,9 @@ def serve(
             studio.close()
 
 
-def make_server(studio: Studio, uvicorn: Any = None) -> Any:
+def make_server(studio: Studio) -> Any:
     """Create the server of a studio, a ``uvicorn.Server`` that ends its event streams when it stops."""
-    uvicorn = uvicorn or _uvicorn()
+    uvicorn = _uvicorn()
     from liaam.studio.app import make_app
 
     class Server(uvicorn.Server):
@@ -134,32 +133,18 @@ def _protocol(header_seconds: float) -> Any:
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     class HeaderTimeout(H11Protocol):
-        _due: Any = None
-
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
-            self._update_timer()
+            self._check(last=self)
 
-        def data_received(self, data: bytes) -> None:
-            super().data_received(data)
-            self._update_timer()
-
-        def connection_lost(self, exc: Exception | None) -> None:
-            super().connection_lost(exc)
-            self._stop_timer()
-
-        def _update_timer(self) -> None:
-            """Run the timer while waiting for a request, or for the rest of one that is answered."""
+        def _check(self, last: Any) -> None:
+            """Close a connection that still waits for the same request, or for the rest of one that is answered."""
             answered = self.cycle is not None and self.cycle.response_complete
-            if self.conn.their_state is not h11.IDLE and not answered:
-                self._stop_timer()
-            elif self._due is None:
-                self._due = self.loop.call_later(header_seconds, self.transport.close)
-
-        def _stop_timer(self) -> None:
-            if self._due is not None:
-                self._due.cancel()
-                self._due = None
+            waits = self.conn.their_state is h11.IDLE or answered
+            if waits and self.cycle is last:
+                self.transport.close()
+            elif not self.transport.is_closing():
+                self.loop.call_later(header_seconds, self._check, self.cycle if waits else self)
 
     return HeaderTimeout
 
@@ -169,16 +154,19 @@ def open_port(host: str, port: int | None) -> socket.socket:
     if port is not None and not 0 <= port <= 65535:
         raise LiaamError(f"--port {port}: ports are 1 to 65535")
     tries = range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED) if port is None else (port,)
-    fault: OSError | None = None
+    family, reason = socket.AF_INET6 if ":" in host else socket.AF_INET, ""
+    both = host == "::" and socket.has_dualstack_ipv6()
     for number in tries:
         try:
-            return _listen(host, number)
-        except OSError as error:
-            fault = error
-    wanted = f"port {port}" if port is not None else f"no port from {tries[0]} to {tries[-1]}"
-    what = "is not free" if port is not None else "is free"
-    reason = fault.strerror or fault if fault is not None else ""
-    raise LiaamError(f"{wanted} of {host} {what} ({reason}): choose another with --port")
+            made = socket.create_server((host, number), family=family, backlog=128, dualstack_ipv6=both)
+        except OSError as fault:
+            reason = str(fault.strerror or fault).partition(" (while")[0]
+        else:
+            # Without an explicit protocol, asyncio does not set TCP_NODELAY, and small answers are delayed by 40 ms.
+            return socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP, made.detach())
+    taken = f"port {port} of {host} is not free"
+    none = f"no port from {tries[0]} to {tries[-1]} of {host} is free"
+    raise LiaamError(f"{none if port is None else taken} ({reason}): choose another with --port")
 
 
 def _return_freed_memory() -> None:
@@ -203,21 +191,6 @@ def _return_freed_memory() -> None:
             c.malloc_trim(0)
 
     threading.Thread(target=trim, name="studio-memory", daemon=True).start()
-
-
-def _listen(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # Without an explicit protocol, asyncio does not set TCP_NODELAY, and small answers are delayed by 40 ms.
-    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    try:
-        if os.name == "posix":  # on other systems the option lets two programs share the port
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-        listener.listen(128)
-    except BaseException:
-        listener.close()
-        raise
-    return listener
 
 
 def _uvicorn() -> Any:

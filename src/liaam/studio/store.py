@@ -15,13 +15,14 @@ import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from liaam.errors import LiaamError
 from liaam.io.atomic import lock, sweep
 from liaam.io.files import real_path
-from liaam.studio.folder import STATE, Folder, remove, revision_of
+from liaam.studio.folder import STATE, File, Folder, disk_errors, revision_of
 from liaam.studio.safety import Refusal
 
 DATABASE = "studio.db"
@@ -58,10 +59,8 @@ class Store:
                     known = secrets.token_hex(16)
                     with suppress(LiaamError):  # the id is then valid until the studio ends
                         self.put("id", {"": known})
-                try:
+                with disk_errors("the folder cannot be read", "restore it", partial(Refusal, 409)):
                     facts = self.folder.root.stat()
-                except OSError as fault:
-                    raise Refusal(409, f"the folder cannot be read ({fault.strerror or fault}): restore it") from fault
                 self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
             return self._id
 
@@ -83,10 +82,6 @@ class Store:
             connection.executemany("DELETE FROM item WHERE kind = ? AND name = ?", gone)
             rows = [(kind, name, *_row(value)) for name, value in values.items() if value is not None]
             connection.executemany("INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?)", rows)
-
-    def table(self, kind: str) -> Table:
-        """Return the values of a kind as a table."""
-        return Table(self, kind)
 
     def clear(self, kind: str) -> None:
         """Remove all values of a kind."""
@@ -118,7 +113,10 @@ class Store:
                     yield connection
                 self.writes += 1
             except sqlite3.Error as fault:
-                raise _refused(fault) from fault
+                is_full = getattr(fault, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
+                remedy = "make room on the disk" if is_full else "check the rights on the folder and the free space"
+                sentence = f"{STATE}/{DATABASE} cannot be written ({fault}): {remedy}"
+                raise Refusal(507 if is_full else 503, sentence) from fault
 
     def _read(self, query: str, arguments: list[str]) -> list[tuple[Any, Any]]:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
@@ -150,24 +148,17 @@ class Store:
         except sqlite3.DatabaseError as fault:
             if isinstance(fault, sqlite3.OperationalError):  # such as a full disk: the file itself may be whole
                 raise
-            self._set_aside_damaged(path, fault)
+            name = f"damaged-{secrets.token_hex(4)}.db"
+            for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
+                with suppress(FileNotFoundError):
+                    path.with_name(path.name + end).replace(path.with_name(name + end))
+            kept = f"{STATE}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
+            self.note("damaged", f"{kept}, but the template, proposals and reviews begin anew")
             self._connection = _connected(path)
         else:
             self.note(DATABASE, None)
         self._opened = path.stat()
         return self._connection
-
-    def _set_aside_damaged(self, path: Path, fault: Exception) -> None:
-        """Keep a damaged database under another name, so that a new one can be made."""
-        name = f"damaged-{secrets.token_hex(4)}.db"
-        for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
-            with suppress(FileNotFoundError):
-                path.with_name(path.name + end).replace(path.with_name(name + end))
-        self.note(
-            "damaged",
-            f"{STATE}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected, but the "
-            "template, proposals and reviews begin anew",
-        )
 
     def close(self) -> None:
         """Close the database."""
@@ -181,26 +172,16 @@ class Store:
         path = self._folder() / name
         if not real_path(path).is_relative_to(self.folder.root / STATE):
             raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
-        try:
+        with disk_errors(f"{path.parent} cannot be made", "check the rights on the folder."):
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as fault:
-            raise LiaamError(
-                f"{path.parent} cannot be made ({fault.strerror or fault}): check the rights on the folder."
-            ) from fault
         return path
-
-    def remove(self, name: str) -> None:
-        """Remove a file if it exists."""
-        remove(self.path(name))
 
     def set_aside(self, name: str) -> None:
         """Move a file to ``kept`` if it exists, under a name by its content."""
         path = self.path(name)
-        try:
+        with disk_errors(f"{path} cannot be moved"):
             if path.exists():
                 path.replace(self.path(f"kept/{path.stem}.{revision_of(path.read_bytes())}{path.suffix}"))
-        except OSError as fault:
-            raise LiaamError(f"{path} cannot be moved ({fault.strerror or fault}): check the rights on it.") from fault
 
     def note(self, key: str, fault: str | None) -> None:
         """Set or clear the message about a file."""
@@ -230,6 +211,11 @@ class Table(dict[str, Any]):
         super().__init__(store.all(kind))
         self._store = store
         self._kind = kind
+
+    def of(self, picture: File) -> Any:
+        """Return the value for a picture, unless the picture, by its ``tag``, was replaced since."""
+        value = self.get(picture.name)
+        return value if value is not None and value.get("tag") == picture.tag else None
 
     def save(self, values: Mapping[str, Any]) -> None:
         """Set values; None removes one."""
@@ -271,48 +257,34 @@ def _hash(text: Any) -> str:
     return revision_of(str(text).encode(errors="replace"))
 
 
-def _refused(fault: sqlite3.Error) -> Refusal:
-    is_full = getattr(fault, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
-    remedy = "make room on the disk" if is_full else "check the rights on the folder and the free space"
-    return Refusal(507 if is_full else 503, f"{STATE}/{DATABASE} cannot be written ({fault}): {remedy}")
-
-
-class FolderLock:
-    """A lock on a folder: two studios would overwrite each other's landmark files.
+@contextmanager
+def folder_locked(folder: Path, address: str) -> Iterator[None]:
+    """Hold a lock on a folder in the block: two studios would overwrite each other's landmark files.
 
     The system releases it when this process ends for any reason. The address is for the error message of a second
     studio.
     """
-
-    def __init__(self, folder: Path, address: str) -> None:
-        self._descriptor: int | None = None
-        state = folder / STATE
-        if state.is_symlink() or (state.exists() and not state.is_dir()):
-            return  # the project reports this and writes nothing there
-        path = state / LOCK_FILE
+    state = folder / STATE
+    if state.is_symlink() or (state.exists() and not state.is_dir()):
+        yield  # the project reports this and writes nothing there
+        return
+    path = state / LOCK_FILE
+    with disk_errors(f"{path} cannot be made"):
+        state.mkdir(exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
+    try:
         try:
-            state.mkdir(exist_ok=True)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
-        except OSError as fault:
-            raise LiaamError(f"{path} cannot be made ({fault.strerror or fault}): check the rights on it.") from fault
-        try:
-            is_locked = lock(descriptor)
+            is_locked = lock(descriptor)  # False on a file system without locks
         except BlockingIOError as fault:
             holder = os.read(descriptor, 1000).decode(errors="replace")
-            os.close(descriptor)
             raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
-        if not is_locked:  # a file system without locks
-            os.close(descriptor)
-            return
-        self._descriptor = descriptor
-        with suppress(OSError):  # only used for an error message
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
-
-    def release(self) -> None:
-        """Release the lock."""
-        descriptor, self._descriptor = self._descriptor, None
-        if descriptor is not None:
+        if is_locked:
+            with suppress(OSError):  # only used for an error message
+                os.ftruncate(descriptor, 0)
+                os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
+        yield
+        if is_locked:
             with suppress(OSError):
                 os.ftruncate(descriptor, 0)
-            os.close(descriptor)
+    finally:
+        os.close(descriptor)

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from liaam.errors import LandmarkError
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.model.shape import mirror_order
-from liaam.studio.safety import Refusal
+from liaam.studio.safety import Refusal, refusing
 
 LONGEST_NAME = 100
 FARTHEST = 1e6
@@ -76,7 +75,13 @@ def parse_template(data: Any, most: int) -> Template:
     layout = None if points is None else parse_points(points, n)
     if layout is not None and None in layout:
         raise Refusal(422, "the template's layout lacks a point: place all points, or send null for the layout")
-    return Template(names, _contours(data.get("contours"), n), _mirror(data.get("mirror"), n), layout)  # type: ignore[arg-type]
+    contours = [] if data.get("contours") is None else data["contours"]
+    if not isinstance(contours, list) or len(contours) > n:
+        raise Refusal(422, f"the template's contours are not valid: send a list of at most {n} contours")
+    mirror = None if data.get("mirror") is None else tuple(parse_indices(data["mirror"], n, "mirror"))
+    if mirror is not None and (len(mirror) != n or any(mirror[mirror[i]] != i for i in range(n))):
+        raise Refusal(422, "mirror does not pair the points: if b is the twin of a, a must be the twin of b")
+    return Template(names, tuple(_contour(item, i, n) for i, item in enumerate(contours)), mirror, layout)  # type: ignore[arg-type]
 
 
 def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
@@ -102,14 +107,6 @@ def _pair(point: Any, i: int) -> tuple[float, float]:
     return round(float(point[0]), 3), round(float(point[1]), 3)
 
 
-def _contours(data: Any, n: int) -> tuple[Contour, ...]:
-    if data is None:
-        return ()
-    if not isinstance(data, list) or len(data) > n:
-        raise Refusal(422, f"the template's contours are not valid: send a list of at most {n} contours")
-    return tuple(_contour(item, i, n) for i, item in enumerate(data))
-
-
 def _contour(item: Any, i: int, n: int) -> Contour:
     if not isinstance(item, dict) or not isinstance(item.get("closed"), bool):
         raise Refusal(422, f"contour {i + 1} is not valid: send {{indices, closed}}")
@@ -117,15 +114,6 @@ def _contour(item: Any, i: int, n: int) -> Contour:
     if len(indices) < 2:
         raise Refusal(422, f"contour {i + 1} has fewer than 2 points: add one, or remove the contour")
     return Contour(tuple(indices), item["closed"])
-
-
-def _mirror(data: Any, n: int) -> tuple[int, ...] | None:
-    if data is None:
-        return None
-    twins = parse_indices(data, n, "mirror")
-    if len(twins) != n or any(twins[twins[i]] != i for i in range(n)):
-        raise Refusal(422, "mirror does not pair the points: if b is the twin of a, a must be the twin of b")
-    return tuple(twins)
 
 
 def template_of(landmarks: Landmarks) -> Template:
@@ -152,13 +140,7 @@ def mirror_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
 
 
 def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
-    """Pair points by position, about the best axis within 45 degrees of the vertical; None without symmetry.
-
-    Parameters
-    ----------
-    points : (n, 2) float
-        Finite coordinates.
-    """
+    """Pair finite points (n, 2) by position, about the best axis within 45 degrees of the vertical, if there is one."""
     points = np.asarray(points, dtype=np.float64)
     if len(points) < 3:
         return None
@@ -167,14 +149,9 @@ def mirror_by_place(points: ArrayLike) -> tuple[int, ...] | None:
 
 
 def landmarks_of(
-    template: Template,
-    points: Sequence[Sequence[float] | None],
-    invisible: Sequence[int] = (),
-    scale: float | None = None,
+    template: Template, points: Sequence[Any], invisible: Sequence[int] = (), scale: float | None = None
 ) -> Landmarks:
     """Return a picture's points as landmarks with the template's names and contours."""
     placed = [(np.nan, np.nan) if point is None else point for point in points]
-    try:
+    with refusing():
         return Landmarks(np.array(placed), template.contours, template.names, None, tuple(invisible), scale)
-    except LandmarkError as fault:
-        raise Refusal(422, str(fault)) from fault

@@ -1,27 +1,61 @@
 """Training in the background, in a separate process.
 
 The model is used as soon as it is trained. Then another one is trained without a few held-out pictures, on which its
-error is measured. A stopped training keeps the earlier model. The process (:mod:`liaam.studio.training_process`)
-reports over a pipe. It can be killed at any time, since all its writes are atomic. :mod:`liaam.studio.background` fits
-pictures with the model.
+error is measured. A stopped training keeps the earlier model. The process reports over a pipe. It can be killed at any
+time, since all its writes are atomic. :mod:`liaam.studio.background` fits pictures with the model.
 """
 
 from __future__ import annotations
 
+import hashlib
 import logging
+import os
 import threading
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
-from liaam.errors import LiaamError
-from liaam.model import load_model
+import numpy as np
+
+from liaam.errors import ImageError, LiaamError, TrainingError
+from liaam.io.landmarks import Contour, Landmarks
+from liaam.model import AAM, load_model
+from liaam.model.shape import diagonal_of
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
-from liaam.studio.project import Project
+from liaam.studio.project import Annotated, Project
 from liaam.studio.safety import Refusal
-from liaam.studio.training_process import LEAST, Job, choose_held_out, launch
+from liaam.workers import fresh_interpreters, obey_parent
+
+LEAST = 3
+"""Minimum number of pictures for training."""
+
+OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
+"""Options of training. ``smooth`` shapes work best with few annotated pictures."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Input of the training process."""
+
+    done: list[Annotated]
+    """Pictures for training."""
+    contours: tuple[Contour, ...]
+    names: tuple[str, ...]
+    """Names of the landmarks."""
+    model: Path
+    """Output file of the model."""
+    order: str
+    """:attr:`Templates.order` of the points."""
+    name: str
+    """Name of the model."""
+    held_out: tuple[str, ...] = ()
+    """Pictures on which a model that is trained without them is measured."""
+    slips: dict[str, str] = field(default_factory=dict)
+    """Pictures that are left out because their landmarks may be wrong, and what they may have."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +95,11 @@ class Trainer:
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
             job = self._job(slips)
             self._order, self._stopped, self.is_measuring = job.order, False, False
-            self._process, pipe = launch(job)
+            context = fresh_interpreters()
+            pipe, there = context.Pipe(duplex=False)
+            self._process = context.Process(target=_work, args=(job, there), name="liaam-studio-training", daemon=True)
+            self._process.start()
+            there.close()
             self._set(Training("running", what="starting"))
             arguments = (job, pipe, self._process)
             self._listener = threading.Thread(target=self._listen, args=arguments, name="studio-training", daemon=True)
@@ -76,12 +114,21 @@ class Trainer:
                 self._process.kill()
         return self.wait()
 
-    def stop_unless(self, order: str) -> None:
-        """Stop a running training if it is for another :attr:`TemplateStore.order`."""
+    def follow_template(self) -> None:
+        """Stop the training and withdraw the studio's model if they are for an earlier set or order of points.
+
+        A copy of the model is kept. A given model stays.
+        """
+        store, order = self.project.store, self.project.templates.order
         with self._lock:
-            stale = self.state.state == "running" and self._order != order
-        if stale:
+            is_stale = self.state.state == "running" and self._order != order
+        if is_stale:
             self.stop()
+        own = self.models.own
+        if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != order:
+            self.models.withdraw()
+            store.set_aside(MODEL_FILE)
+            store.put("model", {MODEL_FILE: None})
 
     def wait(self, timeout: float | None = None) -> Training:
         """Wait for a running training and return its final state."""
@@ -93,23 +140,15 @@ class Trainer:
         order = self.project.templates.order  # read before the points, so that results for changed points are dropped
         done, template = self.project.annotated(), self.project.templates.current
         slips = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not with_slips}
-        n_used = len(done) - len(slips)
-        if n_used < LEAST or template is None:
-            raise Refusal(
-                422, f"only {n_used} pictures have all their points: complete at least {LEAST}, better 5, to train"
-            )
+        used = [item.name for item in done if item.name not in slips]
+        if len(used) < LEAST or template is None:
+            text = f"only {len(used)} pictures have all their points"
+            raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
         if len(template) < 3:
             raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-        return Job(
-            done,
-            template.contours,
-            template.names,
-            self.project.store.path(MODEL_FILE),
-            order,
-            self.project.root.name,
-            choose_held_out([item.name for item in done if item.name not in slips], self.versions.held_out(order)),
-            slips,
-        )
+        path, name = self.project.store.path(MODEL_FILE), self.project.root.name
+        held_out = choose_held_out(used, self.versions.held_out(order))
+        return Job(done, template.contours, template.names, path, order, name, held_out, slips)
 
     def _listen(self, job: Job, pipe: Any, process: Any) -> None:
         """Handle the messages of a process until it ends."""
@@ -121,7 +160,7 @@ class Trainer:
                     with self._lock:
                         end = end if self._stopped else self._handle(job, message) or end
         except LiaamError as fault:  # such as a missing folder or a full disk
-            end = Training("failed", error=self.project.plain(fault))
+            end = Training("failed", error=self.project.folder.plain(fault))
         except Exception as fault:  # a bug: without an end, the training would run for ever
             logging.getLogger(__name__).exception("the training failed")
             text = f"the training failed ({type(fault).__name__}): see the studio's terminal for details"
@@ -137,33 +176,132 @@ class Trainer:
         kind, data = message
         if kind == "progress":
             self._set(Training("running", **data))
-        elif kind == "model":
-            self._use(job, data)
+        elif kind == "model" and job.order == self.project.templates.order:
+            facts = {
+                "source": "studio",
+                "trained": datetime.now(UTC).isoformat(timespec="milliseconds"),
+                "pictures": {item.name: item.revision for item in job.done},
+                "left_out": {name: self.project.folder.plain(reason) for name, reason in data.items()},
+                "order": job.order,
+            }
+            self.project.store.put("model", {MODEL_FILE: facts})
+            self.models.publish(load_model(job.model), facts)
+            self.is_measuring = True
+            self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
             self.versions.add(self.models.own.facts, data)
             self._publish("project", {})
         elif kind == "failed":
-            return Training("failed", error=self.project.plain(data))
+            return Training("failed", error=self.project.folder.plain(data))
         elif kind == "done":
             return Training("done", what=data)
         return None
 
-    def _use(self, job: Job, left_out: Mapping[str, str]) -> None:
-        """Publish a model."""
-        if job.order != self.project.templates.order:
-            return
-        facts = {
-            "source": "studio",
-            "trained": datetime.now(UTC).isoformat(timespec="milliseconds"),
-            "pictures": {item.name: item.revision for item in job.done},
-            "left_out": {name: self.project.plain(reason) for name, reason in left_out.items()},
-            "order": job.order,
-        }
-        self.project.store.put("model", {MODEL_FILE: facts})
-        self.models.publish(load_model(job.model), facts)
-        self.is_measuring = True
-        self._publish("project", {})
-
     def _set(self, state: Training) -> None:
         self.state = state
         self._publish("training", asdict(state))
+
+
+def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
+    """Choose the pictures to measure a model on: 1, 2, 4 or 8, at most a quarter of all.
+
+    The pictures of the ``before`` model come first, then others in an order that does not depend on the set, so that
+    models are measured on the same pictures where possible.
+    """
+    count = next((n for n in (8, 4, 2, 1) if 4 * n <= len(names)), 0)
+    order = sorted(names, key=lambda name: (name not in before, hashlib.sha256(name.encode()).digest()))
+    return tuple(order[:count])
+
+
+def _work(job: Job, pipe: Any) -> None:
+    """Run a job in the training process."""
+    obey_parent()  # the server terminates this process
+    with suppress(AttributeError, OSError):
+        os.nice(5)  # requests of the user have priority
+    with suppress(BrokenPipeError, ConnectionError):
+        try:
+            pipe.send(("done", _Worker(job, pipe.send, dict(job.slips)).run()))
+        except (LiaamError, MemoryError) as fault:
+            pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
+
+
+class _Picture:
+    """A picture for :func:`liaam.training.train`; records its error."""
+
+    def __init__(self, item: Annotated, job: Job) -> None:
+        self.name = item.name
+        self.landmarks = Landmarks(item.points, job.contours, job.names)
+        self.path = item.path
+        self.fault: str | None = None
+
+    def read_image(self) -> np.ndarray:
+        from liaam.io import read_image
+        from liaam.photometry.encoding import refuse_unscaled
+
+        try:
+            image = read_image(self.path)
+            refuse_unscaled(image, self.name, "srgb")
+            return image
+        except ImageError as fault:
+            self.fault = str(fault)
+            raise
+
+
+@dataclass
+class _Worker:
+    """Runs a job and reports its progress."""
+
+    job: Job
+    send: Callable[[tuple[str, Any]], None]
+    left_out: dict[str, str] = field(default_factory=dict)
+    warned: str = ""
+
+    def run(self) -> str:
+        """Train the model, then measure another that is trained without the held-out pictures; return a summary."""
+        model = self._train((), lamps="auto")
+        model.save(self.job.model)
+        self.send(("model", self.left_out))
+        without = f", without {', '.join(self.left_out)}" if self.left_out else ""
+        summary = f"trained on {model.n_all_images} pictures{without}{self.warned}"
+        with suppress(LiaamError, MemoryError):  # such as too few pictures without those
+            rest = self._train(self.job.held_out, "measuring", leave_out=False, lamps=None)
+            self.send(("measured", self._measure(rest)))
+        return summary
+
+    def _train(self, unused: Sequence[str], what: str = "", **options: Any) -> AAM:
+        """Train a model. Leave out pictures that turn out to be unusable and start again."""
+        from liaam.training import train
+
+        def progress(done: int, total: int, doing: str) -> None:
+            self.send(("progress", {"done": done, "total": total, "what": what or doing}))
+
+        items = [_Picture(item, self.job) for item in self.job.done if item.name not in {*self.left_out, *unused}]
+        while True:
+            try:
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always", UserWarning)
+                    model = train(items, name=self.job.name, progress=progress, **OPTIONS, **options)
+                self.warned = "".join(f"; {warning.message}" for warning in caught)
+                return model
+            except (ImageError, TrainingError):
+                unfit = {item.name: item.fault for item in items if item.fault is not None}
+                if not unfit or len(items) - len(unfit) < LEAST:
+                    raise
+                self.left_out |= unfit
+                items = [item for item in items if item.name not in unfit]
+
+    def _measure(self, model: AAM) -> dict[str, float]:
+        """Return the mean distance of the fitted points to the placed ones in the held-out pictures.
+
+        The unit is the diagonal of the box around the placed points. Pictures that cannot be fitted are missing.
+        """
+        from liaam.evaluation import point_error
+        from liaam.fitting import Fitter
+
+        fitter, errors = Fitter(model), {}
+        for item in self.job.done:
+            if item.name in self.job.held_out:
+                with suppress(LiaamError, MemoryError):
+                    error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
+                    errors[item.name] = round(error, 5)
+        return {name: error for name, error in errors.items() if np.isfinite(error)}
