@@ -9,6 +9,19 @@ namespace {
 constexpr double kNegligible = 1e-13;  // entries beside the diagonal that count as 0, relative to the largest
 constexpr std::size_t kRotations = 3;  // most rotations, as a multiple of n^2; about n^2 are used
 
+constexpr std::size_t kTall = 4, kWide = 8;  // a tile of a product, whose sums stay in registers
+
+// Rows i to i + kTall and columns j to j + kWide of L'R.
+void multiply_tile(Rows<const double> left, Rows<const double> right, std::size_t i, std::size_t j, Matrix& out) {
+    double sums[kTall][kWide]{};
+    const double *a = left.data + i, *b = right.data + j;
+    for (std::size_t k = 0; k < left.n_rows; ++k, a += left.n_columns, b += right.n_columns)
+        for (std::size_t t = 0; t < kTall; ++t)
+#pragma omp simd
+            for (std::size_t u = 0; u < kWide; ++u) sums[t][u] += a[t] * b[u];
+    for (std::size_t t = 0; t < kTall; ++t) std::copy_n(sums[t], kWide, out[i + t] + j);
+}
+
 // Replaces r by (I - f v v') r; v begins at index `first`.
 void reflect(const double* v, std::size_t first, double factor, std::span<double> right) {
     double along = 0.0;
@@ -168,22 +181,18 @@ void solve(const Matrix& factor, std::span<double> right) {
 }
 
 void multiply_transposed(Rows<const double> left, Rows<const double> right, std::size_t rows, Matrix& out) {
-    const std::size_t width = right.n_columns, n = left.n_rows;
+    const std::size_t width = right.n_columns;
     out.resize(rows, width);
-    out.fill(0.0);
-    std::size_t i = 0;
-    for (; i + 4 <= n; i += 4) {  // four rows at a time: sums are loaded and stored once for four products
-        const double *a = right[i].data(), *b = right[i + 1].data(), *c = right[i + 2].data(), *d = right[i + 3].data();
-        for (std::size_t j = 0; j < rows; ++j) {
-            const double wa = left[i][j], wb = left[i + 1][j], wc = left[i + 2][j], wd = left[i + 3][j];
-            double* sums = out[j];
-#pragma omp simd
-            for (std::size_t x = 0; x < width; ++x) sums[x] += (wa * a[x] + wb * b[x]) + (wc * c[x] + wd * d[x]);
-        }
+    if (rows >= kTall && width >= kWide) {
+        for (std::size_t i = 0; i < rows; i += kTall)  // the last tiles overlap those before them
+            for (std::size_t j = 0; j < width; j += kWide)
+                multiply_tile(left, right, std::min(i, rows - kTall), std::min(j, width - kWide), out);
+        return;
     }
-    for (; i < n; ++i)
-        for (std::size_t j = 0; j < rows; ++j)
-            for (std::size_t x = 0; x < width; ++x) out[j][x] += left[i][j] * right[i][x];
+    out.fill(0.0);
+    for (std::size_t k = 0; k < left.n_rows; ++k)
+        for (std::size_t i = 0; i < rows; ++i)
+            for (std::size_t j = 0; j < width; ++j) out[i][j] += left[k][i] * right[k][j];
 }
 
 bool solve_clamped(Matrix& matrix, double least, Spectrum& spectrum, std::span<double> right) {

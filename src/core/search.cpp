@@ -20,8 +20,8 @@ void correlate(const float* image, const float* templates, std::size_t n, float*
 #pragma omp simd
     for (std::size_t i = 0; i < n; ++i) {
         const std::size_t re = 2 * i, im = 2 * i + 1;
-        product[re] = (a[re] * b[re] - a[im] * b[im]) + (c[re] * d[re] - c[im] * d[im]);
-        product[im] = (a[re] * b[im] + a[im] * b[re]) + (c[re] * d[im] + c[im] * d[re]);
+        product[re] = (a[re] * b[re] + a[im] * b[im]) + (c[re] * d[re] + c[im] * d[im]);
+        product[im] = (a[im] * b[re] - a[re] * b[im]) + (c[im] * d[re] - c[re] * d[im]);
     }
 }
 

@@ -7,7 +7,7 @@
 
 namespace liaam {
 
-// Sum of the products of two pairs of spectra, each of n complex numbers: image (2, n) and templates (2, n).
+// Sum of the products of the spectra of an image with the conjugates of those of templates, each (2, n) complex numbers.
 void correlate(const float* image, const float* templates, std::size_t n, float* product);
 
 // A view of an image (h, w), with the distances between its rows and pixels.

@@ -217,12 +217,12 @@ def sample_channels(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarra
 
 
 def correlate(image: np.ndarray, templates: np.ndarray, product: np.ndarray) -> None:
-    """Sum the products of two pairs of spectra (2, h, w, 2), whose last axis is real and imaginary part.
+    """Sum the products of two spectra and the conjugates of two others (2, h, w, 2; real and imaginary part last).
 
     The result (h, w, 2) is written to ``product``.
     """
     left, right = (spectra.view(np.complex64)[..., 0] for spectra in (image, templates))
-    product.view(np.complex64)[..., 0] = left[0] * right[0] + left[1] * right[1]
+    product.view(np.complex64)[..., 0] = left[0] * right[0].conj() + left[1] * right[1].conj()
 
 
 def best_peaks(image: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:

@@ -192,7 +192,7 @@ def test_products_of_spectra_are_summed(module, size, seed):
     found = np.empty((*size, 2), np.float32)
     module.correlate(left, right, found)
     a, b = left.view(np.complex64), right.view(np.complex64)
-    np.testing.assert_allclose(found.view(np.complex64), (a * b).sum(axis=0), atol=1e-5)
+    np.testing.assert_allclose(found.view(np.complex64), (a * b.conj()).sum(axis=0), atol=1e-5)
 
 
 def plain_peaks(image, count, least, reach):

@@ -6,7 +6,7 @@ import numpy as np
 
 from liaam import _core
 from liaam.fitting.peaks import Peaks
-from liaam.fitting.templates import Field, Template, spectrum
+from liaam.fitting.templates import Field, Template, spectra
 
 SPECTRA_KEPT = 600_000
 """Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas."""
@@ -34,7 +34,13 @@ class Bank:
         self.templates, self.pad = tuple(templates), pad
         self.shapes = np.array([template.field.shape for template in templates])
         self.origins = np.array([template.origin for template in templates])
-        self.norms = [1.0 if normalised else max(float(np.abs(t.field).sum()), 1e-9) for t in self.templates]
+        fields = np.zeros((len(templates) + len(templates) % 2, *self.shapes.max(axis=0)), np.complex64)
+        for field, template in zip(fields, self.templates, strict=False):
+            height, width = template.field.shape
+            norm = 1.0 if normalised else max(float(np.abs(template.field).sum()), 1e-9)
+            field[:height, :width] = template.field / norm
+        first, second = fields[::2], fields[1::2]  # what an image and its conjugate are compared with, for both at once
+        self.pairs = 0.5 * np.stack([first - 1j * second, first.conj() - 1j * second.conj()], axis=1)
         self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
 
     def peaks(self, field: Field, which: int, count: int, worth: float) -> Peaks:
@@ -64,7 +70,7 @@ class Bank:
         import cv2  # heavy: imported when first needed
 
         fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
-        seen = np.array([spectrum(values, fast, self.pad) for values in (field.values, field.values.conj())])
+        seen = spectra(np.array([field.values, field.values.conj()]), fast, self.pad)
         product = np.empty((*fast, 2), np.float32)
         for expected in self._spectra_of(fast):
             _core.correlate(seen, expected, product)
@@ -77,11 +83,7 @@ class Bank:
         known = self._spectra.get(size)
         if known is not None:
             return known
-        fields = np.zeros((len(self.templates) + len(self.templates) % 2, *size), np.complex64)
-        for field, template, norm in zip(fields, self.templates, self.norms, strict=False):
-            height, width = template.field.shape
-            field[:height, :width] = template.field / (norm * field.size)  # OpenCV's inverse is not normalised
-        made = [_pair_spectra(*pair, size) for pair in zip(fields[::2], fields[1::2], strict=True)]
+        made = [spectra(pair / float(np.prod(size)), size) for pair in self.pairs]  # OpenCV's inverse is not normalised
         kept = [*self._spectra, size]  # a copy: other threads may search at the same time
         while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
             self._spectra.pop(kept.pop(0), None)
@@ -92,9 +94,3 @@ class Bank:
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
         return {**self.__dict__, "_spectra": {}}
-
-
-def _pair_spectra(first: np.ndarray, second: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return by what spectra of an image and its conjugate are multiplied for the correlations with two templates."""
-    both = [spectrum(first - 1j * second, size), spectrum(first.conj() - 1j * second.conj(), size)]
-    return np.float32(0.5) * np.array(both) * np.array([1.0, -1.0], np.float32)  # conjugate

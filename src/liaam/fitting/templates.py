@@ -178,14 +178,17 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
     return _core.soft_directions(grey, (1.0, 0.0, 0.0, 1.0), SOFTNESS).view(np.complex64)[..., 0]
 
 
-def spectrum(field: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
-    """Return the Fourier transform of a field, padded to a size, (h, w, 2) float32: real and imaginary part."""
+def spectra(fields: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
+    """Return Fourier transforms of fields (k, h, w) padded to a size, (k, *size, 2) float32: real, imaginary part."""
     import cv2  # heavy: imported when first needed
 
-    padded = np.zeros(size, np.complex64)
-    padded[pad : pad + field.shape[0], pad : pad + field.shape[1]] = field
-    parts = padded.view(np.float32).reshape(*size, 2)
-    return cv2.dft(parts, parts)
+    height, width = fields.shape[1:]
+    padded = np.zeros((len(fields), *size), np.complex64)
+    padded[:, pad : pad + height, pad : pad + width] = fields
+    parts = padded.view(np.float32).reshape(*padded.shape, 2)
+    for part in parts:
+        cv2.dft(part, part)
+    return parts
 
 
 def is_searchable(model: AAM) -> bool:
