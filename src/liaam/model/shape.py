@@ -233,7 +233,7 @@ class ShapeModel:
 
 def own_parameters(n: int, n_all: int) -> np.ndarray:
     """Return which of all parameters a model of fewer modes has: those of the first modes, and of the similarity."""
-    return np.r_[: n - 4, n_all - 4 : n_all]
+    return np.arange(n) + (n_all - n) * (np.arange(n) >= n - 4)
 
 
 PRIORS = ("sample", "shrunk", "smooth", "wide")
