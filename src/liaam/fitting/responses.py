@@ -35,10 +35,10 @@ class Bank:
         self.shapes = np.array([template.field.shape for template in templates])
         self.origins = np.array([template.origin for template in templates])
         fields = np.zeros((len(templates) + len(templates) % 2, *self.shapes.max(axis=0)), np.complex64)
-        for field, template in zip(fields, self.templates, strict=False):
+        for i, template in enumerate(self.templates):
             height, width = template.field.shape
             norm = 1.0 if normalised else max(float(np.abs(template.field).sum()), 1e-9)
-            field[:height, :width] = template.field / norm
+            fields[i, :height, :width] = template.field / norm
         first, second = fields[::2], fields[1::2]  # what an image and its conjugate are compared with, for both at once
         self.pairs = 0.5 * np.stack([first - 1j * second, first.conj() - 1j * second.conj()], axis=1)
         self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
