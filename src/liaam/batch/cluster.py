@@ -46,8 +46,11 @@ def on_cluster(job: Job, address: str) -> Iterator[Pool]:
     """Yield a pool of the workers of a scheduler. Another worker takes over the images of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
         executor, threads = client.get_executor(pure=False), cast(Any, client.nthreads)
+
+        def room() -> int:
+            return AHEAD * max(1, sum(threads().values()))
+
         try:
-            room = lambda: AHEAD * max(1, sum(threads().values()))  # noqa: E731
             yield partial(executor.submit, _fit, name), room, (KilledWorker,)
         except CancelledError:
             raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume") from None
