@@ -22,14 +22,14 @@ def draw(
     The vertices (n, 3) are (column, row, nearness); the largest nearness is visible. Returns their interpolated
     attributes (height, width, k) float32, 0 where nothing is drawn, and the mask (height, width) of what is covered.
     """
-    image, depth = _core.draw_triangles(_double(points), _int(triangles), _double(attributes), height, width, -np.inf)
-    return image, depth > -np.inf
+    owner, image = _core.draw_triangles(_double(points), _int(triangles), _double(attributes), height, width)
+    return image.astype(np.float32), owner >= 0
 
 
 def depth_map(points: np.ndarray, triangles: np.ndarray, size: int) -> np.ndarray:
     """Nearness map (size, size) of triangles whose vertices (n, 3) are in the map's pixels."""
-    nothing = np.zeros((len(points), 0))
-    return _core.draw_triangles(_double(points), _int(triangles), nothing, size, size, -1e9)[1].astype(np.float32)
+    owner, nearness = _core.draw_triangles(_double(points), _int(triangles), _double(points[:, 2:]), size, size)
+    return np.where(owner >= 0, nearness[..., 0], -1e9).astype(np.float32)
 
 
 def _double(numbers: np.ndarray) -> np.ndarray:

@@ -163,36 +163,20 @@ auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& imag
     return std::make_pair(owned(std::move(places), {peaks.size(), 2}), owned(std::move(values), {peaks.size()}));
 }
 
-void check_triangles(const Array<std::int32_t, 2>& triangles, std::size_t n_vertices) {
+auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& values,
+          std::size_t height, std::size_t width) {
+    require(points.shape(1) == 3 && triangles.shape(1) == 3 && values.shape(0) == points.shape(0), "the mesh is damaged");
     for (std::size_t i = 0; i < triangles.size(); ++i)
-        require(triangles.data()[i] >= 0 && static_cast<std::size_t>(triangles.data()[i]) < n_vertices,
+        require(triangles.data()[i] >= 0 && static_cast<std::size_t>(triangles.data()[i]) < points.shape(0),
                 "a triangle names a vertex that does not exist");
-}
-
-auto carry(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& values,
-           std::size_t width, std::size_t height) {
-    require(points.shape(1) == 2 && triangles.shape(1) == 3 && values.shape(0) == points.shape(0), "the mesh is damaged");
-    check_triangles(triangles, points.shape(0));
-    std::vector<std::int32_t> owner(width * height, -1);
-    std::vector<double> carried(width * height * values.shape(1), 0.0);
-    carry_values({points.data(), points.size()}, rows_of(triangles), rows_of(values), {owner.data(), height, width},
-                 carried.data());
-    return std::make_pair(owned(std::move(owner), {height, width}),
-                          owned(std::move(carried), {height, width, values.shape(1)}));
-}
-
-auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& attributes,
-          std::size_t height, std::size_t width, double farthest) {
-    require(points.shape(1) == 3 && triangles.shape(1) == 3 && attributes.shape(0) == points.shape(0), "the mesh is damaged");
-    check_triangles(triangles, points.shape(0));
-    std::vector<float> image(height * width * attributes.shape(1), 0.0f);
-    std::vector<double> nearness(height * width, farthest);
+    std::vector<std::int32_t> owner(height * width, -1);
+    std::vector<double> drawn(height * width * values.shape(1), 0.0);
     {
         const Unlocked unlocked;
-        draw_triangles(rows_of(points), rows_of(triangles), rows_of(attributes), {nearness.data(), height, width}, image.data());
+        draw_triangles(rows_of(points), rows_of(triangles), rows_of(values), {owner.data(), height, width}, drawn.data());
     }
-    return std::make_pair(owned(std::move(image), {height, width, attributes.shape(1)}),
-                          owned(std::move(nearness), {height, width}));
+    return std::make_pair(owned(std::move(owner), {height, width}),
+                          owned(std::move(drawn), {height, width, values.shape(1)}));
 }
 
 void filter(nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> layers, const Array<float, 2>& across,
@@ -238,8 +222,7 @@ void bind_images(nb::module_& module) {
     module.def("sample_channels", sample_at, "channels"_a, "points"_a);
     module.def("correlate", correlate_spectra, "image"_a, "templates"_a, "product"_a.noconvert());
     module.def("best_peaks", peaks_of, "image"_a, "count"_a, "least"_a, "reach"_a);
-    module.def("carry", carry, "points"_a, "triangles"_a, "values"_a, "width"_a, "height"_a);
-    module.def("draw_triangles", draw, "points"_a, "triangles"_a, "attributes"_a, "height"_a, "width"_a, "farthest"_a);
+    module.def("draw_triangles", draw, "points"_a, "triangles"_a, "values"_a, "height"_a, "width"_a);
     module.def("filter_rows_and_columns", filter, "layers"_a.noconvert(), "across"_a, "down"_a);
     module.def("log", elementwise<log_of>, "numbers"_a);
     module.def("exp", elementwise<exp_of>, "numbers"_a);

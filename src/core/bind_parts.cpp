@@ -4,7 +4,6 @@
 #include "linear.hpp"
 #include "modes.hpp"
 #include "step.hpp"
-#include "thresholds.hpp"
 #include "weights.hpp"
 
 using namespace liaam;
@@ -97,35 +96,6 @@ auto gram_of(const Array<float, 2>& rows, const Array<float, 1>& sqrt_weights) {
     return copied(gram);
 }
 
-nb::dict thresholds_of() {
-    using namespace thresholds;
-    nb::dict all;
-    all["DAMPING_LIMIT"] = kDampingLimit;
-    all["TRUSTED_DAMPING"] = kTrustedDamping;
-    all["LEAST_DAMPING"] = kLeastDamping;
-    all["FIRST_DAMPING"] = kFirstDamping;
-    all["FIRST_EXPECTED_DAMPING"] = kFirstExpectedDamping;
-    all["RISE"] = kRise;
-    all["EXPECTED_RISE"] = kExpectedRise;
-    all["STILL"] = kStill;
-    all["LONGEST_UNSEEN"] = kLongestUnseen;
-    all["MOST_NEGLIGIBLE_DAMPING"] = kMostNegligibleDamping;
-    all["ROUNDS"] = kRounds;
-    all["SCORING_STEPS"] = kScoringSteps;
-    all["SCORING_RISE"] = kScoringRise;
-    all["EARLY_EXPECTED"] = kEarlyExpected;
-    all["EARLY_EXPECTED_STEPS"] = kEarlyExpectedSteps;
-    all["EARLY_OWN"] = kEarlyOwn;
-    all["EARLY_OWN_STEPS"] = kEarlyOwnSteps;
-    all["EARLY_SCORED"] = kEarlyScored;
-    all["COARSE"] = kCoarse;
-    all["COARSE_RELATIVE"] = kCoarseRelative;
-    all["LEAST_GROWTH"] = kLeastGrowth;
-    all["MOST_GROWTH"] = kMostGrowth;
-    all["LEAST_CURVATURE"] = kLeastCurvature;
-    return all;
-}
-
 }  // namespace
 
 void bind_parts(nb::module_& module) {
@@ -141,5 +111,4 @@ void bind_parts(nb::module_& module) {
     module.def("loss_weight", [](int loss, double u) { return loss_weight(static_cast<Loss>(loss), u); }, "loss"_a, "u"_a);
     module.def("median", [](std::vector<double> numbers) { return median(numbers); }, "numbers"_a);
     module.def("minimise_on_arc", minimise_on_arc, "s"_a, "b"_a, "centre"_a, "reach"_a);
-    module.def("thresholds", thresholds_of);
 }

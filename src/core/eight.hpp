@@ -16,44 +16,30 @@ typedef float Four __attribute__((vector_size(16)));
 
 #else  // plain, for compilers without this extension
 
-struct Eight {
-    float lane[kEight];
+template <std::size_t N>
+struct Lanes {
+    float lane[N];
     float operator[](std::size_t i) const { return lane[i]; }
-    Eight& operator+=(const Eight& b) {
-        for (std::size_t i = 0; i < kEight; ++i) lane[i] += b.lane[i];
+    Lanes& operator+=(const Lanes& b) {
+        for (std::size_t i = 0; i < N; ++i) lane[i] += b.lane[i];
         return *this;
     }
-};
-inline Eight operator+(Eight a, const Eight& b) { return a += b; }
-inline Eight operator-(Eight a, const Eight& b) {
-    for (std::size_t i = 0; i < kEight; ++i) a.lane[i] -= b.lane[i];
-    return a;
-}
-inline Eight operator*(Eight a, const Eight& b) {
-    for (std::size_t i = 0; i < kEight; ++i) a.lane[i] *= b.lane[i];
-    return a;
-}
-inline Eight operator*(float a, Eight b) {
-    for (std::size_t i = 0; i < kEight; ++i) b.lane[i] *= a;
-    return b;
-}
-inline Eight operator*(const Eight& a, float b) { return b * a; }
-
-struct Four {
-    float lane[4];
-    Four& operator+=(const Four& b) {
-        for (std::size_t i = 0; i < 4; ++i) lane[i] += b.lane[i];
-        return *this;
+    friend Lanes operator+(Lanes a, const Lanes& b) { return a += b; }
+    friend Lanes operator-(Lanes a, const Lanes& b) {
+        for (std::size_t i = 0; i < N; ++i) a.lane[i] -= b.lane[i];
+        return a;
+    }
+    friend Lanes operator*(Lanes a, const Lanes& b) {
+        for (std::size_t i = 0; i < N; ++i) a.lane[i] *= b.lane[i];
+        return a;
+    }
+    friend Lanes operator*(float a, Lanes b) {
+        for (float& each : b.lane) each *= a;
+        return b;
     }
 };
-inline Four operator*(Four a, const Four& b) {
-    for (std::size_t i = 0; i < 4; ++i) a.lane[i] *= b.lane[i];
-    return a;
-}
-inline Four operator*(float a, Four b) {
-    for (std::size_t i = 0; i < 4; ++i) b.lane[i] *= a;
-    return b;
-}
+using Eight = Lanes<kEight>;
+using Four = Lanes<4>;
 
 #endif
 

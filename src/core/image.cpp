@@ -16,7 +16,8 @@ struct Taps {
     std::vector<float> shares;
 
     Taps(std::ptrdiff_t n_in, double start, double size, std::ptrdiff_t n_out)
-        : n_taps(static_cast<std::size_t>(std::ceil(size)) + 1), first(n_out), shares(n_out * n_taps) {
+        : n_taps(static_cast<std::size_t>(std::ceil(size)) + (start != std::floor(start) || size != std::floor(size))),
+          first(n_out), shares(n_out * n_taps) {
         for (std::ptrdiff_t j = 0; j < n_out; ++j) {
             const double low = start + j * size, high = std::min(low + size, static_cast<double>(n_in));
             first[j] = std::min(static_cast<std::ptrdiff_t>(low), n_in - 1);
@@ -70,36 +71,20 @@ void add_scaled(std::vector<float>& sums, float scale, const float* row, std::si
     for (std::size_t x = 0; x < n; ++x) sums[x] += scale * row[x];
 }
 
-// Blocks of one block each: a part of the means.
-void crop_means(const Means& means, const Blocks& blocks, Means& crop) {
-    const auto x = static_cast<std::ptrdiff_t>(blocks.x), y = static_cast<std::ptrdiff_t>(blocks.y);
-    crop.light.resize(4 * blocks.rows * blocks.columns);
-    crop.finite.resize(means.finite.empty() ? 0 : blocks.rows * blocks.columns);
-    for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
-        const std::ptrdiff_t from = (y + i) * means.columns + x, to = i * blocks.columns;
-        std::copy_n(means.light.data() + 4 * from, 4 * blocks.columns, crop.light.data() + 4 * to);
-        if (!means.finite.empty()) std::copy_n(means.finite.data() + from, blocks.columns, crop.finite.data() + to);
+// Means of the blocks of an image (h, w, depth).
+void mean_blocks(const float* values, std::ptrdiff_t width, std::ptrdiff_t depth, const Taps& down, const Taps& across,
+                 float* means) {
+    const std::size_t n = depth * width, columns = across.first.size();
+    std::vector<float> sums(n + depth * across.n_taps);  // blocks at the border read beyond, with weight 0
+    for (std::size_t i = 0; i < down.first.size(); ++i, means += depth * columns) {
+        std::fill(sums.begin(), sums.end(), 0.0f);
+        for (std::size_t k = 0; k < down.n_taps; ++k) {
+            const float share = down.of(i)[k];
+            if (share > 0.0f) add_scaled(sums, share, values + (down.first[i] + k) * n, n);
+        }
+        if (depth == 4) cut_light(sums, across, columns, means);
+        else cut_row(sums, across, columns, depth, means);
     }
-}
-
-// First and last pixel of a block that tiles a side, and their weights; pixels in between have full weight.
-struct Tile {
-    std::ptrdiff_t first, last;
-    float at_first, at_last;
-};
-
-std::vector<Tile> tiles(std::ptrdiff_t n_in, std::ptrdiff_t n_out) {
-    std::vector<Tile> all(n_out);
-    const double size = static_cast<double>(n_in) / n_out;
-    for (std::ptrdiff_t j = 0; j < n_out; ++j) {
-        const double low = j * size, high = std::min((j + 1) * size, static_cast<double>(n_in));
-        const auto first = std::min(static_cast<std::ptrdiff_t>(low + 1e-9), n_in - 1);
-        const auto last = std::max(std::min(static_cast<std::ptrdiff_t>(std::ceil(high - 1e-9)) - 1, n_in - 1), first);
-        const double beyond = last > first ? (high - last) / size : 0.0;  // a block inside one pixel has only that
-        all[j] = {first, last, static_cast<float>((std::min(first + 1.0, high) - low) / size),
-                  static_cast<float>(beyond)};
-    }
-    return all;
 }
 
 }  // namespace
@@ -110,7 +95,7 @@ void stored_means(const Stored<T>& image, const LightTable& table, const Blocks&
     const Taps across(image.width, blocks.x, blocks.size, blocks.columns);
     const Taps down(image.height, blocks.y, blocks.size, blocks.rows);
     const std::size_t n = 4 * image.width;
-    std::vector<float> sums(n + 4 * across.n_taps), light(n);  // blocks at the border read beyond, with weight 0
+    std::vector<float> sums(n + 4 * across.n_taps), light(n);  // see mean_blocks
     means.resize(4 * blocks.rows * blocks.columns);
     std::ptrdiff_t decoded = -1;
     for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
@@ -132,20 +117,9 @@ template void stored_means(const Stored<std::uint16_t>&, const LightTable&, cons
 
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
                  const Blocks& blocks, std::vector<float>& means) {
-    const Taps across(width, blocks.x, blocks.size, blocks.columns), down(height, blocks.y, blocks.size, blocks.rows);
-    const std::size_t n = depth * width;
-    std::vector<float> sums(n + depth * across.n_taps);
     means.resize(depth * blocks.rows * blocks.columns);
-    for (std::ptrdiff_t i = 0; i < blocks.rows; ++i) {
-        std::fill(sums.begin(), sums.end(), 0.0f);
-        for (std::size_t k = 0; k < down.n_taps; ++k) {
-            const float share = down.of(i)[k];
-            if (share > 0.0f) add_scaled(sums, share, values + (down.first[i] + k) * n, n);
-        }
-        float* row = means.data() + depth * blocks.columns * i;
-        if (depth == 4) cut_light(sums, across, blocks.columns, row);
-        else cut_row(sums, across, blocks.columns, depth, row);
-    }
+    mean_blocks(values, width, depth, Taps(height, blocks.y, blocks.size, blocks.rows),
+                Taps(width, blocks.x, blocks.size, blocks.columns), means.data());
 }
 
 void coarser_means(const Means& means, const Blocks& blocks, Means& coarser) {
@@ -153,29 +127,14 @@ void coarser_means(const Means& means, const Blocks& blocks, Means& coarser) {
     coarser.columns = blocks.columns;
     coarser.grey = means.grey;
     coarser.finite.clear();
-    if (blocks.size == 1.0) return crop_means(means, blocks, coarser);
     value_means(means.light.data(), means.rows, means.columns, 4, blocks, coarser.light);
     if (!means.finite.empty()) value_means(means.finite.data(), means.rows, means.columns, 1, blocks, coarser.finite);
 }
 
 void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t rows,
                 std::ptrdiff_t columns, float* means) {
-    const auto down = tiles(height, rows), across = tiles(width, columns);
-    const float full_y = static_cast<float>(rows) / height, full_x = static_cast<float>(columns) / width;
-    std::vector<float> line(width);
-    for (std::ptrdiff_t i = 0; i < rows; ++i) {
-        const Tile& tile = down[i];
-        const float *top = image + tile.first * width, *bottom = image + tile.last * width;
-#pragma omp simd
-        for (std::ptrdiff_t x = 0; x < width; ++x) line[x] = tile.at_first * top[x] + tile.at_last * bottom[x];
-        for (std::ptrdiff_t y = tile.first + 1; y < tile.last; ++y) add_scaled(line, full_y, image + y * width, width);
-        for (std::ptrdiff_t j = 0; j < columns; ++j) {
-            const auto& [left, right, at_left, at_right] = across[j];
-            float between = 0.0f;
-            for (std::ptrdiff_t x = left + 1; x < right; ++x) between += line[x];
-            means[i * columns + j] = at_left * line[left] + full_x * between + at_right * line[right];
-        }
-    }
+    mean_blocks(image, width, 1, Taps(height, 0.0, static_cast<double>(height) / rows, rows),
+                Taps(width, 0.0, static_cast<double>(width) / columns, columns), means);
 }
 
 template <class T>

@@ -52,7 +52,7 @@ void stored_means(const Stored<T>& image, const LightTable& table, const Blocks&
 void value_means(const float* values, std::ptrdiff_t height, std::ptrdiff_t width, std::ptrdiff_t depth,
                  const Blocks& blocks, std::vector<float>& means);
 
-// Averages means over coarser blocks, which refer to the blocks of the means.
+// Averages means over coarser blocks, or whole ones again, which refer to the blocks of the means.
 void coarser_means(const Means& means, const Blocks& blocks, Means& coarser);
 
 // Downsamples an image (h, w) to the means of the blocks that tile it, as OpenCV's INTER_AREA.

@@ -114,7 +114,7 @@ bool is_small(const Objective& objective, const Controls& controls, const Propos
               const Workspace& work) {
     const double length = movement(objective, work);
     return proposal.negligible || length < controls.tolerance ||
-           (n_iterations < controls.early_steps && length < controls.early_tolerance);
+           (n_iterations < controls.early_steps && length < controls.early_limit);
 }
 
 // Rows of a level that count as contrast: for weights by rows those of the gradients.
@@ -140,72 +140,22 @@ std::vector<Contrast> contrast_of(const Objective& objective, const Workspace& w
     return sums;
 }
 
-// Tolerance of the first steps of a level, as a fraction of the blur, and their number.
-struct Early {
+// Sets the tolerance of the first steps of a level, and their number.
+void set_early(const Method& method, double blur, bool is_scored, Controls& controls) {
     double fraction = 0.0;
-    int steps = 0;
-};
-
-Early early_of(const Options& options, const Method& method, bool is_finest, bool is_scored) {
-    Early early;
-    if (method.step == StepKind::expected) early = {kEarlyExpected, kEarlyExpectedSteps};
-    // Weights that the steps update are those of the solution only at the end.
-    else if (is_finest && is_scored && !method.reweighs()) early = {kEarlyScored, options.max_iterations};
-    else if (!is_finest || is_scored) early = {kEarlyOwn, kEarlyOwnSteps};
-    // else these steps are the last: they converge slowly, and need the full tolerance
-    if (early.steps > 0 && options.early_tolerance >= 0.0) early.fraction = options.early_tolerance;
-    return early;
+    if (method.step == StepKind::expected) {
+        fraction = kEarlyExpected;
+        controls.early_steps = kEarlyExpectedSteps;
+    } else if (controls.evaluate_last && is_scored && !method.reweighs()) {
+        // Weights that the steps update are those of the solution only at the end.
+        fraction = kEarlyScored;
+        controls.early_steps = controls.max_iterations;
+    } else if (!controls.evaluate_last || is_scored) {
+        fraction = kEarlyOwn;
+        controls.early_steps = kEarlyOwnSteps;
+    }  // else these steps are the last: they converge slowly, and need the full tolerance
+    controls.early_limit = blur * (controls.early_tolerance >= 0.0 ? controls.early_tolerance : fraction);
 }
-
-Controls controls_of(const Options& options, bool expected, bool reweighs, bool evaluate_last, double blur,
-                     const Early& early) {
-    Controls controls;
-    controls.max_iterations = options.max_iterations;
-    controls.tolerance = options.tolerance;
-    controls.early_tolerance = blur * early.fraction;
-    controls.early_steps = early.steps;
-    controls.relative_tolerance = options.relative_tolerance;
-    controls.damping = options.damping;
-    controls.shape_prior = options.shape_prior;
-    controls.observable = options.observable;
-    controls.expected = expected;
-    controls.reweigh = reweighs;
-    controls.evaluate_last = evaluate_last;
-    return controls;
-}
-
-// What a run of the loop starts from, so that it can be undone.
-struct Snapshot {
-    State state;
-    std::vector<float> base_sqrt_weights, sqrt_weights, channel_noise, known_before;
-    std::vector<double> model_variance, last_step;
-    std::array<double, 2> unexplained_before;
-    double noise_variance, prior_scale, least_curvature, point_variance;
-    Matrix gram;
-
-    explicit Snapshot(const Workspace& work)
-        : state(work.state), base_sqrt_weights(work.base_sqrt_weights), sqrt_weights(work.sqrt_weights),
-          channel_noise(work.channel_noise), known_before(work.known_before), model_variance(work.model_variance),
-          last_step(work.last_step), unexplained_before(work.unexplained_before), noise_variance(work.noise_variance),
-          prior_scale(work.prior_scale), least_curvature(work.least_curvature), point_variance(work.point_variance),
-          gram(work.gram) {}
-
-    void restore(Workspace& work) const {
-        work.state = state;
-        work.base_sqrt_weights = base_sqrt_weights;
-        work.sqrt_weights = sqrt_weights;
-        work.channel_noise = channel_noise;
-        work.known_before = known_before;
-        work.model_variance = model_variance;
-        work.last_step = last_step;
-        work.unexplained_before = unexplained_before;
-        work.noise_variance = noise_variance;
-        work.prior_scale = prior_scale;
-        work.least_curvature = least_curvature;
-        work.point_variance = point_variance;
-        work.gram = gram;
-    }
-};
 
 void append(const Trace& more, std::size_t n_p, Trace& trace) {
     trace.costs.insert(trace.costs.end(), more.costs.begin() + 1, more.costs.end());
@@ -219,13 +169,13 @@ void append(const Trace& more, std::size_t n_p, Trace& trace) {
 // unless their number was asked for.
 void score(const Objective& objective, const LevelImage& image, Controls controls, Trace& trace, Workspace& work,
            const Interrupted& interrupted) {
-    const Snapshot before(work);
+    const Memory before = work;
     const Trace more = run_level(objective, image, controls, work, interrupted);
     if (more.costs.back() <= kScoringRise * trace.costs.back()) {
         append(more, objective.n_p(), trace);
         return;
     }
-    before.restore(work);
+    static_cast<Memory&>(work) = before;
     controls.max_iterations = 0;
     controls.expected = controls.reweigh = false;
     controls.evaluate_last = true;
@@ -300,11 +250,11 @@ LevelFit solve_level(const Objective& objective, const LevelImage& image, const 
     const int scoring = options.scoring < 0 ? kScoringSteps : options.scoring;
     const int more = objective.method.step == StepKind::scored ? std::min(scoring, options.max_iterations) : 0;
     work.begin(objective, start);
-    const Early early = early_of(options, objective.method, evaluate_last, more > 0);
-    Trace trace = run_level(objective, image, controls_of(options, expected, reweighs, evaluate_last, blur, early), work,
-                            interrupted);
+    Controls controls{options, 0.0, 0, expected, reweighs, evaluate_last};
+    set_early(objective.method, blur, more > 0, controls);
+    Trace trace = run_level(objective, image, controls, work, interrupted);
     if (more > 0 && !trace.flat) {
-        Controls controls = controls_of(options, true, reweighs && options.scoring >= 0, evaluate_last, blur, {});
+        controls = {options, 0.0, 0, true, reweighs && options.scoring >= 0, evaluate_last};
         controls.max_iterations = more;
         controls.damping = 0.0;
         score(objective, image, controls, trace, work, interrupted);

@@ -7,21 +7,6 @@
 
 namespace liaam {
 
-// Options of one run of the loop.
-struct Controls {
-    int max_iterations = 50;
-    double tolerance = 0.01;           // root mean square movement of the landmarks, model pixels
-    double early_tolerance = 0.0;      // for the first steps: a fit that gets so near so soon is not a difficult one
-    int early_steps = 0;
-    double relative_tolerance = 0.03;  // length of a step in its own standard deviations
-    double damping = 1e-3;             // initial; 0 accepts every step, as the paper does
-    double shape_prior = 1.0;
-    double observable = 25.0;
-    bool expected = false;             // steps with the expected gradient; else with the image's own
-    bool reweigh = false;              // update the weights between steps
-    bool evaluate_last = true;         // evaluate the residual once more after a last step that is too short to matter
-};
-
 // What a run of the loop did: the start and every accepted state, and how it ended.
 struct Trace {
     std::vector<double> costs;                  // mean squared residual
@@ -53,15 +38,24 @@ struct LevelFit {
 // Options of a fit (liaam.fitting.SolverOptions).
 struct Options {
     int max_iterations = 50;
-    double tolerance = 0.01;
-    double early_tolerance = -1.0;  // negative: the default of the kind of steps
-    double relative_tolerance = 0.03;
-    double damping = 1e-3;
+    double tolerance = 0.01;           // root mean square movement of the landmarks, model pixels
+    double early_tolerance = -1.0;     // fraction of the blur; negative: the default of the kind of steps
+    double relative_tolerance = 0.03;  // length of a step in its own standard deviations
+    double damping = 1e-3;             // initial; 0 accepts every step, as the paper does
     double shape_prior = 1.0;
     double observable = 25.0;
     bool best_angle = true;  // start theta_2 at its optimum for the initial shape
     int scoring = -1;        // most steps with the expected gradient at the end; negative: the method's own
     bool keeps_samples = false;  // return the samples and the residual
+};
+
+// Options of one run of the loop.
+struct Controls : Options {
+    double early_limit = 0.0;   // tolerance of the first steps: a fit that gets so near so soon is not a difficult one
+    int early_steps = 0;
+    bool expected = false;      // steps with the expected gradient; else with the image's own
+    bool reweigh = false;       // update the weights between steps
+    bool evaluate_last = true;  // evaluate the residual once more after a last step that is too short to matter
 };
 
 // Whether to stop: asked once in a while, so that Ctrl-C ends a fit.

@@ -2,7 +2,7 @@
 
 #include <limits>
 
-#include "step.hpp"
+#include "thresholds.hpp"
 
 namespace liaam {
 
@@ -46,7 +46,7 @@ void Workspace::begin(const Objective& objective, const State& start) {
     prior_precision.assign(objective.n_p(), 0.0);
     observable.assign(n_q, 1);
     prior_scale = 1.0;
-    least_curvature = kLeastCurvature;
+    least_curvature = thresholds::kLeastCurvature;
     point_variance = 0.0;
 }
 

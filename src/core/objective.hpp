@@ -82,9 +82,26 @@ struct State {
     std::vector<double> lam;                 // lambda
 };
 
+// What the loop carries from one step to the next: a copy undoes a run of the loop.
+struct Memory {
+    State state;
+    std::vector<float> base_sqrt_weights;  // (n k): without noise weights, which depend on theta_2
+    std::vector<float> sqrt_weights;       // (n k)
+    std::vector<float> channel_noise;      // (n, 8): variance of the channels, for noise weights
+    std::vector<float> known_before;       // (n): 1 where colours were usable at the last weights
+    std::vector<double> model_variance;    // (n): variance due to the model's errors, for noise weights
+    std::array<double, 2> unexplained_before{};  // variance of gradients and colour at the last weights
+    double noise_variance = 0.0;           // at weight 1; NaN if the weights define none
+    double prior_scale = 1.0;              // scale of the shape prior's variances
+    double least_curvature = 0.5;          // lower bound on the curvature, as a fraction of the expected
+    double point_variance = 0.0;           // converts the points' precision to units of squared residuals
+    std::vector<double> last_step;
+    Matrix gram;                           // A'A
+};
+
 // State of a fit, its residual, weights and derivatives there, and room: all that the loop writes. Reused by later fits.
-struct Workspace {
-    State state, before;
+struct Workspace : Memory {
+    State before;
 
     // The residual (residual.cpp)
     std::vector<float> metric, metric_slope;  // (k, 8): P(theta_2) and dP/dtheta_2
@@ -99,21 +116,16 @@ struct Workspace {
     std::vector<float> usable;     // (n): 0 or 1
 
     // Weights (weights.cpp)
-    std::vector<float> base_sqrt_weights;    // (n k): without noise weights, which depend on theta_2
-    std::vector<float> sqrt_weights;         // (n k)
     std::vector<float> weight_slope;         // (n k) relative derivative by theta_2, or empty
     std::vector<float> masked;               // (n k): sqrt_weights, 0 at unusable pixels
-    std::vector<float> channel_noise;        // (n, 8): variance of the channels, for noise weights
-    std::vector<double> model_variance;      // (n): variance due to the model's errors, for noise weights
     std::vector<float> variance;             // (n k): of the residuals, for weights that use it
-    std::vector<float> known, known_before;  // (n): 1 where colours are usable, now and at the last weights
-    std::array<double, 2> unexplained{}, unexplained_before{};  // variance of gradients and colour
-    double noise_variance = 0.0;             // at weight 1; NaN if the weights define none
+    std::vector<float> known;                // (n): 1 where colours are usable
+    std::array<double, 2> unexplained{};     // variance of gradients and colour
     std::vector<double> sizes, sorted;
     std::vector<float> planes;
 
     // Normal equations (normal_equations.cpp)
-    Matrix gram, factor;            // A'A, and the Cholesky factor of A'A plus the ridge over the usable pixels
+    Matrix factor;                  // the Cholesky factor of A'A plus the ridge over the usable pixels
     std::vector<double> ar;         // A'r - ridge lambda
     std::vector<double> lam_step;
     double squares = 0.0, weight = 0.0;  // r'r and the sum of the weights
@@ -134,10 +146,7 @@ struct Workspace {
     Matrix damping_matrix;  // expected_hessian plus the priors
     Matrix small, other;
     std::vector<char> observable;
-    std::vector<double> step, last_step, prior_precision, along;
-    double prior_scale = 1.0;     // scale of the shape prior's variances
-    double least_curvature = 0.5;  // lower bound on the curvature, as a fraction of the expected
-    double point_variance = 0.0;  // converts the points' precision to units of squared residuals
+    std::vector<double> step, prior_precision, along;
     Spectrum spectrum;
 
     // Sets the arrays to a state and to the model's weights.

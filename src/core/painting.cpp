@@ -1,6 +1,7 @@
 #include "painting.hpp"
 
 #include <cmath>
+#include <limits>
 
 namespace liaam {
 
@@ -20,12 +21,13 @@ void follow(float* row, const float* from, std::size_t depth, float feedback) {
 
 }  // namespace
 
-void carry_values(Doubles points, Rows<const std::int32_t> triangles, Rows<const double> values, Rows<std::int32_t> owner,
-                  double* carried) {
+void draw_triangles(Rows<const double> points, Rows<const std::int32_t> triangles, Rows<const double> values,
+                    Rows<std::int32_t> owner, double* drawn) {
     const std::size_t depth = values.n_columns;
+    std::vector<double> nearness(owner.n_rows * owner.n_columns, -std::numeric_limits<double>::infinity());
     for (std::size_t t = 0; t < triangles.n_rows; ++t) {
         const auto triangle = triangles[t];
-        const double *a = &points[2 * triangle[0]], *b = &points[2 * triangle[1]], *c = &points[2 * triangle[2]];
+        const double *a = points[triangle[0]].data(), *b = points[triangle[1]].data(), *c = points[triangle[2]].data();
         const double x0 = b[0] - a[0], y0 = b[1] - a[1], x1 = c[0] - a[0], y1 = c[1] - a[1];
         const double determinant = x0 * y1 - x1 * y0;
         if (determinant == 0.0) continue;
@@ -37,43 +39,13 @@ void carry_values(Doubles points, Rows<const std::int32_t> triangles, Rows<const
             for (auto x = left; x < right; ++x) {
                 const double dx = x - a[0], dy = y - a[1];
                 const double v = (y1 * dx - x1 * dy) / determinant, w = (x0 * dy - y0 * dx) / determinant;
-                const double u = 1.0 - v - w;
-                std::int32_t& own = owner[y][x];
-                if (own >= 0 || u < -kOnEdge || v < -kOnEdge || w < -kOnEdge) continue;
-                own = static_cast<std::int32_t>(t);
-                double* out = carried + (y * owner.n_columns + x) * depth;
-                for (std::size_t n = 0; n < depth; ++n)
-                    out[n] = u * values[triangle[0]][n] + v * values[triangle[1]][n] + w * values[triangle[2]][n];
-            }
-        }
-    }
-}
-
-void draw_triangles(Rows<const double> points, Rows<const std::int32_t> triangles, Rows<const double> attributes,
-                    Rows<double> nearness, float* image) {
-    const std::size_t depth = attributes.n_columns;
-    for (std::size_t t = 0; t < triangles.n_rows; ++t) {
-        const auto triangle = triangles[t];
-        const double *a = points[triangle[0]].data(), *b = points[triangle[1]].data(), *c = points[triangle[2]].data();
-        const double area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-        if (area == 0.0) continue;
-        const auto left = clipped(std::ceil(std::min({a[0], b[0], c[0]})), nearness.n_columns);
-        const auto right = clipped(std::floor(std::max({a[0], b[0], c[0]})) + 1, nearness.n_columns);
-        const auto top = clipped(std::ceil(std::min({a[1], b[1], c[1]})), nearness.n_rows);
-        const auto bottom = clipped(std::floor(std::max({a[1], b[1], c[1]})) + 1, nearness.n_rows);
-        for (auto y = top; y < bottom; ++y) {
-            for (auto x = left; x < right; ++x) {
-                const double v = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area;
-                const double w = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area, u = 1.0 - v - w;
-                if (u < -kOnEdge || v < -kOnEdge || w < -kOnEdge) continue;
-                const double z = u * a[2] + v * b[2] + w * c[2];
-                double& nearest = nearness[y][x];
-                if (!(z > nearest)) continue;
-                nearest = z;
-                float* out = image + (y * nearness.n_columns + x) * depth;
+                const double u = 1.0 - v - w, near = u * a[2] + v * b[2] + w * c[2];
+                const std::size_t pixel = y * owner.n_columns + x;
+                if (u < -kOnEdge || v < -kOnEdge || w < -kOnEdge || !(near > nearness[pixel])) continue;
+                nearness[pixel] = near;
+                owner.data[pixel] = static_cast<std::int32_t>(t);
                 for (std::size_t k = 0; k < depth; ++k)
-                    out[k] = static_cast<float>(u * attributes[triangle[0]][k] + v * attributes[triangle[1]][k] +
-                                                w * attributes[triangle[2]][k]);
+                    drawn[pixel * depth + k] = u * values[triangle[0]][k] + v * values[triangle[1]][k] + w * values[triangle[2]][k];
             }
         }
     }

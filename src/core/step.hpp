@@ -6,10 +6,6 @@
 
 namespace liaam {
 
-// Lower bound on the curvature of steps with the expected gradient, as a fraction of the expected curvature. Far from
-// the solution the gradients of image and model agree less, and undamped steps would diverge.
-constexpr double kLeastCurvature = 0.5;
-
 // Marks the entries of q that may move: p, and the angles that the image determines. False if an angle is held.
 bool observable_parameters(const Method& method, double observable, Workspace& work);
 

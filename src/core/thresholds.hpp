@@ -26,6 +26,9 @@ constexpr double kEarlyScored = 0.4;       // the same at the finest level if st
 constexpr double kCoarse = 10.0;           // factor on the tolerance at all levels but the finest: they only start it
 constexpr double kCoarseRelative = 5.0;    // factor on the relative tolerance there; 10 loses distant starts
 
-constexpr double kLeastGrowth = 1.0 / 3.0, kMostGrowth = 3.0;  // change of size beyond which a fit has diverged
+constexpr double kLeastGrowth = 1.0 / 3.0;  // change of size beyond which a fit has diverged
+constexpr double kMostGrowth = 3.0;
+constexpr double kLeastCurvature = 0.5;    // lower bound on the curvature of steps with the expected gradient, as a fraction
+                                           // of the expected curvature: far from the solution, undamped steps diverge
 
 }  // namespace liaam::thresholds

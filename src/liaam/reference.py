@@ -3,8 +3,6 @@
 They also replace these where the core could not be built. That of the fit is :mod:`liaam.fitting.reference`.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
 CHANNELS = 8
@@ -241,89 +239,34 @@ def best_peaks(image: np.ndarray, count: int, least: float, reach: int) -> tuple
     return places, image[places[:, 0], places[:, 1]]
 
 
-def carry(
-    points: np.ndarray, triangles: np.ndarray, values: np.ndarray, width: int, height: int
+def draw_triangles(
+    points: np.ndarray, triangles: np.ndarray, values: np.ndarray, height: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate values of a mesh's vertices, (n, c) float64, at the pixels of an image.
+    """Draw triangles (m, 3), and interpolate values of their vertices, (n, c) float64, at the pixels of an image.
 
-    A pixel on a common edge belongs to the first triangle. Vertices (n, 2) may lie outside the image. Return the index
-    of each pixel's triangle, (height, width) int32, -1 outside the mesh, and the values, (height, width, c), 0 there.
+    The vertices (n, 3) are (column, row, nearness), and may lie outside the image; the largest nearness is visible, and
+    of equal ones the first. Return the index of each pixel's triangle, (height, width) int32, -1 where there is none,
+    and the values, (height, width, c), 0 there.
     """
-    owner, carried = np.full((height, width), -1, np.int32), np.zeros((height, width, values.shape[1]))
+    owner, drawn = np.full((height, width), -1, np.int32), np.zeros((height, width, values.shape[1]))
+    nearness = np.full((height, width), -np.inf)
     for t, corners in enumerate(triangles):
         a, b, c = points[corners]
-        (x0, y0), (x1, y1) = b - a, c - a
+        (x0, y0), (x1, y1) = (b - a)[:2], (c - a)[:2]
         determinant = x0 * y1 - x1 * y0
         if determinant == 0:
             continue
-        low = np.clip(np.floor(np.min([a, b, c], axis=0)), 0, [width, height]).astype(int)
-        high = np.clip(np.ceil(np.max([a, b, c], axis=0)) + 1, 0, [width, height]).astype(int)
+        low = np.clip(np.floor(np.min([a, b, c], axis=0)[:2]), 0, [width, height]).astype(int)
+        high = np.clip(np.ceil(np.max([a, b, c], axis=0)[:2]) + 1, 0, [width, height]).astype(int)
         x, y = np.mgrid[low[0] : high[0], low[1] : high[1]].reshape(2, -1)
         dx, dy = x - a[0], y - a[1]
         v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
         weights = np.column_stack([1.0 - v - w, v, w])
-        inside = (weights >= -ON_EDGE).all(axis=1) & (owner[y, x] < 0)
-        owner[y[inside], x[inside]], carried[y[inside], x[inside]] = t, weights[inside] @ values[corners]
-    return owner, carried
-
-
-def draw_triangles(
-    points: np.ndarray, triangles: np.ndarray, attributes: np.ndarray, height: int, width: int, farthest: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Draw triangles (m, 3) with a z-buffer, which begins at ``farthest``.
-
-    The vertices (n, 3) are (column, row, nearness); the largest nearness is visible, and of equal ones the first.
-    Returns their interpolated attributes (height, width, k) float32, 0 where nothing is drawn, and the nearness
-    (height, width) float64.
-    """
-    image, depth = np.zeros((height * width, attributes.shape[1]), np.float32), np.full(height * width, farthest)
-    for pixels, nearness, weights, corners in _visible(points, triangles, height, width, depth):
-        depth[pixels] = nearness
-        image[pixels] = np.einsum("nv,nvk->nk", weights, attributes[corners])
-    return image.reshape(height, width, -1), depth.reshape(height, width)
-
-
-AT_ONCE = 2_000_000
-"""Pixels of the triangles' boxes that are looked at together."""
-
-
-def _visible(points: np.ndarray, triangles: np.ndarray, height: int, width: int, depth: np.ndarray) -> Iterator:
-    """Yield pixels that triangles cover nearer than ``depth`` (height * width,), which the caller updates.
-
-    Each item has the pixels (n,), their nearness (n,), and the barycentric weights and the vertices (n, 3) of the
-    nearest triangle; of equally near ones the first.
-    """
-    corners = points[triangles, :2]
-    (x0, y0), (x1, y1) = (np.moveaxis(corners[:, i] - corners[:, 0], 1, 0) for i in (1, 2))
-    low = np.maximum(np.ceil(corners.min(axis=1)), 0).astype(int)
-    high = np.minimum(np.floor(corners.max(axis=1)), (width - 1, height - 1)).astype(int)
-    sides = np.where((x0 * y1 - y0 * x1 != 0.0)[:, None], np.maximum(high - low + 1, 0), 0)
-    parts = np.cumsum(sides.prod(axis=1)) // AT_ONCE
-    for part in range(int(parts[-1]) + 1 if len(parts) else 0):
-        chosen = np.flatnonzero(parts == part)
-        pixels, nearness, weights, owners = _covered(points, triangles, chosen, low, sides, width)
-        nearer = nearness > depth[pixels]
-        pixels, nearness, weights, owners = (each[nearer] for each in (pixels, nearness, weights, owners))
-        order = np.lexsort((owners, -nearness, pixels))
-        first = order[np.flatnonzero(np.diff(pixels[order], prepend=-1))]
-        yield pixels[first], nearness[first], weights[first], triangles[owners[first]]
-
-
-def _covered(points, triangles, chosen, low, sides, width):
-    """Return all pixels of some triangles, with nearness, barycentric weights and the triangle of each."""
-    counts = sides[chosen].prod(axis=1)
-    owners = np.repeat(chosen, counts)
-    within = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
-    x = low[owners, 0] + within % sides[owners, 0]
-    y = low[owners, 1] + within // sides[owners, 0]
-    a, b, c = points[triangles[owners]].transpose(1, 2, 0)
-    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    second = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-    third = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-    weights = np.column_stack([1.0 - second - third, second, third])
-    nearness = weights[:, 0] * a[2] + weights[:, 1] * b[2] + weights[:, 2] * c[2]
-    inside = (weights >= -ON_EDGE).all(axis=1)
-    return (y * width + x)[inside], nearness[inside], weights[inside], owners[inside]
+        near = weights @ [a[2], b[2], c[2]]
+        seen = (weights >= -ON_EDGE).all(axis=1) & (near > nearness[y, x])
+        at = y[seen], x[seen]
+        owner[at], nearness[at], drawn[at] = t, near[seen], weights[seen] @ values[corners]
+    return owner, drawn
 
 
 def filter_rows_and_columns(layers: np.ndarray, across: np.ndarray, down: np.ndarray) -> None:

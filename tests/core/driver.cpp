@@ -232,12 +232,10 @@ void draw_once(Rng& rng) {
     points[0] = odd(rng, points[0]);
     std::vector<std::int32_t> triangles;
     for (int i = 0; i < 12; ++i) triangles.push_back(integer(rng, 0, static_cast<int>(n) - 1));
-    std::vector<float> image(2 * height * width);
-    std::vector<double> nearness(height * width, -1e9);
-    draw_triangles({points.data(), n, 3}, {triangles.data(), 4, 3}, {values.data(), n, 2}, {nearness.data(), height, width}, image.data());
     std::vector<std::int32_t> owner(height * width, -1);
-    std::vector<double> carried(2 * height * width);
-    carry_values(Doubles(points).first(2 * n), {triangles.data(), 4, 3}, {values.data(), n, 2}, {owner.data(), height, width}, carried.data());
+    std::vector<double> drawn(2 * height * width);
+    draw_triangles({points.data(), n, 3}, {triangles.data(), 4, 3}, {values.data(), n, 2}, {owner.data(), height, width}, drawn.data());
+    const std::vector<float> image(drawn.begin(), drawn.end());
     const Plane plane{image.data(), static_cast<std::ptrdiff_t>(height), static_cast<std::ptrdiff_t>(width),
                       static_cast<std::ptrdiff_t>(2 * width), 2};
     const auto peaks = best_peaks(plane, integer(rng, 0, 5), 0.1f, integer(rng, 0, 4));

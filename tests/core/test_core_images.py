@@ -172,7 +172,8 @@ def test_values_of_vertices_are_carried_to_the_first_triangle_of_a_pixel(module,
     points, values = rng.uniform(0, 18, (n, 2)), rng.normal(size=(n, 2))
     points = np.rint(points) if grid else points  # vertices and edges on pixels, triangles of no area
     triangles = np.array([rng.permutation(n)[:3] for _ in range(2 * n)], dtype=np.int32)
-    owner, carried = module.carry(points, triangles, values, 20, 19)
+    flat = np.pad(points, ((0, 0), (0, 1)))
+    owner, carried = module.draw_triangles(flat, triangles, values, 19, 20)
     y, x = np.mgrid[:19, :20].reshape(2, -1)
     pixels = np.column_stack([x, y]).astype(float)
     weights = np.array([barycentric(pixels, points[triangle]) for triangle in triangles])
@@ -181,7 +182,7 @@ def test_values_of_vertices_are_carried_to_the_first_triangle_of_a_pixel(module,
     np.testing.assert_array_equal(owner.ravel(), expected)
     own = np.einsum("pv,pvc->pc", weights[expected, range(len(pixels))], values[triangles[expected]])
     np.testing.assert_allclose(carried.reshape(-1, 2), np.where(expected[:, None] >= 0, own, 0.0), atol=1e-7)
-    cut, inner = module.carry(points - (6, 5), triangles, values, 7, 8)  # some vertices are outside
+    cut, inner = module.draw_triangles(flat - (6, 5, 0), triangles, values, 8, 7)  # some vertices are outside
     np.testing.assert_array_equal(cut, owner[5:13, 6:13])
     np.testing.assert_allclose(inner, carried[5:13, 6:13], atol=1e-9)
 
@@ -237,17 +238,19 @@ def test_the_nearest_triangle_is_drawn(module, n, grid, seed):
     points, values = rng.uniform(-3, 18, (n, 3)), rng.normal(size=(n, 2))
     points = np.rint(points) if grid else points
     triangles = np.array([rng.permutation(n)[:3] for _ in range(2 * n)], dtype=np.int32)
-    image, nearness = module.draw_triangles(points, triangles, values, 15, 14, -1e9)
+    owner, image = module.draw_triangles(points, triangles, np.column_stack([values, points[:, 2]]), 15, 14)
     y, x = np.mgrid[:15, :14].reshape(2, -1)
     weights = np.array([barycentric(np.column_stack([x, y]).astype(float), points[t, :2]) for t in triangles])
     inside = (weights >= -1e-9).all(axis=2)
     depth = np.where(inside, np.einsum("tpv,tv->tp", weights, points[triangles, 2]), -1e9)
+    np.testing.assert_array_equal(owner.ravel() >= 0, inside.any(axis=0))
+    nearness = np.where(owner >= 0, image[..., 2], -1e9)
     np.testing.assert_allclose(nearness.ravel(), depth.max(axis=0), atol=1e-7)
     shown = np.einsum("tpv,tvk->tpk", weights, values[triangles])
     nearest = inside & (depth >= depth.max(axis=0) - 1e-7)
-    off = np.abs(shown - image.reshape(-1, 2)).max(axis=2)
+    off = np.abs(shown - image[..., :2].reshape(-1, 2)).max(axis=2)
     assert (np.where(nearest, off, np.inf).min(axis=0)[inside.any(axis=0)] < 1e-5).all()
-    assert not image.reshape(-1, 2)[~inside.any(axis=0)].any()
+    assert not image[owner < 0].any()
 
 
 @given(size=st.tuples(st.integers(1, 9), st.integers(1, 9)), depth=st.integers(1, 4), seed=seeds)
@@ -269,8 +272,8 @@ REFUSED = {
     "a table that is too short": lambda: _core.stored_means(
         np.zeros((9, 9, 3), np.uint8), TABLE[:, :9].copy(), 0.0, 0.0, 1.0, 1, 1
     ),
-    "a vertex that does not exist": lambda: _core.carry(
-        np.zeros((3, 2)), np.array([[0, 1, 3]], np.int32), np.zeros((3, 1)), 4, 4
+    "a vertex that does not exist": lambda: _core.draw_triangles(
+        np.zeros((3, 3)), np.array([[0, 1, 3]], np.int32), np.zeros((3, 1)), 4, 4
     ),
     "a row without a neighbour": lambda: _core.bent_counts(np.zeros((4, 4, 3), np.uint8), np.array([0])),
     "an image of one row": lambda: _core.sample_channels(np.zeros((1, 5, 2), np.float32), np.zeros((1, 2))),

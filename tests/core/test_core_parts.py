@@ -1,5 +1,8 @@
 """Small systems, steps and weights of the core and of the reference do what their formulas say."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -12,6 +15,7 @@ from liaam.fitting.angles import SEARCH, _minimise_on_arc
 from liaam.fitting.methods import LOSSES, gaussian_median
 from liaam.fitting.reference_loop import DAMPING_FLOOR, OBSERVABLE_APART, ROUNDING, THRESHOLDS
 
+ROOT = Path(__file__).resolve().parents[2]
 seeds, dampings = st.integers(0, 999), st.sampled_from([0.0, 1e-3, 1.0, 1e4])
 entries = st.lists(st.booleans(), min_size=8, max_size=8).map(np.array)
 LEAST = THRESHOLDS["LEAST_CURVATURE"]
@@ -31,9 +35,11 @@ def symmetric(rng: np.random.Generator, eigenvalues: np.ndarray) -> np.ndarray:
     return (turn * eigenvalues) @ turn.T
 
 
-@built
 def test_thresholds_are_the_same():
-    assert _core.thresholds() == THRESHOLDS
+    header = (ROOT / "src/core/thresholds.hpp").read_text()
+    found = dict(re.findall(r"constexpr \w+ k(\w+) = ([^;]+);", header))
+    names = {re.sub(r"(?<!^)(?=[A-Z])", "_", name).upper(): eval(value) for name, value in found.items()}
+    assert names == THRESHOLDS
 
 
 @built

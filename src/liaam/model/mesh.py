@@ -155,8 +155,9 @@ class ReferenceFrame:
     @cached_property
     def _raster(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixel indices (row, column), triangle and weights of every pixel inside the mesh."""
-        points, nothing = np.ascontiguousarray(self.points - self.origin, np.float64), np.zeros((len(self.points), 0))
-        owner, _ = _core.carry(points, np.ascontiguousarray(self.triangles, np.int32), nothing, *self.size)
+        points, nothing = self.points - self.origin, np.zeros((len(self.points), 0))
+        flat = np.pad(points, ((0, 0), (0, 1)))
+        owner, _ = _core.draw_triangles(flat, np.ascontiguousarray(self.triangles, np.int32), nothing, *self.size[::-1])
         rows, columns = np.nonzero(owner >= 0)
         own = owner[rows, columns]
         a, b, c = points[self.triangles[own]].transpose(1, 2, 0)

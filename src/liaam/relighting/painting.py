@@ -95,9 +95,9 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     if not len(triangles):
         return picture, inside
     rows, columns = box_of(shape, 0.0, image.shape)
-    corners = np.ascontiguousarray(shape - (columns.start, rows.start), np.float64)
-    there, size = model.shape_model.mean - model.frame.origin, (columns.stop - columns.start, rows.stop - rows.start)
-    owner, own = _core.carry(corners, np.ascontiguousarray(triangles, np.int32), there, *size)
+    corners = np.pad(shape - (columns.start, rows.start), ((0, 0), (0, 1)))
+    there, size = model.shape_model.mean - model.frame.origin, (rows.stop - rows.start, columns.stop - columns.start)
+    owner, own = _core.draw_triangles(corners, np.ascontiguousarray(triangles, np.int32), there, *size)
     y, x = np.nonzero(owner >= 0)
     # At the mesh's border, pixels outside it have no weight.
     known = np.ones((len(values), 1), np.float32)
