@@ -49,15 +49,13 @@ class Objective:
         Precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels.
     illumination : AppearanceModel, optional
         Illumination basis, for methods that add one.
-    correlated : float
-        Number of pixels per independent residual, for weights that do not account for correlation.
+    blur : float
+        Standard deviation of the image's blur, model pixels.
     density : float
         Fraction of the frame's pixels that are used.
     dof : float
         Degrees of freedom of the prior's scale (:func:`liaam.fitting.reference_loop.next_prior_scale`); infinite for a
         scale of 1.
-    whole : Objective, optional
-        The same objective over all of the frame's pixels, in the order of ``warp.kept``; by default this one.
     in_frame : (AppearanceModel, AppearanceModel or None), optional
         Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default
         those at the warp's pixels.
@@ -69,16 +67,15 @@ class Objective:
     theta_model: float
     prior: np.ndarray
     illumination: AppearanceModel | None = None
-    correlated: float = 1.0
+    blur: float = 0.0
     density: float = 1.0
     dof: float = np.inf
-    whole: "Objective | None" = None
     in_frame: tuple[AppearanceModel, AppearanceModel | None] | None = None
 
     @property
-    def of_all_pixels(self) -> "Objective":
-        """The same objective over all of the frame's pixels."""
-        return self if self.whole is None else self.whole
+    def correlated(self) -> float:
+        """Number of pixels per independent residual, for weights that do not account for correlation."""
+        return max(1.0, self.density * correlated_pixels(self.blur))
 
     @property
     def n_q(self) -> int:
@@ -327,23 +324,19 @@ def _objective(model: AAM, method: Method, warp: PiecewiseAffineWarp, level: Lev
     # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
     prior = np.concatenate([1.0 / np.maximum(warp.shape_model.eigenvalues, 1e-12), np.zeros(4)])
 
-    def at(kept: np.ndarray, whole: Objective | None = None) -> Objective:
-        density = len(kept) / len(appearance.mean)
-        return Objective(
-            method,
-            warp.at(kept),
-            appearance.at(kept),
-            model.theta,
-            prior,
-            None if illumination is None else illumination.at(kept),
-            correlated=max(1.0, density * correlated_pixels(level.blur)),
-            density=density,
-            dof=dof,
-            whole=whole,
-            in_frame=(appearance, illumination),
-        )
-
-    return at(warp.every(thinning * level.blur), at(warp.every(0.0)))
+    kept = warp.every(thinning * level.blur)
+    return Objective(
+        method,
+        warp.at(kept),
+        appearance.at(kept),
+        model.theta,
+        prior,
+        None if illumination is None else illumination.at(kept),
+        blur=level.blur,
+        density=len(kept) / len(appearance.mean),
+        dof=dof,
+        in_frame=(appearance, illumination),
+    )
 
 
 def _encoded(model: AAM, method: Method) -> Method:

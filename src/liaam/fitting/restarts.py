@@ -5,12 +5,15 @@ half-way, with the far side of the outline in the background.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from liaam.fitting.levels import FittedLevel, Target, is_sane, prepare_level, spare
+from liaam.fitting.levels import FittedLevel, Target, is_sane, prepare_level
 from liaam.fitting.objective import Objective
-from liaam.fitting.solver import SolverOptions
+from liaam.fitting.prepared import Prepared
+from liaam.fitting.result import FitResult
+from liaam.fitting.solver import SolverOptions, spare
 from liaam.model.shape import diagonal_of
 
 BENT = 2.5
@@ -33,9 +36,18 @@ APART = 0.02
 """Root mean square distance, as a fraction of the diagonal, below which two shapes count as the same."""
 
 
-def other_starts(
-    objective: Objective, blur: float, target: Target, options: SolverOptions, kept: int = KEPT
-) -> list[np.ndarray]:
+def fit_again(prepared: Prepared, target: Target, first: FitResult) -> FitResult:
+    """Return the better fit by quality, of the first and the best from other starts."""
+    starts, options = other_starts(prepared.objectives[0], target, prepared.options), prepared.options
+    if not starts:
+        return first
+    fits = [prepared.fit_blurred(target._replace(start=start), options) for start in starts]
+    best = prepared.fit_sharpest(max(fits, key=lambda each: each.quality), options)
+    better = best.quality > first.quality and is_sane(best.landmarks, target.start)
+    return replace(best if better else first, n_starts=first.n_starts + len(fits))
+
+
+def other_starts(objective: Objective, target: Target, options: SolverOptions, kept: int = KEPT) -> list[np.ndarray]:
     """Find other shapes to start a fit from.
 
     The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level. The best of these
@@ -45,8 +57,6 @@ def other_starts(
     ----------
     objective : Objective
         Objective of the coarsest level.
-    blur : float
-        Blur of that level, model pixels.
     target : Target
     options : SolverOptions
     kept : int
@@ -58,7 +68,7 @@ def other_starts(
         Shapes in image pixels, best first.
     """
     options = spare(options)
-    image, state, pose = prepare_level(objective, blur, target.measured(objective.method), (), options)
+    image, state, pose = prepare_level(objective, target.measured(objective.method), (), options)
     warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarity vectors come last
     deviations = objective.prior[:n_modes] ** -0.5
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
-from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, solve_levels
+from liaam.fitting.levels import FittedLevel, Levels, LinearImage, Target
 from liaam.fitting.methods import get_method
-from liaam.fitting.objective import THINNING, Objective, make_objectives
+from liaam.fitting.objective import THINNING, make_objectives
 from liaam.fitting.peaks import Peaks, Place, strongest
 from liaam.fitting.picture import described, load_picture
 from liaam.fitting.responses import Bank
@@ -148,10 +148,10 @@ class Finder:
         return Bank(rotated, int(PADDING * self.small.diagonal), normalised=True)
 
     @cached_property
-    def objective(self) -> Objective:
-        """The objective of the fits of places."""
+    def level(self) -> Levels:
+        """The level of the fits of places."""
         # The limits on scores were set with this thinning. All pixels find no more, and take longer.
-        return make_objectives(self.small, get_method("igo"), thinning=THINNING)[0]
+        return Levels(make_objectives(self.small, get_method("igo"), thinning=THINNING), keeps_samples=True)
 
     def find(
         self,
@@ -202,31 +202,13 @@ class Finder:
         mean, places = self.model.shape_model.mean, choose(search.ranked(worth), are_apart, most) + search.filling()
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in choose(places, are_apart)]
 
-    def __getstate__(self) -> dict:
-        """Leave out what the core holds."""
-        return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
-
-    @cached_property
-    def _levels(self) -> list[tuple[Objective, float]]:
-        return [(self.objective, self.small.levels[0].blur)]
-
-    @cached_property
-    def _compiled(self) -> CompiledLevels | None:
-        """The fits of places, prepared for the core."""
-        if not CompiledLevels.can_fit(self._levels):
-            return None
-        return CompiledLevels(self._levels, keeps_samples=True)
-
     def _fitted(self, linear: LinearImage, place: Place, template: Template, field: Field) -> Detection:
         """Fit the reduced model at a place of a field, from a template's shape, and score the result."""
-        warp = self.objective.warp
+        (objective,) = self.level.objectives
+        warp = objective.warp
         pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
         start = pose(warp.shape(template.p))
-        target = Target(linear, start, margin=VISITED)
-        if self._compiled is not None and CompiledLevels.can_take(target, SETTINGS):
-            (level,) = self._compiled.fit(target, SETTINGS)
-        else:
-            (level,) = solve_levels(self._levels, target, SETTINGS)
+        (level,) = self.level.fit(Target(linear, start, margin=VISITED), SETTINGS)
         shape, growth = level.reached, diagonal_of(level.reached) / diagonal_of(start)
         if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
             return self._detection(start, 0.0)
@@ -235,7 +217,7 @@ class Finder:
 
     def _score(self, level: FittedLevel, strength: np.ndarray) -> float:
         """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape."""
-        solution, weights = level.solution, self.objective.appearance.usable[:, None].astype(np.float64)
+        solution, weights = level.solution, level.objective.appearance.usable[:, None].astype(np.float64)
         seen = solution.samples.reshape(-1, 2).astype(np.float64)
         expected = seen - solution.residual.reshape(-1, 2)
         # Pixels outside the image count as unexplained: otherwise half an object at the border scores as a whole one.

@@ -73,7 +73,7 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
 
 def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, LevelImage, State]:
     """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
-    linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.objectives[-1].of_all_pixels
+    linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.dense
     blur, noise = fitter.view.levels[-1].blur, fitter.image_camera.noise
     about = objective.method, linear.response, blur, noise, MARGIN, objective.density
     encoded = LevelImage.at(linear.image, result.landmarks, result.pose, *about)
