@@ -8,9 +8,8 @@ import numpy as np
 
 from liaam import _core
 from liaam.errors import MethodError
-from liaam.fitting.held import check_holds
 from liaam.fitting.level_image import LevelImage, correlated_pixels
-from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, gaussian_median
+from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, check_holds, gaussian_median
 from liaam.fitting.reference import CORRELATED, GRADIENT_ROWS, Problem
 from liaam.fitting.reference_loop import solve_level
 from liaam.model import AAM, Level
