@@ -1,11 +1,11 @@
 """Responses of templates: their correlation with an image's gradient orientations, and its strongest maxima."""
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.peaks import Peaks
 from liaam.fitting.templates import Field, Template, spectra
 
 SPECTRA_KEPT = 600_000
@@ -16,6 +16,21 @@ SURROUNDINGS = 2
 
 LEAST_RESPONSE = 1e-3
 """Smallest response of a place."""
+
+
+class Peaks(NamedTuple):
+    """Local maxima of the templates' responses."""
+
+    centres: np.ndarray
+    """(k, 2) float64: centre of the shape, image pixels."""
+    scales: np.ndarray
+    """(k,) float64: image pixels per pixel of the reduced model."""
+    fields: np.ndarray
+    """(k,) int: index of the image's field."""
+    templates: np.ndarray
+    """(k,) int: index of the template."""
+    responses: np.ndarray
+    """(k,) float64: mean cosine between expected and measured orientation, weighted by the length of both."""
 
 
 class Bank:
@@ -94,3 +109,18 @@ class Bank:
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
         return {**self.__dict__, "_spectra": {}}
+
+
+def strongest(peaks: Peaks, apart: float, count: int) -> np.ndarray:
+    """Return indices of the strongest peaks, without those near a stronger one of similar size."""
+    left, chosen = peaks.responses.copy(), []
+    logs = np.log(peaks.scales)
+    while len(chosen) < count and left.size and left.max() > 0:
+        best = int(left.argmax())
+        chosen.append(best)
+        near = np.linalg.norm(peaks.centres - peaks.centres[best], axis=1) < apart * np.minimum(
+            peaks.scales, peaks.scales[best]
+        )
+        left[near & (np.abs(logs - logs[best]) < 0.3)] = 0.0
+        left[best] = 0.0
+    return np.array(chosen, dtype=int)

@@ -15,9 +15,8 @@ from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, 
 from liaam.fitting.levels import FittedLevel, Levels, LinearImage, Target
 from liaam.fitting.methods import get_method
 from liaam.fitting.objective import THINNING, make_objectives
-from liaam.fitting.peaks import Peaks, Place, strongest
 from liaam.fitting.picture import described, load_picture
-from liaam.fitting.responses import Bank
+from liaam.fitting.responses import Bank, Peaks, strongest
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
 from liaam.model import AAM
@@ -202,12 +201,12 @@ class Finder:
         mean, places = self.model.shape_model.mean, choose(search.ranked(worth), are_apart, most) + search.filling()
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in choose(places, are_apart)]
 
-    def _fitted(self, linear: LinearImage, place: Place, template: Template, field: Field) -> Detection:
+    def _fitted(
+        self, linear: LinearImage, centre: np.ndarray, scale: float, template: Template, field: Field
+    ) -> Detection:
         """Fit the reduced model at a place of a field, from a template's shape, and score the result."""
-        (objective,) = self.level.objectives
-        warp = objective.warp
-        pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
-        start = pose(warp.shape(template.p))
+        warp = self.level.objectives[0].warp
+        start = Similarity(rotation(template.turn) * scale, centre)(warp.shape(template.p))
         (level,) = self.level.fit(Target(linear, start, margin=VISITED), SETTINGS)
         shape, growth = level.reached, diagonal_of(level.reached) / diagonal_of(start)
         if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
@@ -258,16 +257,17 @@ class _Search:
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / finder.small.diagonal)
         self.fields: list[Field] = []
         self.found: list[Peaks] = []
-        self.strongest: Peaks  # of all sizes looked at, without those near a stronger one
-        self.fits: dict[Place, Detection] = {}
+        self.peaks: Peaks  # of all sizes looked at
+        self.strongest: np.ndarray  # their indices, without those near a stronger one
+        self.fits: dict[int, Detection] = {}  # by these indices
 
     def for_one(self, least: float) -> list[Detection]:
         """Fit the best places until one is certain and scores at least ``least``, large objects first."""
         large = self.sizes >= LARGE * min(self.image.shape[:2])  # never empty: the largest size exceeds the image
         most = None if large.all() else LARGE_PLACES
-        seen, sure = self._in_turn(self._peaks(self.sizes[large], WORTH), least, most)
+        seen, sure = self._in_turn(self._look(self.sizes[large], WORTH)[:most], least)
         if not sure and not large.all():
-            seen, _ = self._in_turn(self._peaks(self.sizes[~large], WORTH), least)
+            seen, _ = self._in_turn(self._look(self.sizes[~large], WORTH), least)
         if not seen and self.fits:  # the best places all lie outside the image, and weaker ones were left out
             return self.for_all()
         return seen
@@ -282,22 +282,20 @@ class _Search:
         return [detection for detection, _ in sorted(places, key=lambda each: -each[1])]
 
     def _seen(self) -> list[tuple[Detection, float]]:
-        self.found = []
-        peaks = self._peaks(self.sizes)
-        seen = zip(map(self._fitted, peaks.places()), peaks.responses.tolist(), strict=True)
+        self.fields, self.found, self.fits = [], [], {}
+        seen = [(self._fitted(i), float(self.peaks.responses[i])) for i in self._look(self.sizes)]
         return [(detection, each) for detection, each in seen if is_inside(detection.landmarks, self.image)]
 
     def beside(self, best: Detection) -> tuple[Detection, ...]:
         """Return further certain objects, from the responses that the search for one object has seen."""
-        peaks, small = self.strongest, self.finder.small
+        centres, scales, responses = (
+            column[self.strongest] for column in (self.peaks.centres, self.peaks.scales, self.peaks.responses)
+        )
         low, high = best.landmarks.min(axis=0), best.landmarks.max(axis=0)
-        outside = ((peaks.centres < low) | (peaks.centres > high)).any(axis=1)
-        large = peaks.scales * small.diagonal >= 0.5 * diagonal_of(best.landmarks)
-        clear = peaks.take(np.flatnonzero(outside & large & (peaks.responses >= CLEAR))[:MOST_BESIDE])
-        seen = [
-            (self._fitted(place), strength) for place, strength in zip(clear.places(), clear.responses, strict=True)
-        ]
-        sure = [each for each, strength in seen if each.score + strength >= SURE_BESIDE]
+        outside = ((centres < low) | (centres > high)).any(axis=1)
+        large = scales * self.finder.small.diagonal >= 0.5 * diagonal_of(best.landmarks)
+        clear = self.strongest[outside & large & (responses >= CLEAR)][:MOST_BESIDE]
+        sure = [self._fitted(i) for i in clear if self._fitted(i).score + self.peaks.responses[i] >= SURE_BESIDE]
         return tuple(choose([best, *sorted(sure, key=lambda each: -each.score)], are_beside)[1:])
 
     def filling(self) -> list[Detection]:
@@ -307,13 +305,16 @@ class _Search:
         """
         size, small, rotations = np.array(self.image.shape[1::-1]), self.finder.small, self.finder.rotations
         scales = [fraction * size.min() / small.diagonal for fraction in FILLING]
-        nearest = [int(np.argmin([abs(np.log(field.scale / scale)) for field in self.fields])) for scale in scales]
-        centre, turns = tuple(0.5 * (size - 1.0)), [TURNS[rotations].index(turn) for turn in FILLING_TURNS[rotations]]
-        places = [Place(centre, *at, turn) for turn in turns for at in zip(scales, nearest, strict=True)]
-        return [self._fitted(place) for place in places]
+        nearest = [min(self.fields, key=lambda field: abs(np.log(field.scale / scale))) for scale in scales]
+        templates = [self.bank.templates[TURNS[rotations].index(turn)] for turn in FILLING_TURNS[rotations]]
+        return [
+            self.finder._fitted(self.linear, 0.5 * (size - 1.0), scale, template, field)
+            for template in templates
+            for scale, field in zip(scales, nearest, strict=True)
+        ]
 
-    def _peaks(self, sizes: np.ndarray, worth: float = 0.0) -> Peaks:
-        """Return the places of the strongest responses, for these sizes and those searched before."""
+    def _look(self, sizes: np.ndarray, worth: float = 0.0) -> np.ndarray:
+        """Search these sizes; return the places of the strongest responses, also of those searched before."""
         small, first = self.finder.small, len(self.fields)
 
         def look(i: int) -> tuple[Field, Peaks]:
@@ -324,29 +325,30 @@ class _Search:
         for field, peaks in in_threads(look, range(len(sizes))):
             self.fields.append(field)
             self.found.append(peaks)
-        found = Peaks.join(self.found)
-        self.strongest = found.take(strongest(found, 0.2 * small.diagonal, self.count))
+        self.peaks = Peaks(*map(np.concatenate, zip(*self.found, strict=True)))
+        self.strongest = strongest(self.peaks, 0.2 * small.diagonal, self.count)
         return self.strongest
 
-    def _in_turn(self, peaks: Peaks, least: float, most: int | None = None) -> tuple[list[Detection], bool]:
+    def _in_turn(self, places: np.ndarray, least: float) -> tuple[list[Detection], bool]:
         """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""
         seen: list[Detection] = []
-        for place, strength in zip(peaks.places()[:most], peaks.responses, strict=False):
-            if strength < WORTH * peaks.responses[0]:
+        for place in places:
+            response = self.peaks.responses[place]
+            if response < WORTH * self.peaks.responses[places[0]]:
                 break
             detection = self._fitted(place)
             if not is_inside(detection.landmarks, self.image):
                 continue
             seen.append(detection)
-            if detection.score >= max(least, DOUBTFUL) and detection.score + strength >= SURE:
+            if detection.score >= max(least, DOUBTFUL) and detection.score + response >= SURE:
                 return seen, True
         return seen, False
 
-    def _fitted(self, place: Place) -> Detection:
+    def _fitted(self, place: int) -> Detection:
         if place not in self.fits:
-            field = self.fields[place.field]
-            template = self.bank.templates[place.template]
-            self.fits[place] = self.finder._fitted(self.linear, place, template, field)
+            centre, scale, field, template, _ = (column[place] for column in self.peaks)
+            about = self.bank.templates[template], self.fields[field]
+            self.fits[place] = self.finder._fitted(self.linear, centre, scale, *about)
         return self.fits[place]
 
 

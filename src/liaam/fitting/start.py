@@ -126,50 +126,32 @@ def _numbers(init, name: str) -> np.ndarray:
 
 
 def _shape(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
+    mean = model.shape_model.mean
     if given.shape == (model.n_points, 2):
-        return _from_shape(model, given, name)
+        seen = np.asarray(np.isfinite(given).all(axis=1))
+        if not seen.all() and seen.sum() < 3:
+            raise StartError(f"{name}: only {seen.sum()} of the start's landmarks are finite; give at least 3")
+        return given if seen.all() else np.where(seen[:, None], given, align(mean, given)(mean))
     if given.shape == (4,):
-        return _from_box(model, given, name)
-    if given.shape == (3,):
-        return _from_point(model, given, name)
-    if given.ndim == 2 and given.shape[1] == 2:
+        x0, y0, x1, y1 = given
+        if not np.isfinite(given).all() or x1 <= x0 or y1 <= y0:
+            box = ", ".join(f"{v:g}" for v in given)
+            raise StartError(f"{name}: the box {box} is empty; give left, top, right, bottom in pixels")
+        centre, diagonal = np.array([x0 + x1, y0 + y1]) / 2, float(np.hypot(x1 - x0, y1 - y0))
+    elif given.shape == (3,):
+        if not np.isfinite(given).all() or given[2] <= 0:
+            raise StartError(f"{name}: give the start as x, y and a positive size (the object's diagonal in pixels)")
+        centre, diagonal = given[:2], float(given[2])
+    elif given.ndim == 2 and given.shape[1] == 2:
         theirs = f" or {model.points.n_theirs} points of the other landmarker" if model.points is not None else ""
         raise StartError(
             f"{name}: the start has {len(given)} landmarks but the model has {model.n_points}{theirs}; to start from "
             "another landmarker's points, train with them ('liaam train --points FOLDER', or train(..., points=...))"
         )
-    raise StartError(
-        f"{name}: a start of shape {given.shape} is neither landmarks ({model.n_points}, 2), nor a box "
-        "(x0, y0, x1, y1), nor a point and a size (x, y, diagonal)"
-    )
-
-
-def _from_shape(model: AAM, shape: np.ndarray, name: str) -> np.ndarray:
-    seen = np.asarray(np.isfinite(shape).all(axis=1))
-    if seen.all():
-        return shape
-    if seen.sum() < 3:
-        raise StartError(f"{name}: only {seen.sum()} of the start's landmarks are finite; give at least 3")
-    whole = align(model.shape_model.mean, shape)(model.shape_model.mean)
-    return np.where(seen[:, None], shape, whole)
-
-
-def _from_box(model: AAM, box: np.ndarray, name: str) -> np.ndarray:
-    x0, y0, x1, y1 = box
-    if not np.isfinite(box).all() or x1 <= x0 or y1 <= y0:
+    else:
         raise StartError(
-            f"{name}: the box {', '.join(f'{v:g}' for v in box)} is empty; give left, top, right, bottom in pixels"
+            f"{name}: a start of shape {given.shape} is neither landmarks ({model.n_points}, 2), nor a box "
+            "(x0, y0, x1, y1), nor a point and a size (x, y, diagonal)"
         )
-    return _place(model, np.array([x0 + x1, y0 + y1]) / 2, float(np.hypot(x1 - x0, y1 - y0)))
-
-
-def _from_point(model: AAM, given: np.ndarray, name: str) -> np.ndarray:
-    if not np.isfinite(given).all() or given[2] <= 0:
-        raise StartError(f"{name}: give the start as x, y and a positive size (the object's diagonal in pixels)")
-    return _place(model, given[:2], float(given[2]))
-
-
-def _place(model: AAM, centre: np.ndarray, diagonal: float) -> np.ndarray:
-    """Return the mean shape with its bounding box at a centre and of a diagonal."""
-    low, high = corners_of(model.shape_model.mean)
-    return (model.shape_model.mean - 0.5 * (low + high)) * (diagonal / model.diagonal) + centre
+    low, high = corners_of(mean)  # the mean shape with its bounding box there
+    return (mean - 0.5 * (low + high)) * (diagonal / model.diagonal) + centre
