@@ -21,7 +21,6 @@ from liaam.fitting.level_image import (
     LevelImage,
     noise_around,
     noise_table,
-    similarity_of,
 )
 from liaam.fitting.methods import Method
 from liaam.fitting.objective import Objective, State
@@ -38,29 +37,14 @@ LARGEST_FLOATS = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class FittedLevel:
-    """Solution of one level.
-
-    Attributes
-    ----------
-    objective : Objective
-    pose : Similarity
-        Model pixels to image pixels, to which the solution refers.
-    solution : LevelFit
-        Of the core or of :mod:`liaam.fitting.reference_loop`.
-    to_patch : Similarity
-        Image pixels to pixels of the encoded patch.
-    patch_size : (int, int)
-        Its height and width.
-    begun_at : (n, 2) float64, optional
-        Shape that it began at, image pixels, of a level with fewer modes than the last.
-    """
+    """Solution of one level."""
 
     objective: Objective
-    pose: Similarity
-    solution: Any
-    to_patch: Similarity
-    patch_size: tuple[int, int]
-    begun_at: np.ndarray | None = None
+    pose: Similarity  # model pixels to image pixels, to which the solution refers
+    solution: Any  # LevelFit of the core, or its like of liaam.fitting.reference_loop
+    to_patch: Similarity  # image pixels to pixels of the encoded patch
+    patch_size: tuple[int, int]  # its height and width
+    begun_at: np.ndarray | None = None  # (n, 2) shape that it began at, if it has fewer modes than the last level
 
     @cached_property
     def beyond(self) -> np.ndarray | float:
@@ -80,14 +64,7 @@ class FittedLevel:
 
 
 class LinearImage:
-    """An image, and what all fits to it share.
-
-    Attributes
-    ----------
-    image : (h, w, 3) uint8, uint16 or float32
-        Corrected for vignetting.
-    response : Response
-    """
+    """An image (h, w, 3) uint8, uint16 or float32, without vignetting, and what all fits to it share."""
 
     def __init__(self, image: np.ndarray, response: Response) -> None:
         self.image = image
@@ -185,8 +162,9 @@ class Levels:
         target = target.prepared(objectives[-1])
         shape = target.start
         for objective, each in zip(objectives, self._call(self._compiled[first, last], target, options), strict=False):
-            own = similarity_of(each.pose), each.fit, similarity_of(each.to_patch), each.patch_size
-            levels.append(FittedLevel(objective, *own, None if objective is objectives[-1] else shape))
+            pose, to_patch = (Similarity(rows[:, :2], rows[:, 2]) for rows in (each.pose, each.to_patch))
+            about = pose, each.fit, to_patch, each.patch_size
+            levels.append(FittedLevel(objective, *about, None if objective is objectives[-1] else shape))
             shape = levels[-1].reached
         return levels
 

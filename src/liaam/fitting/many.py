@@ -22,67 +22,26 @@ from liaam.workers import all_cores, in_order, one_thread
 ERRORS = ("raise", "return")
 """What to do about an image that cannot be fitted."""
 
+Raise = Literal["raise"]
+Return = Literal["return"]
+
 
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[False] = False,
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["raise"] = "raise",
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[False] = ..., errors: Raise = ..., **settings
 ) -> list[FitResult]: ...
-
-
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[False] = False,
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["return"],
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[False] = ..., errors: Return, **settings
 ) -> list[FitResult | LiaamError]: ...
-
-
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[True],
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["raise"] = "raise",
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Raise = ..., **settings
 ) -> list[list[FitResult]]: ...
-
-
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[True],
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["return"],
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Return, **settings
 ) -> list[list[FitResult] | LiaamError]: ...
-
-
 def fit_many(
     model: AAM,
     images: Iterable,

@@ -25,50 +25,28 @@ cannot observe, such as pure shading under L(theta), at the mean; otherwise roun
 class State(NamedTuple):
     """The unknowns of a fit."""
 
-    p: np.ndarray
-    """(n_p,) float64: parameters of the warp."""
-    angles: np.ndarray
-    """(2,) float64: theta_1 (model) and theta_2 (image), radians."""
-    lam: np.ndarray
-    """(m,) float64: coordinates of the appearance, extra modes last."""
+    p: np.ndarray  # (n_p,) float64: parameters of the warp
+    angles: np.ndarray  # (2,) float64: theta_1 (model) and theta_2 (image), radians
+    lam: np.ndarray  # (m,) float64: coordinates of the appearance, extra modes last
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The cost of a method for a model at one level (eq 9, generalised).
-
-    Attributes
-    ----------
-    method : Method
-    warp : Warp
-    appearance : AppearanceModel
-    theta_model : float
-        The training camera's angle, radians.
-    prior : (n_p,) float64
-        Precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels.
-    illumination : AppearanceModel, optional
-        Illumination basis, for methods that add one.
-    blur : float
-        Standard deviation of the image's blur, model pixels.
-    density : float
-        Fraction of the frame's pixels that are used.
-    dof : float
-        Degrees of freedom of the prior's scale (:func:`liaam.fitting.reference_loop.next_prior_scale`); infinite for a
-        scale of 1.
-    in_frame : (AppearanceModel, AppearanceModel or None), optional
-        Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default
-        those at the warp's pixels.
-    """
+    """The cost of a method for a model at one level (eq 9, generalised)."""
 
     method: Method
     warp: Warp
     appearance: AppearanceModel
-    theta_model: float
+    theta_model: float  # the training camera's angle, radians
+    # (n_p,): precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels, with
+    # ``dof`` degrees of freedom (reference_loop.next_prior_scale); infinite for a scale of 1.
     prior: np.ndarray
-    illumination: AppearanceModel | None = None
-    blur: float = 0.0
-    density: float = 1.0
+    illumination: AppearanceModel | None = None  # basis, for methods that add one
+    blur: float = 0.0  # of the image: its standard deviation, model pixels
+    density: float = 1.0  # fraction of the frame's pixels that are used
     dof: float = np.inf
+    # Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default those
+    # at the warp's pixels.
     in_frame: tuple[AppearanceModel, AppearanceModel | None] | None = None
 
     @property
@@ -236,10 +214,7 @@ class Objective:
     def evaluate(self, image: LevelImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
         """Evaluate the residual of a state, solve for lambda there if asked, and update the weights ``weigh`` times.
 
-        Returns
-        -------
-        dict
-            The arrays of :meth:`Problem.arrays`.
+        The result are the arrays of :meth:`Problem.arrays`.
         """
         problem = self.problem(image)
         problem.begin(state.p, tuple(state.angles), state.lam)
@@ -287,19 +262,10 @@ def pixels_for(warp: PiecewiseAffineWarp, blur: float) -> np.ndarray:
 def make_objectives(model: AAM, method: Method, thinning: float | None = None) -> tuple[Objective, ...]:
     """Make the objectives of a model and a method, one per level, coarse to fine.
 
-    Parameters
-    ----------
-    model : AAM
-    method : Method
-    thinning : float, optional
-        Distance between sampled pixels, in standard deviations of a level's blur. By default :data:`THINNING`, and 0
-        (every pixel) for orientations: they are normalised after the blur, so neighbours are less redundant. Measured
-        with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise.
-
-    Raises
-    ------
-    MethodError
-        If the model lacks what the method needs, such as colour.
+    ``thinning`` is the distance between sampled pixels, in standard deviations of a level's blur. By default it is
+    :data:`THINNING`, and 0 (every pixel) for orientations: they are normalised after the blur, so neighbours are less
+    redundant. Measured with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise. MethodError is
+    raised if the model lacks what the method needs, such as colour.
     """
     if method.needs_colour and not model.is_colour:
         raise MethodError(

@@ -40,13 +40,7 @@ LEARNT = 6
 
 
 class Problem:
-    """An objective at one encoded image, with the state of the fit and all that follows from it.
-
-    Parameters
-    ----------
-    objective : liaam.fitting.objective.Objective
-    image : LevelImage
-    """
+    """An objective at one encoded image, with the state of the fit and all that follows from it."""
 
     def __init__(self, objective: Any, image: LevelImage) -> None:
         self.warp, self.f, self.image = objective.warp, objective.fields, image

@@ -319,13 +319,9 @@ def next_prior_scale(
 
     The prior is a Student distribution: p ~ N(0, scale Lambda), where the scale is drawn for each shape with ``dof``
     degrees of freedom. Estimating the scale keeps a shape near the mean close to it, and leaves a distant one free to
-    move. The image determines p by ``hessian``, in which a residual of weight 1 has the given variance.
-
-    Returns
-    -------
-    float
-        (dof + p' Lambda^-1 p) / (dof + gamma), with gamma the number of parameters that the image determines. The last
-        scale if this is not finite.
+    move. The image determines p by ``hessian``, in which a residual of weight 1 has the given variance. The result is
+    (dof + p' Lambda^-1 p) / (dof + gamma), with gamma the number of parameters that the image determines; the last
+    scale if this is not finite.
     """
     if not 0.0 < variance < np.inf:
         return scale

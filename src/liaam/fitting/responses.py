@@ -21,28 +21,18 @@ LEAST_RESPONSE = 1e-3
 class Peaks(NamedTuple):
     """Local maxima of the templates' responses."""
 
-    centres: np.ndarray
-    """(k, 2) float64: centre of the shape, image pixels."""
-    scales: np.ndarray
-    """(k,) float64: image pixels per pixel of the reduced model."""
-    fields: np.ndarray
-    """(k,) int: index of the image's field."""
-    templates: np.ndarray
-    """(k,) int: index of the template."""
-    responses: np.ndarray
-    """(k,) float64: mean cosine between expected and measured orientation, weighted by the length of both."""
+    centres: np.ndarray  # (k, 2) float64: centre of the shape, image pixels
+    scales: np.ndarray  # (k,) float64: image pixels per pixel of the reduced model
+    fields: np.ndarray  # (k,) int: index of the image's field
+    templates: np.ndarray  # (k,) int: index of the template
+    responses: np.ndarray  # (k,) float64: mean cosine between expected and measured orientation, by length of both
 
 
 class Bank:
     """Templates that are correlated with fields of images.
 
-    Parameters
-    ----------
-    templates : sequence of Template
-    pad : int
-        Number of pixels that an object may extend beyond a field.
-    normalised : bool
-        Whether responses are the correlations themselves, not mean cosines.
+    Objects may extend ``pad`` pixels beyond a field. If ``normalised``, responses are the correlations themselves, not
+    mean cosines.
     """
 
     def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:

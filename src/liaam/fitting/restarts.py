@@ -48,24 +48,10 @@ def fit_again(prepared: Prepared, target: Target, first: FitResult) -> FitResult
 
 
 def other_starts(objective: Objective, target: Target, options: SolverOptions, kept: int = KEPT) -> list[np.ndarray]:
-    """Find other shapes to start a fit from.
+    """Find other shapes to start a fit from: (n, 2) float64, image pixels, the best first, at most ``kept``.
 
-    The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level. The best of these
-    are deformed further and fitted again. The shapes of least cost are returned.
-
-    Parameters
-    ----------
-    objective : Objective
-        Objective of the coarsest level.
-    target : Target
-    options : SolverOptions
-    kept : int
-        Largest number of starts.
-
-    Returns
-    -------
-    list of (n, 2) float64
-        Shapes in image pixels, best first.
+    The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level, whose objective
+    is given. The best of these are deformed further and fitted again. The shapes of least cost are returned.
     """
     options = spare(options)
     image, state, pose = prepare_level(objective, target.measured(objective.method), (), options)

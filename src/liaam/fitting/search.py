@@ -184,17 +184,8 @@ class Finder:
     def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Detection]:
         """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
 
-        Parameters
-        ----------
-        linear : LinearImage
-        most : int
-            Largest number of places, besides those that fill the frame.
-
-        Returns
-        -------
-        list of Detection
-            The best first, then those that fill the frame. Their shapes are the aligned mean shape, because
-            deformations of the reduced model are a bad start.
+        The best come first, ``most`` at most, then those that fill the frame. Their shapes are the aligned mean shape,
+        because deformations of the reduced model are a bad start.
         """
         search = _Search(self, linear, LOOKED * most, self.filters)
         worth = 0.0 if self.model.search_filter is None else RESPONSE_WORTH
@@ -239,17 +230,7 @@ class Finder:
 
 
 class _Search:
-    """The search of one image, with its fields, maxima and fits so far.
-
-    Parameters
-    ----------
-    finder : Finder
-    linear : LinearImage
-    count : int
-        Largest number of places to fit.
-    bank : Bank
-        What the image is compared with.
-    """
+    """The search of one image, with its fields, maxima and fits so far; ``count`` is the most places to fit."""
 
     def __init__(self, finder: Finder, linear: LinearImage, count: int, bank: Bank) -> None:
         self.finder, self.linear, self.image, self.count, self.bank = finder, linear, linear.image, count, bank

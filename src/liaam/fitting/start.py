@@ -17,28 +17,12 @@ as of a detector, is approximate; a shape given as a start is not searched for."
 
 
 def start_shape(model: AAM, init, image_size: tuple[int, int], name: str = "image") -> np.ndarray:
-    """Convert a start given by the user to a shape.
+    """Convert a start given by the user to a shape, (n, 2) float64; ``image_size`` is width and height.
 
-    Parameters
-    ----------
-    model : AAM
-    init : (n, 2) shape, (x0, y0, x1, y1) box, or (x, y, size)
-        A shape in image pixels, in which up to n - 3 landmarks may be NaN: they are filled in from the mean shape
-        aligned to the others. Or a box: the mean shape takes its centre and diagonal. Or the centre of the mean shape's
-        bounding box, and its diagonal.
-    image_size : (int, int)
-        Width and height.
-    name : str
-        Name of the image in errors.
-
-    Returns
-    -------
-    (n, 2) float64
-
-    Raises
-    ------
-    StartError
-        If the start has the wrong number of points, is not numeric, or lies outside the image.
+    It may be a shape in image pixels, in which up to n - 3 landmarks may be NaN: they are filled in from the mean shape
+    aligned to the others. Or a box (x0, y0, x1, y1): the mean shape takes its centre and diagonal. Or (x, y, size): the
+    centre of the mean shape's bounding box, and its diagonal. StartError is raised if it has the wrong number of
+    points, is not numeric, or lies outside the image.
     """
     shape = _shape(model, _numbers(_by_name(model, init, name), name), name)
     width, height = image_size
@@ -89,13 +73,7 @@ def part_of_start(model: AAM, init, name: str = "image") -> int | None:
 
 
 def mapped_points(model: AAM, init, name: str = "image") -> np.ndarray | None:
-    """Map the points of another landmarker to landmarks, (n, 2) float64; None if the start is something else.
-
-    Raises
-    ------
-    StartError
-        If the start is not numeric, or some of these points are not finite.
-    """
+    """Map the points of another landmarker to landmarks, (n, 2) float64; None if the start is something else."""
     given = _numbers(init, name)
     if model.points is None or given.shape != (model.points.n_theirs, 2):
         return None

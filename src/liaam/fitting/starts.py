@@ -62,22 +62,10 @@ LANDMARKERS: dict[str, Callable[[np.ndarray], np.ndarray | None]] = {"mediapipe"
 
 
 def read_start(text: str, image: Path, size: tuple[int, int]) -> Landmarks | list[float]:
-    """Read the start of one image.
+    """Read the start of one image of a size (width, height), in a form that :meth:`liaam.fitting.Fitter.fit` takes.
 
-    Parameters
-    ----------
-    text : str
-        A box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file; a text file ``.box`` with such
-        numbers; a folder that holds such a file with the image's name; or a name of
-        :data:`LANDMARKERS`.
-    image : Path
-    size : (int, int)
-        Width and height of the image.
-
-    Returns
-    -------
-    Landmarks or list of float
-        A start for :meth:`liaam.fitting.Fitter.fit`.
+    The text is a box ``x0,y0,x1,y1``; a centre and a size ``x,y,size``; a landmark file; a text file ``.box`` with such
+    numbers; a folder that holds such a file with the image's name; or a name of :data:`LANDMARKERS`.
     """
     path = start_file(text, image)
     if path is not None:

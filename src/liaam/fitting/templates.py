@@ -58,40 +58,21 @@ CONTRASTS = (0.3, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Gradient orientations that the reduced model expects.
+    """Gradient orientations that the reduced model expects."""
 
-    Attributes
-    ----------
-    field : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the orientation varies; 0 outside the mesh.
-    origin : (2,) float64
-        Position of the first pixel relative to the shape's centre, pixels.
-    turn : float
-        Rotation, radians.
-    p : (m + 4,) float64
-        Shape parameters of the reduced model.
-    """
-
+    # (h, w) complex64: cosine and sine, shorter than 1 where the orientation varies; 0 outside the mesh.
     field: np.ndarray
-    origin: np.ndarray
-    turn: float
-    p: np.ndarray
+    origin: np.ndarray  # (2,) position of the first pixel relative to the shape's centre, pixels
+    turn: float  # rotation, radians
+    p: np.ndarray  # (m + 4,) shape parameters of the reduced model
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """Gradient orientations of an image at one resolution.
+    """Gradient orientations of an image at one resolution."""
 
-    Attributes
-    ----------
-    values : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the gradient is weak.
-    length : (2,) float64
-        Width and height of a pixel of the field, image pixels.
-    """
-
-    values: np.ndarray
-    length: np.ndarray
+    values: np.ndarray  # (h, w) complex64: cosine and sine, shorter than 1 where the gradient is weak
+    length: np.ndarray  # (2,) width and height of a pixel of the field, image pixels
 
     @property
     def scale(self) -> float:
@@ -112,18 +93,10 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Grey:
-    """Reduced luminance of an image, from which fields are made.
+    """Reduced luminance of an image, from which fields are made."""
 
-    Attributes
-    ----------
-    values : (h, w) float32
-        From 0 to 1.
-    reduce : int
-        Image pixels per pixel, along each axis.
-    """
-
-    values: np.ndarray
-    reduce: int
+    values: np.ndarray  # (h, w) float32, from 0 to 1
+    reduce: int  # image pixels per pixel, along each axis
 
     @staticmethod
     def of(image: np.ndarray, response: Response, factor: float) -> "Grey":
@@ -158,17 +131,9 @@ class Grey:
 
 
 def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
-    """Compute softly normalised gradients of an image, g / sqrt(|g|^2 + softness^2).
+    """Compute softly normalised gradients, g / sqrt(|g|^2 + softness^2), (h, w) complex64, of an image (h, w) float32.
 
-    Parameters
-    ----------
-    grey : (h, w) float32
-    blur : float
-        Standard deviation of a blur applied first, pixels.
-
-    Returns
-    -------
-    (h, w) complex64
+    It is blurred first, by a standard deviation of ``blur`` pixels.
     """
     import cv2  # heavy: imported when first needed
 
@@ -199,19 +164,7 @@ def is_searchable(model: AAM) -> bool:
 def shrink(model: AAM) -> AAM:
     """Reduce a model to the orientations of its coarsest level, on a smaller reference frame, if its own is larger.
 
-    Parameters
-    ----------
-    model : AAM
-
-    Returns
-    -------
-    AAM
-        Model with one level and one appearance, ``orientation``.
-
-    Raises
-    ------
-    MethodError
-        If the model has no orientations.
+    The result has one level and one appearance, ``orientation``. Without orientations MethodError is raised.
     """
     level = model.levels[0]
     if not is_searchable(model):

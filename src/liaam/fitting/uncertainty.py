@@ -107,20 +107,9 @@ def landmark_covariances(
 ) -> np.ndarray:
     """Return the covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit plus left-out errors.
 
-    Parameters
-    ----------
-    shapes : ShapeModel
-    pose : Similarity
-        Model pixels to image pixels.
-    p : (n_p,) float64
-    spread : (n_q, n_q) float64
-        Covariance of (p, free angles).
-    contours : sequence of (indices, closed)
-        The model's contours. Errors on left-out images are those along and across them.
-    reliability : Reliability, optional
-        Source of the fits' errors on left-out images; by default the shape model's errors on left-out shapes.
-    unit : float
-        Variance of a residual at weight 1, on which these errors depend.
+    ``spread`` is the covariance of (p, free angles), and ``pose`` maps model pixels to image pixels. Errors on left-out
+    images are those along and across the contours, from the model's calibration; by default the shape model's errors on
+    left-out shapes. They depend on ``unit``, the variance of a residual at weight 1.
     """
     fitted = fitted_covariances(shapes, spread)
     unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
