@@ -6,9 +6,8 @@ from liaam.fitting.level_image import LevelImage
 from liaam.fitting.objective import RIDGE, Objective, State
 
 SEARCH = np.deg2rad(60.0)
-"""Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the
-object, the global minimum over the full circle is often an inverted image: most failed fits of ``li`` on the spot
-protocol started near 250 degrees."""
+"""Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the object,
+the global minimum over the full circle is often an inverted image."""
 
 
 def best_image_angle(objective: Objective, image: LevelImage, state: State) -> float:

@@ -17,7 +17,7 @@ from liaam.fitting.restarts import fit_again
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
 from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
-from liaam.fitting.start import mapped_points, part_of_start, region_of, start_shape
+from liaam.fitting.starts import mapped_points, part_of_start, region_of, start_shape
 from liaam.model import AAM
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
@@ -59,21 +59,12 @@ class Fitter(Prepared):
     rotations: str = "upright"
 
     @classmethod
-    def of(
-        cls,
-        model: AAM,
-        method: str | Method = DEFAULT_METHOD,
-        *,
-        camera: CameraModel | None = None,
-        margin: float = MARGIN,
-        restarts: bool = True,
-        rotations: str = "upright",
-        **options,
-    ) -> "Fitter":
+    def of(cls, model: AAM, method: str | Method = DEFAULT_METHOD, **settings) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
-        own = ("camera", "rotations", "restarts", "margin")
-        check_options(options, [*own, *(option.name for option in fields(SolverOptions))])
-        return cls(model, method, SolverOptions(**options), camera, margin, restarts, rotations)
+        names = ("camera", "rotations", "restarts", "margin")
+        own = {name: settings.pop(name) for name in names if name in settings}
+        check_options(settings, [*names, *(option.name for option in fields(SolverOptions))])
+        return cls(model, method, SolverOptions(**settings), **own)
 
     def __post_init__(self) -> None:
         self.finder  # noqa: B018 (raise errors now, not at the first image)
@@ -137,7 +128,7 @@ class Fitter(Prepared):
         ----------
         image : (h, w, 3) uint8, uint16 or float array, or path
         init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Detection, optional
-            Start, image pixels (see :func:`liaam.fitting.start.start_shape`). By default the object is searched for,
+            Start, image pixels (see :func:`liaam.fitting.starts.start_shape`). By default the object is searched for,
             and ``result.found`` has the score. A box may be approximate: if the fit from it has low quality, the object
             is searched for around it. The m points of another landmarker, if the model was trained with such points,
             are mapped to the landmarks, and weighed in with the covariance of their errors.

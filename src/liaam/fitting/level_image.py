@@ -12,20 +12,11 @@ from liaam.model.sampling import Light, Patch, make_patch
 from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
 
-MARGIN = 0.4
-"""Margin around the start that a fit may use, as a fraction of the object's diagonal."""
-
-NEAR = 0.1
-"""The same for levels that start from a coarser level's solution."""
-
-LOG_RANGE = (-7.0, 0.5)
-"""Range of logarithms of linear light for which noise is tabulated, from black to highlights."""
-
-LOG_STEPS = 512
-"""Number of entries of that table."""
-
-NO_NOISE = np.zeros(2, np.float32)
-"""The table for methods that do not weigh noise."""
+MARGIN = 0.4  # around the start that a fit may use, as a fraction of the object's diagonal
+NEAR = 0.1  # the same for levels that start from a coarser level's solution
+LOG_RANGE = (-7.0, 0.5)  # of logarithms of linear light for which noise is tabulated, from black to highlights
+LOG_STEPS = 512  # entries of that table
+NO_NOISE = np.zeros(2, np.float32)  # the table for methods that do not weigh noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +89,7 @@ class LevelImage:
 
 
 def noise_table(noise: NoiseModel | float, response: Response) -> np.ndarray:
-    """Return the standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOG_RANGE`.
+    """Return the standard deviation of the logarithm due to noise, at evenly spaced logarithms over ``LOG_RANGE``.
 
     ``noise`` is the standard deviation in stored values of [0, 1], or the camera's noise model in linear light.
     """

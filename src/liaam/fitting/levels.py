@@ -5,7 +5,7 @@ leaves out, and where it could not be built.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -31,8 +31,8 @@ from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
 from liaam.photometry.encoding import ENCODINGS, Encoding, Means, light_of_floats, light_table, log_floor
 
+# Pixels of an image of floats up to which its light is computed once for all levels and starts; else by level.
 LARGEST_FLOATS = 4_000_000
-"""Pixels of an image of floats up to which its light is computed once for all levels and starts; else by level."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,22 +63,18 @@ class FittedLevel:
         return self.pose(self.objective.warp.shape(p)) + self.beyond
 
 
+@dataclass(frozen=True, eq=False)
 class LinearImage:
-    """An image (h, w, 3) uint8, uint16 or float32, without vignetting, and what all fits to it share."""
+    """An image without vignetting, and what all fits to it share."""
 
-    def __init__(self, image: np.ndarray, response: Response) -> None:
-        self.image = image
-        self.response: Response = response
+    image: np.ndarray  # (h, w, 3) uint8, uint16 or float32
+    response: Response
+    lights: dict[bool, Means] = field(default_factory=dict)  # of an image of floats, by whether of logarithms
 
     @cached_property
     def grey(self) -> bool:
         """Whether the image is grey, so that its colours cannot be used."""
         return is_grey(self.image)
-
-    @cached_property
-    def lights(self) -> dict[bool, Means]:
-        """Light of an image of floats, by whether the encoding is logarithmic."""
-        return {}
 
     def light_of(self, encoding: Encoding) -> Means:
         """Return the light of each pixel of an image of floats."""
@@ -98,18 +94,13 @@ class Target(NamedTuple):
     """An image to fit, its start and its camera's properties, the same for all levels."""
 
     linear: LinearImage
-    start: np.ndarray
-    """(n, 2) float: initial positions of the landmarks (of a homography, the corners), image pixels."""
-    noise: NoiseModel | float | None = None
-    """Noise of the image's camera."""
-    theta: float | None = None
-    """Angle of the image's camera if the method does not estimate it, radians; by default the model's."""
-    margin: float = MARGIN
-    """Margin around the start that the fit may use, as a fraction of the object's diagonal."""
-    pull: np.ndarray | None = None
-    """(n_p, n_p) float64: precision of the parameters of ``mapped``; None if there is no such prior."""
+    start: np.ndarray  # (n, 2): initial positions of the landmarks (of a homography, the corners), image pixels
+    noise: NoiseModel | float | None = None  # of the image's camera
+    theta: float | None = None  # angle of the image's camera if it is not estimated, radians; by default the model's
+    margin: float = MARGIN  # around the start that the fit may use, as a fraction of the object's diagonal
+    # A Gaussian prior: landmarks (n, 2) mapped from another landmarker's points, and the precision of their parameters.
     mapped: np.ndarray | None = None
-    """(n, 2) float64: landmarks mapped from another landmarker's points, weighed in as a Gaussian prior."""
+    pull: np.ndarray | None = None
 
     @property
     def image(self) -> np.ndarray:
@@ -121,8 +112,9 @@ class Target(NamedTuple):
 
         The objective is that of the last level.
         """
-        target, (warp, pose) = self.measured(objective.method), (objective.warp, align(objective.warp.rest, self.start))
-        return target._replace(start=pose(warp.shape(warp.parameters(pose.inverse()(self.start)))))
+        warp, pose = objective.warp, align(objective.warp.rest, self.start)
+        start = pose(warp.shape(warp.parameters(pose.inverse()(self.start))))
+        return self.measured(objective.method)._replace(start=start)
 
     def measured(self, method: Method) -> "Target":
         """Return a target with the noise measured in the image, if the method needs it and it is unknown."""

@@ -243,24 +243,27 @@ class Method:
 
     @property
     def model_metric_parts(self) -> np.ndarray:
-        """The same for P(theta_1), on the channels of the appearance, (3, k, c) float64."""
-        if not self.projects_appearance:
+        """The same for P(theta_1), on the channels of the appearance, (3, k, c) float64.
+
+        It is the identity for an appearance that was projected before it was learnt.
+        """
+        if self.appearance in ("invariant", "orientation", "soft", "features"):
             return np.stack([np.eye(self.n_rows), *np.zeros((2, self.n_rows, self.n_rows))])
         return self.metric_parts[:, :, : self._rows.shape[1]]
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Return P(theta_1) for the model, (k, channels of the appearance)."""
-        return np.tensordot([1.0, np.cos(theta), np.sin(theta)], self.model_metric_parts, axes=1)
+        return at_angle(self.model_metric_parts, theta)
 
     def image_metric(self, theta: float) -> np.ndarray:
         """Return P(theta_2) for the image, (k, channels of the encoding)."""
-        parts = self.metric_parts[:, :, : self._rows.shape[1]]
-        return np.tensordot([1.0, np.cos(theta), np.sin(theta)], parts, axes=1)
+        return at_angle(self.metric_parts[:, :, : self._rows.shape[1]], theta)
 
-    @property
-    def projects_appearance(self) -> bool:
-        """Whether P applies to the model's appearance; the others were projected before they were learnt."""
-        return self.appearance not in ("invariant", "orientation", "soft", "features")
+
+def at_angle(parts: np.ndarray, theta: float) -> np.ndarray:
+    """Combine parts (3, ...) that are constant and multiplied by cos and sin of an angle."""
+    at = np.array([1.0, np.cos(theta), np.sin(theta)], parts.dtype)
+    return np.ascontiguousarray(np.tensordot(at, parts, axes=1))
 
 
 class MethodTable(dict[str, Method]):

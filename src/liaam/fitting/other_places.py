@@ -16,15 +16,10 @@ from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, w
 from liaam.fitting.search import LARGE, Finder
 from liaam.model.shape import diagonal_of
 
-BRIEF = 12
-"""Largest number of steps per level of fits to other detections. Right fits take fewer; wrong ones, and most are, take
-up to ``max_iterations``. Photographs without a face take two thirds of the time, and nothing is lost."""
-
-PROMISING = 3
-"""Number of these detections that are fitted at the sharpest level, which takes most of the time: those of the highest
-odds at the level before. All of 121 fits that end elsewhere than they began end as with every detection; with two, 7
-end elsewhere again. With only those of a tenth of the best odds, right fits under flashes are doubtful, because quality
-falls at the sharpest level where the object is not."""
+# Largest number of steps per level of fits to other detections: right fits take fewer, wrong ones take more. Number of
+# detections that are fitted at the sharpest level, which takes most of the time: those of the highest odds at the level
+# before. What was measured for these is in experiments/notes/engine.md.
+BRIEF, PROMISING = 12, 3
 
 Start = tuple[Target, Detection | None]
 """A start, and the detection that it is from."""

@@ -18,18 +18,14 @@ from liaam.fitting.uncertainty import covariance, explains_more_than_noise, land
 from liaam.model import AAM, Reliability, View
 from liaam.model.shape import ShapeModel, own_parameters
 
+# Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
+# have low quality in harder light than that of training, but take about 15 steps; 11 wrong ones took 27 and more.
 SLOW = 25
-"""Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
-have low quality in harder light than that of training, but take about 15 steps; 11 wrong ones took 27 and more."""
 
-REACH = 0.35
-"""Largest blur of the levels that a fit from another landmarker's points uses, as a multiple of the points' root mean
-square error on left-out images. Measured on the spot protocol with simulated points, on average 5, 10 and 20 % of the
-distance between the eyes off: errors as with all levels, within 0.1 %."""
-
-MAPPED_TOLERANCE = 1.0
-"""``SolverOptions.early_tolerance`` of these fits, unless it is set: a start of known precision needs fewer steps. On
-the spot protocol two steps instead of three, and the same errors within 0.1 %."""
+# Fits from another landmarker's points, a start of known precision: the largest blur of the levels that are used, as a
+# multiple of the points' root mean square error on left-out images, and ``early_tolerance``, unless it is set. On the
+# spot protocol with simulated points errors are as with all levels and steps, within 0.1 %.
+REACH, MAPPED_TOLERANCE = 0.35, 1.0
 
 
 class Blurred(NamedTuple):

@@ -8,14 +8,10 @@ import numpy as np
 from liaam import _core
 from liaam.fitting.templates import Field, Template, spectra
 
+# Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas.
 SPECTRA_KEPT = 600_000
-"""Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas."""
-
-SURROUNDINGS = 2
-"""Radius in pixels within which a place has to be the maximum."""
-
-LEAST_RESPONSE = 1e-3
-"""Smallest response of a place."""
+SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
+LEAST_RESPONSE = 1e-3  # of a place
 
 
 class Peaks(NamedTuple):

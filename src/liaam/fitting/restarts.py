@@ -16,24 +16,14 @@ from liaam.fitting.result import FitResult
 from liaam.fitting.solver import SolverOptions, spare
 from liaam.model.shape import diagonal_of
 
-BENT = 2.5
-"""Deformation of the mean shape along its strongest mode, in standard deviations, in both directions."""
+BENT = 2.5  # deformation of the mean shape along its strongest mode, in standard deviations, in both directions
+SHIFT = 0.06  # of the mean shape to the right, left, bottom and top, as a fraction of its diagonal
 
-SHIFT = 0.06
-"""Shift of the mean shape to the right, left, bottom and top, as a fraction of its diagonal."""
-
-BENT_ON, MODES = 2.0, 3
-"""Further deformation of the best of these, in standard deviations, and number of modes it is applied to. Strongly
-turned heads deviate along several modes: of 34 fits that restarts can save, 4 are lost with it and 9 without."""
-
-BEST = 3
-"""Number of shapes deformed further."""
-
-KEPT = 2
-"""Number of starts returned; a third saves no more fits."""
-
-APART = 0.02
-"""Root mean square distance, as a fraction of the diagonal, below which two shapes count as the same."""
+# Further deformation of the best of these, in standard deviations, number of modes it is applied to, and of shapes.
+# Strongly turned heads deviate along several modes: of 34 fits that restarts can save, 4 are lost with it, 9 without.
+BENT_ON, MODES, BEST = 2.0, 3, 3
+KEPT = 2  # starts returned; a third saves no more fits
+APART = 0.02  # root mean square distance, as a fraction of the diagonal, below which two shapes count as the same
 
 
 def fit_again(prepared: Prepared, target: Target, first: FitResult) -> FitResult:

@@ -24,75 +24,35 @@ from liaam.model.shape import Similarity, align, diagonal_of, rotation
 from liaam.photometry import Response
 from liaam.workers import in_threads
 
-SMALLEST, LARGEST = 0.15, 1.25
-"""Range of the diagonals searched, as fractions of the image's shorter side."""
+# What was measured for these is in experiments/notes/engine.md.
+SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image's shorter side
+LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
+STEP = 1.2  # ratio of consecutive sizes
+PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
+SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
+VISITED = 0.25  # margin around a place that its fit may use, as a fraction of the object's diagonal
+GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged
+SHAPE_PENALTY = 0.05  # on the score, per unit of the mean squared shape mode in standard deviations
+MOST = 20  # objects in an image
 
-STEP = 1.2
-"""Ratio of consecutive sizes."""
+# One object: the sum of score and response at which the search stops, and the fraction of the strongest response below
+# which places are left out. Small objects (diagonal as a fraction of the image's shorter side) are searched for only if
+# none of the best places of large ones is sure: they take three quarters of the time.
+SURE, WORTH = 1.25, 0.75
+LARGE, LARGE_PLACES = 0.3, 2
 
-LEAST_PIXELS = 20.0
-"""Smallest diagonal searched, pixels of the image."""
-
-FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
-"""Rotations of objects that fill the frame, degrees: a subset of those of the mean shape."""
-
-LARGE = 0.3
-"""Diagonal of a large object, as a fraction of the image's shorter side. If one object is wanted, small ones are
-searched for only if no large one is :data:`SURE`. The search at small sizes takes three quarters of all pixels. On the
-images named there, the results equal those of a search at all sizes."""
-
-LARGE_PLACES = 2
-"""Largest number of places that are fitted before small objects are searched for."""
-
-PADDING = 0.25
-"""Largest distance that an object may extend beyond the image, as a fraction of its diagonal."""
-
-SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)
-"""Solver options for the fits of places."""
-
-SHAPE_PENALTY = 0.05
-"""Penalty on the score per unit of the mean squared shape mode, in standard deviations."""
-
-SURE = 1.25
-"""Sum of score and response at which the search for one object stops. Seven of ten correct places have more, and no
-wrong place has more than 1.18. Scores alone reach 0.67 at wrong places. Measured with generic models of three sets of
-faces on 861 images: original, under simulated hard light, shadows and dapples, and small within images of an owl, a cat
-and a rock."""
-
-WORTH = 0.75
-"""Smallest response, as a fraction of the strongest, at which a place is fitted if one object is wanted. The correct
-place has at least 0.84 on 609 of the photographs of :data:`SURE`, and 0.77 on a generated head in side light."""
-
+# Further objects: the sum of score and response, the smallest response of places that are fitted, and their number.
 SURE_BESIDE, CLEAR, MOST_BESIDE = 1.15, 0.45, 4
-"""Sum of score and response of further objects, the smallest response of places that are fitted for them, and their
-largest number. Of 12 pairs of faces whose second is as large or smaller, 10 have more; so has the second face in one
-of 54 photographs, and no place without a face (largest sum: 1.12). This takes 2 % of the time of a fit."""
 
-MOST = 20
-"""Largest number of objects in an image."""
+# Other places to fit if the first is not the object: their number, and that of places scored for each. Bonus on their
+# score per unit of the learnt filter's response, which is 1 at the mean, and per unit of log size: there are more wrong
+# places of small sizes.
+OTHERS, LOOKED = 12, 2
+RESPONSE_WORTH, SIZE_WORTH = 0.5, 0.05
 
-OTHERS = 12
-"""Number of other places to fit if the first is not the object."""
-
-LOOKED = 2
-"""Number of places scored for each of these, of templates and of the learnt filter each. With twice as many, as many
-faces are among all places (249 of 257 photographs of imm, wild and flashes), and the search takes 1.6 times as long."""
-
-RESPONSE_WORTH = 0.5
-"""Bonus on the score of other places per unit of the learnt filter's response, which is 1 at the mean. Without it, one
-face in forty of photographs in the wild falls behind the first six places."""
-
-SIZE_WORTH = 0.05
-"""Bonus on the score per unit of log size: there are more wrong places of small sizes. 0.1 gives the same results."""
-
+# Objects that fill the frame: diagonals as fractions of its shorter side, and rotations, degrees, of those in TURNS.
 FILLING = (0.95, 1.1)
-"""Diagonals of objects that fill the frame, as fractions of its shorter side."""
-
-VISITED = 0.25
-"""Margin around a place that its fit may use, as a fraction of the object's diagonal."""
-
-GROWTH = (0.5, 2.0)
-"""Limits on the change of size in the fit of a place; beyond them it has diverged."""
+FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,7 +327,7 @@ def find(
 
 
 def search_sizes(shorter_side: int) -> np.ndarray:
-    """Return the diagonals of objects to search for in an image, pixels, in ratios of :data:`STEP`."""
+    """Return the diagonals of objects to search for in an image, pixels, in ratios of ``STEP``."""
     low, high = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
     if low >= high:
         return np.array([high])

@@ -18,42 +18,28 @@ from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response
 from liaam.photometry.encoding import value_luminance
 
-TEMPLATE = 40.0
-"""Diagonal of the reduced model, pixels. Measured on ``imm``: 48 finds no more faces and takes 1.5 times as long, 32
-misses turned faces."""
+# What was measured for these is in experiments/notes/engine.md.
+TEMPLATE = 40.0  # diagonal of the reduced model, pixels
+AVERAGED = 0.5  # standard deviation of the average of which a pixel of the reduced model is made, in its pixels
 
-AVERAGED = 0.5
-"""Standard deviation of the average of which a pixel of the reduced model is made, in its pixels."""
-
+# Rotations of the mean shape, degrees, for objects about as in training and for any rotation, and of deformed shapes.
+# These are deformed along the strongest shape mode by so many standard deviations, if that moves the landmarks by so
+# many pixels of the reduced model (root mean square).
 TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-20.0, -10.0, 0.0, 10.0, 20.0),
     "all": tuple(np.arange(-180.0, 180.0, 15.0).tolist()),
 }
-"""Rotations of the mean shape, degrees: for objects about as in training, and for any rotation."""
-
 BENT_TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-10.0, 0.0, 10.0),
     "all": tuple(np.arange(-180.0, 180.0, 30.0).tolist()),
 }
-"""Rotations of the deformed shapes, degrees."""
+BEND, BEND_WORTH = 1.5, 0.4
 
-BEND = 1.5
-"""Deformation along the strongest shape mode, standard deviations. In sets of faces this mode is the turn of the head;
-without it, one face in sixty of ``imm`` is missed, a turned one."""
-
-BEND_WORTH = 0.4
-"""Root mean square movement of the landmarks, pixels of the reduced model, that needs deformed templates."""
-
+# Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
+# 0.7 of their full length. It suppresses noise in flat regions and smooth shading.
 SOFTNESS = 0.02
-"""Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
-0.7 of their full length. It suppresses noise in flat regions and smooth shading. With models of three sets of faces,
-the scores of faces and of other objects hardly overlap with it; with unweighted orientations they do."""
-
-SAMPLES = 20_000
-"""Approximate number of pixels from which an image's contrast is measured."""
-
-CONTRASTS = (0.3, 1.0)
-"""Limits on the measured contrast, so that flat images are not amplified further."""
+SAMPLES = 20_000  # pixels, about, from which an image's contrast is measured
+CONTRASTS = (0.3, 1.0)  # limits on the measured contrast, so that flat images are not amplified further
 
 
 @dataclass(frozen=True, eq=False)

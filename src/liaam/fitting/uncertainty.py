@@ -40,11 +40,9 @@ def covariance(
     return (vectors * inverse) @ vectors.T
 
 
+# Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
+# noise, and the upper limit of that fraction (experiments/notes/engine.md).
 BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
-"""Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
-noise, and the upper limit of that fraction. Set on IMM without calibration (15 methods, 15 images of 5 unseen persons,
-some spot-lit). Fits to noise with grains of 1 to 8 pixels explain at most 3.5 times that, correct fits at least 14
-times. For models of few pixels, fits to coarse noise exceed the limit and are not detected."""
 
 
 def explains_more_than_noise(stage: FittedLevel) -> bool:
