@@ -107,14 +107,16 @@ class Target(NamedTuple):
         """(h, w, 3) uint8, uint16 or float32, corrected for vignetting."""
         return self.linear.image
 
-    def prepared(self, objective: Objective) -> "Target":
+    def prepared(self, objectives: Sequence[Objective]) -> "Target":
         """Return a target with the noise measured if it is needed, and the nearest shape of the model as start (eq 2).
 
-        The objective is that of the last level.
+        That shape is for several levels, of which the coarse ones cannot show all; one level starts from it anyway.
         """
-        warp, pose = objective.warp, align(objective.warp.rest, self.start)
-        start = pose(warp.shape(warp.parameters(pose.inverse()(self.start))))
-        return self.measured(objective.method)._replace(start=start)
+        target, warp = self.measured(objectives[-1].method), objectives[-1].warp
+        if len(objectives) == 1:
+            return target
+        pose = align(warp.rest, self.start)
+        return target._replace(start=pose(warp.shape(warp.parameters(pose.inverse()(self.start)))))
 
     def measured(self, method: Method) -> "Target":
         """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
@@ -151,7 +153,7 @@ class Levels:
             return solve_levels(objectives, target, options)
         if (first, last) not in self._compiled:
             self._compiled[first, last] = self._prepare(objectives)
-        target = target.prepared(objectives[-1])
+        target = target.prepared(objectives)
         shape = target.start
         for objective, each in zip(objectives, self._call(self._compiled[first, last], target, options), strict=False):
             pose, to_patch = (Similarity(rows[:, :2], rows[:, 2]) for rows in (each.pose, each.to_patch))
@@ -203,7 +205,7 @@ def _flat(points: np.ndarray) -> np.ndarray:
 def solve_levels(objectives: Sequence[Objective], target: Target, options: SolverOptions) -> list[FittedLevel]:
     """Solve the levels from coarse to fine, each from the solution of the one before; fewer if the fit diverges."""
     finest, stages = objectives[-1], []
-    target = target.prepared(finest)
+    target = target.prepared(objectives)
     light, shape = light_for(objectives, target), target.start
     for objective in objectives:
         own = options if objective is finest else spare(options)
