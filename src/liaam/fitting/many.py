@@ -56,9 +56,8 @@ def fit_many(
 ) -> list:
     """Fit a model to many images, on all cores.
 
-    Results do not depend on the number of workers. They equal those of :func:`liaam.fitting.fit` bit for bit if BLAS
-    uses one thread there. During the call, BLAS and OpenCV use one thread each in the whole process. Ctrl-C stops after
-    the running fits.
+    Results do not depend on the number of workers, and equal those of :func:`liaam.fit` bit for bit if BLAS uses one
+    thread there. Meanwhile BLAS and OpenCV use one thread each in the whole process. Ctrl-C stops after running fits.
 
     Parameters
     ----------
