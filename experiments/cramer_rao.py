@@ -112,7 +112,7 @@ def cramer_rao_bound(
             f"method {method.name}: the noise of {what} is unknown, so there is no bound; "
             "use 'li' or another method that compares values or logarithms"
         )
-    objective = make_objectives(model, method)[-1].of_all_pixels
+    objective = make_objectives(model, method, thinning=0.0)[-1]
     shapes = model.views[method.view].shape_model
     pose = align(shapes.mean, shape)
     encoded = LevelImage.at(as_colour(image), shape, pose, method, response, blur=0.0)

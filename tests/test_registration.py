@@ -195,10 +195,10 @@ def test_mistakes_are_named(options, error, fault):
 def test_columns_are_the_derivative_of_the_residual(method, rng):
     a, b, _ = plane(1, Camera())
     mask = np.arange(SIZE[1]) + np.zeros((SIZE[0], 1)) > 20
-    objective, blur = _levels(a, get_method(method), "homography", "srgb", THETA_DEFAULT, mask)[0][-1]
+    objective = _levels(a, get_method(method), "homography", "srgb", THETA_DEFAULT, mask)[0][-1]
     warp, n_p = objective.warp, objective.warp.n_parameters
     pose = align(warp.rest, warp.rest)
-    image = LevelImage.at(b, warp.rest, pose, objective.method, "srgb", blur)
+    image = LevelImage.at(b, warp.rest, pose, objective.method, "srgb", objective.blur)
     state = objective.start(rng.normal(0, 0.5, n_p))._replace(angles=np.array([2.0, 2.2]))
     problem = objective.problem(image)
     problem.begin(*state)

@@ -11,7 +11,7 @@ import numpy as np
 from liaam.errors import ImageError, MethodError
 from liaam.evaluation import finite_list
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.level_image import correlated_pixels, slope_left
+from liaam.fitting.level_image import slope_left
 from liaam.fitting.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.objective import Objective
 from liaam.fitting.picture import load_picture
@@ -232,7 +232,7 @@ def register(
     homography = np.asarray(init, dtype=np.float64)
     if homography.shape != (3, 3) or not np.isfinite(homography).all():
         raise ImageError("the start is not a homography; give a finite 3 by 3 matrix from pixels of the first image")
-    handles = apply_homography(homography, to_a(levels[0][0].warp.rest))
+    handles = apply_homography(homography, to_a(levels[0].warp.rest))
     if not np.isfinite(handles).all():
         raise ImageError("the start maps a corner of the first image behind the image plane; give another start")
     stages = solve_levels(levels, Target(LinearImage(b, response), handles), options)
@@ -241,8 +241,8 @@ def register(
 
 def _levels(
     a: np.ndarray, method: Method, group: str, response: Response, theta: float, mask: np.ndarray | None
-) -> tuple[list[tuple[Objective, float]], Similarity]:
-    """Return objectives with their blurs, coarse to fine, and the similarity from their pixels to those of ``a``."""
+) -> tuple[list[Objective], Similarity]:
+    """Return objectives, coarse to fine, and the similarity from their pixels to those of ``a``."""
     height, width = a.shape[:2]
     reduce = max(1, int(np.ceil(np.sqrt(height * width / MOST_PIXELS))))
     scaling = Similarity(np.eye(2) * reduce, np.full(2, (reduce - 1) / 2.0))
@@ -276,7 +276,7 @@ def _levels(
         appearance = AppearanceModel(mean, blank, np.zeros(0), np.ones(len(mean), np.float32))
         warp = HomographyWarp(kept, from_a(corners), float(stride), group)
         own = method, warp, appearance, theta, np.zeros(warp.n_parameters)
-        levels.append((Objective(*own, correlated=correlated_pixels(blur)), blur))
+        levels.append(Objective(*own, blur=blur))
     return levels, from_a.inverse()
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from liaam import _core
 from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
-from liaam.fitting.levels import CompiledLevels, LinearImage, solve_levels
+from liaam.fitting.levels import solve_levels
 from setups import disturb, finest_objective, make_level, model_pixels, stands_light, without_core
 
 pytestmark = pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
@@ -54,7 +54,7 @@ def test_one_call_is_the_levels_one_by_one(model, lit_scene, method, dtype):
         size = np.array(image.shape[1::-1]) * scale
         y, x = (np.linspace(0, n - 1, int(m)).astype(int) for n, m in zip(image.shape, size[::-1], strict=False))
         target, _ = fitter.target(image[np.ix_(y, x)], scale * disturb(lit_scene.landmarks))
-        one, other = fitter._solved(target, SHORT), solve_levels(fitter._pairs, target, SHORT)
+        one, other = fitter.levels.fit(target, SHORT), solve_levels(fitter.objectives, target, SHORT)
         assert len(one) == len(other)
         for a, b in zip(one, other, strict=True):
             np.testing.assert_allclose(a.reached, b.reached, atol=2e-2)
@@ -160,8 +160,8 @@ def test_large_images_of_floats_are_fitted_level_by_level(model, lit_scene, monk
     start = disturb(lit_scene.landmarks)
     whole = Fitter(model, "li").fit(lit_scene.image, start)
     monkeypatch.setattr("liaam.fitting.levels.LARGEST_FLOATS", 10)
-    target = Fitter(model, "li").target(lit_scene.image, start)[0]
-    assert isinstance(target.linear, LinearImage) and not CompiledLevels.can_take(target, SolverOptions())
+    fitter = Fitter(model, "li")
+    assert not fitter.levels.can_take(fitter.target(lit_scene.image, start)[0], SolverOptions())
     again = Fitter(model, "li").fit(lit_scene.image, start)
     np.testing.assert_allclose(again.landmarks, whole.landmarks, atol=2e-2)
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.fitting import Detection, FitStatus, Fitter, other_places
+from liaam.fitting import Detection, FitStatus, Fitter
 from liaam.fitting.other_places import BRIEF
 from liaam.fitting.search import LARGE
 from liaam.model import SURROUNDINGS
@@ -45,8 +45,8 @@ def place(calibrated, lit_scene, monkeypatch):
                 return replace(fit, status=FitStatus.MAX_ITERATIONS)
             return fit if call.ends is None or len(call.briefly) == 1 else replace(fit, quality=call.ends)
 
-        monkeypatch.setattr(Fitter, "_fit_from", fit_from)
-        monkeypatch.setattr(other_places, "fit_sharpest", lambda own, each, brief: fit_from(own, each.target, brief))
+        monkeypatch.setattr(Fitter, "fit_target", fit_from)
+        monkeypatch.setattr(Fitter, "fit_sharpest", lambda own, each, brief: fit_from(own, each.target, brief))
         result = fitter.fit(image)
         return next(i for i, shape in enumerate(shapes) if shape is result.landmarks), result
 

@@ -71,8 +71,7 @@ def test_both_engines_weigh_their_points_in_alike(trained, same_light_scene, rng
 def test_the_covariance_includes_their_points(trained, same_light_scene, rng):
     fitter = Fitter(trained)
     target, _ = fitter.target(same_light_scene.image, points_of(same_light_scene.landmarks, rng))
-    levels = [(fitter.objectives[-1], fitter.view.levels[-1].blur)]
-    stage = solve_levels(levels, target, fitter.options)[-1]
+    stage = solve_levels(fitter.objectives[-1:], target, fitter.options)[-1]
     difference = np.linalg.inv(covariance(stage, pull=target.pull)) - np.linalg.inv(covariance(stage))
     np.testing.assert_allclose(difference, target.pull, rtol=1e-6, atol=1e-8 * np.abs(target.pull).max())
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.fitting import Fitter, SolverOptions, fitter
-from liaam.fitting.fitter import SLOW
+from liaam.fitting import Fitter, SolverOptions, restarts
 from liaam.fitting.levels import is_sane
-from liaam.fitting.restarts import APART, other_starts
+from liaam.fitting.prepared import SLOW
+from liaam.fitting.restarts import APART, fit_again, other_starts
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker
@@ -42,7 +42,7 @@ def test_no_fit_ends_with_less_quality(both):
 
 
 def test_right_fits_are_not_begun_again(calibrated, lit_scene, same_light_scene, monkeypatch):
-    monkeypatch.setattr(fitter, "other_starts", None)  # not to be called
+    monkeypatch.setattr(restarts, "other_starts", None)  # not to be called
     for scene in (lit_scene, same_light_scene):
         result = Fitter(calibrated).fit(scene.image, disturb(scene.landmarks))
         assert result.n_starts == 1
@@ -51,7 +51,7 @@ def test_right_fits_are_not_begun_again(calibrated, lit_scene, same_light_scene,
 
 @pytest.mark.parametrize("value", [0, 255, 128])
 def test_where_the_picture_says_nothing_no_start_is_tried(calibrated, value, monkeypatch):
-    monkeypatch.setattr(fitter, "other_starts", None)
+    monkeypatch.setattr(restarts, "other_starts", None)
     picture = np.full((180, 240, 3), value, np.uint8)
     picture[0, 0] = (90, 100, 110)  # not grey all over
     result = Fitter(calibrated).fit(picture, (60, 40, 180, 150))
@@ -60,7 +60,7 @@ def test_where_the_picture_says_nothing_no_start_is_tried(calibrated, value, mon
 
 
 def test_where_no_quality_is_known_no_start_is_tried(scenes, lit_scene, monkeypatch):
-    monkeypatch.setattr(fitter, "other_starts", None)
+    monkeypatch.setattr(restarts, "other_starts", None)
     start = disturb(lit_scene.landmarks, *FAR[0])
     model = train_on(scenes, diagonal=60.0)
     assert np.isnan(Fitter(model).fit(lit_scene.image, start).quality)
@@ -83,9 +83,9 @@ def test_doubtful_fits_are_begun_again_and_slow_ones_of_little_quality(calibrate
     own = replace(calibrated.views[SURROUNDINGS].reliabilities["soft-li"], typical=0.9)  # 0.81 is little then
     ours = Fitter(calibrated.with_view(SURROUNDINGS, reliabilities={"soft-li": own}))
     made = Fitter(calibrated, restarts=False).fit(lit_scene.image, disturb(lit_scene.landmarks))
-    assert ours._falls_short(replace(made, quality=quality, n_iterations=steps)) is again
+    assert ours.falls_short(replace(made, quality=quality, n_iterations=steps)) is again
     few = replace(ours, options=SolverOptions(max_iterations=SLOW))
-    assert not few._falls_short(replace(made, quality=quality, n_iterations=steps))
+    assert not few.falls_short(replace(made, quality=quality, n_iterations=steps))
 
 
 def test_no_iterations_leave_the_start_as_it_is(calibrated, lit_scene):
@@ -101,8 +101,8 @@ def test_a_fit_that_ran_off_is_not_kept(calibrated, lit_scene, monkeypatch):
     target, _ = ours.target(lit_scene.image, start)
     first = Fitter(calibrated, restarts=False).fit(lit_scene.image, start)
     off = replace(first, quality=1.0, landmarks=10 * first.landmarks)
-    monkeypatch.setattr(fitter, "fit_sharpest", lambda *_: off)
-    kept = ours._fit_again(target, first)
+    monkeypatch.setattr(Fitter, "fit_sharpest", lambda *_: off)
+    kept = fit_again(ours, target, first)
     assert kept.quality == first.quality
     assert kept.n_starts > 1
 
@@ -112,9 +112,9 @@ def test_only_the_best_of_the_other_starts_is_fitted_at_the_sharpest_level(calib
     target, _ = ours.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[0]))
     first = replace(Fitter(calibrated, restarts=False).fit(lit_scene.image, target.start), quality=0.1)
     good = replace(first, quality=0.99, landmarks=target.start)
-    monkeypatch.setattr(fitter, "other_starts", lambda *_: [target.start, lit_scene.landmarks])
-    monkeypatch.setattr(fitter, "fit_sharpest", lambda _own, fit, _options: fitted.append(fit) or good)
-    assert ours._fit_again(target, first).quality == 0.99
+    monkeypatch.setattr(restarts, "other_starts", lambda *_: [target.start, lit_scene.landmarks])
+    monkeypatch.setattr(Fitter, "fit_sharpest", lambda _own, fit, _options: fitted.append(fit) or good)
+    assert fit_again(ours, target, first).quality == 0.99
     (best,) = fitted
     np.testing.assert_array_equal(best.target.start, lit_scene.landmarks)
 
@@ -130,9 +130,7 @@ def test_other_starts_lie_apart_and_within_reason(calibrated, lit_scene, far, le
     start = disturb(lit_scene.landmarks, *far)
     own = Fitter(calibrated)
     target, _ = own.target(lit_scene.image, start)
-    shapes = other_starts(
-        own.objectives[0], calibrated.views[SURROUNDINGS].levels[0].blur, target, SolverOptions(), kept=4
-    )
+    shapes = other_starts(own.objectives[0], target, SolverOptions(), kept=4)
     assert least <= len(shapes) <= 4
     for i, shape in enumerate(shapes):
         assert is_sane(shape, start)
@@ -146,7 +144,7 @@ def test_models_of_few_modes_are_bent_as_far_as_they_go(scenes, lit_scene, n_mod
     own = Fitter(model)
     target, _ = own.target(lit_scene.image, disturb(lit_scene.landmarks, *FAR[1]))
     assert len(model.views[SURROUNDINGS].shape_model.eigenvalues) == n_modes
-    shapes = other_starts(own.objectives[0], model.views[SURROUNDINGS].levels[0].blur, target, SolverOptions())
+    shapes = other_starts(own.objectives[0], target, SolverOptions())
     assert all(np.isfinite(shape).all() for shape in shapes)
     assert shapes
 

@@ -85,9 +85,9 @@ def fits_counted(finder, monkeypatch, image, **options):
     """What is found, and at how many places the small model was fitted."""
     fit, places = Finder._fitted, []
 
-    def counted(self, linear, place, template, field):
-        places.append(place)
-        return fit(self, linear, place, template, field)
+    def counted(self, linear, centre, scale, template, field):
+        places.append((*centre, scale, id(template)))
+        return fit(self, linear, centre, scale, template, field)
 
     monkeypatch.setattr(Finder, "_fitted", counted)
     found = finder.find(image, **options)

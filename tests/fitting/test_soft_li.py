@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
-from liaam.fitting.levels import prepare_level, solve_levels
+from liaam.fitting.levels import light_for, prepare_level, solve_levels
 from liaam.fitting.solution import residual_at, solution_at
 from liaam.model import MESH, SURROUNDINGS
 from liaam.photometry import linear_to_srgb, srgb_to_linear
@@ -33,15 +33,12 @@ def test_where_it_starts_does_not_matter(fine_model, lit_scene):
 def test_it_ends_at_the_zero_of_the_expected_gradients_equation(fine_model, lit_scene):
     fitter = Fitter(fine_model, options=SolverOptions(tolerance=1e-4, relative_tolerance=0.0))
     target, _ = fitter.target(lit_scene.image, disturb(lit_scene.landmarks))
-    levels = [
-        (objective, level.blur)
-        for objective, level in zip(fitter.objectives, fine_model.views[SURROUNDINGS].levels, strict=True)
-    ]
-    stages = solve_levels(levels, target, fitter.options)
-    (objective, blur), solution = levels[-1], stages[-1].solution
+    stages = solve_levels(fitter.objectives, target, fitter.options)
+    objective, solution = fitter.objectives[-1], stages[-1].solution
     assert solution.converged
-    target = target.measured(objective.method).averaged(levels)
-    problem = objective.problem(prepare_level(objective, blur, target, stages[:-1], fitter.options)[0])
+    target = target.measured(objective.method)
+    about = stages[:-1], fitter.options, light_for(fitter.objectives, target)
+    problem = objective.problem(prepare_level(objective, target, *about)[0])
     problem.begin(solution.p, tuple(solution.angles), solution.lam)
     problem.evaluate(True)
     problem.reweigh(True)

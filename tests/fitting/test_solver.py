@@ -9,7 +9,7 @@ import pytest
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
 from liaam.fitting.levels import prepare_level
-from liaam.fitting.objective import Objective
+from liaam.fitting.objective import Objective, make_objectives
 from liaam.fitting.reference import Problem
 from liaam.fitting.solution import residual_at
 from liaam.model import SURROUNDINGS
@@ -214,9 +214,8 @@ def test_a_patch_reaches_as_far_as_it_is_asked_to(fine_model, lit_scene):
     def width(margin):
         fitter = Fitter(fine_model, "soft-li", margin=margin)
         target = fitter.target(lit_scene.image, lit_scene.landmarks)[0]
-        problem = prepare_level(fitter.objectives[-1], 1.0, target.measured(get_method("soft-li")), [], fitter.options)[
-            0
-        ]
+        objective = replace(fitter.objectives[-1], blur=1.0)
+        problem = prepare_level(objective, target.measured(objective.method), [], fitter.options)[0]
         return problem.channels.shape[1] / problem.patch.from_image.scale
 
     reach = 0.1 * diagonal_of(lit_scene.landmarks)
@@ -226,7 +225,7 @@ def test_a_patch_reaches_as_far_as_it_is_asked_to(fine_model, lit_scene):
 def test_few_pixels_tell_what_all_tell(fine_model, lit_scene):
     start = disturb(lit_scene.landmarks)
     fitter, dense = (Fitter(fine_model, "soft-li", SolverOptions(relative_tolerance=0.0)) for _ in range(2))
-    dense.__dict__["objectives"] = tuple(objective.of_all_pixels for objective in dense.objectives)
+    dense.__dict__["objectives"] = make_objectives(fine_model, get_method("soft-li"), thinning=0.0)
     assert fitter.objectives[0].density < 0.1
     few, all_of_them = (each.fit(lit_scene.image, start) for each in (fitter, dense))
     assert model_pixels(fine_model, few.landmarks, all_of_them.landmarks) < 0.2

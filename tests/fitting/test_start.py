@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import StartError
-from liaam.fitting.start import start_shape
+from liaam.fitting.starts import start_shape
 from liaam.io import Landmarks
 from liaam.model.shape import diagonal_of
 

@@ -23,9 +23,8 @@ def modules_on_the_stack(frame) -> list[str]:
     return [name for name, _ in groupby(inside)]
 
 
-@pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
-@pytest.mark.parametrize("method", ["soft-li", "li"])
-def test_the_way_to_the_core_is_short_and_never_climbs_back(model, lit_scene, method):
+def ways_to_the_core(fit) -> set[tuple[str, ...]]:
+    """Modules on the way to each call of the core for a whole fit."""
     ways = set()
 
     def watch(frame, event, _argument):
@@ -35,10 +34,27 @@ def test_the_way_to_the_core_is_short_and_never_climbs_back(model, lit_scene, me
     before = sys.getprofile()
     sys.setprofile(watch)
     try:
-        liaam.fit(model, lit_scene.image, disturb(lit_scene.landmarks), method, restarts=False, max_iterations=1)
+        fit()
     finally:
         sys.setprofile(before)
-    (way,) = ways
+    return ways
+
+
+@pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
+@pytest.mark.parametrize("method", ["soft-li", "li"])
+def test_the_way_to_the_core_is_short_and_never_climbs_back(model, lit_scene, method):
+    about = disturb(lit_scene.landmarks), method
+    (way,) = ways_to_the_core(lambda: liaam.fit(model, lit_scene.image, *about, restarts=False, max_iterations=1))
     assert way[-1] == "fitting/levels.py"
     assert len(way) <= 7
     assert len(set(way)) == len(way)
+
+
+@pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
+def test_so_is_that_of_a_doubtful_fit(calibrated, lit_scene):
+    far = disturb(lit_scene.landmarks, 0.7, (0.12, -0.04))
+    box = [*far.min(axis=0), *far.max(axis=0)]
+    ways = ways_to_the_core(lambda: liaam.fit(calibrated, lit_scene.image, box))
+    through = {name for way in ways for name in way}
+    assert {"fitting/other_places.py", "fitting/search.py"} < through
+    assert all(len(way) <= 7 and len(set(way)) == len(way) for way in ways), ways

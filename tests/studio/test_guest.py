@@ -2,7 +2,7 @@
 
 import pytest
 
-from liaam.fitting.held import methods_of
+from liaam.fitting.methods import methods_of
 from liaam.studio.model_store import ModelStore, model_json
 from liaam.studio.safety import GUEST
 

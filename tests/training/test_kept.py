@@ -8,8 +8,7 @@ import pytest
 import liaam
 from liaam.errors import MethodError
 from liaam.fitting import Fitter
-from liaam.fitting.held import methods_of
-from liaam.fitting.methods import METHODS
+from liaam.fitting.methods import METHODS, methods_of
 from liaam.model import AAM, MESH, SURROUNDINGS, load_model
 from liaam.model.rounding import encoded
 from liaam.relighting import shadow_free

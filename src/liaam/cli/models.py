@@ -114,7 +114,7 @@ def count_modes(model: "AAM") -> str:
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
     """Describe a model as labels and texts."""
-    from liaam.fitting.held import methods_of
+    from liaam.fitting.methods import methods_of
 
     appearances = {k: v for view in model.views.values() for k, v in view.levels[-1].appearances.items()}
     spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)

@@ -153,7 +153,7 @@ def compact(
 
     It fits as before. Files of older versions of liaam hold all methods and are ten times as large.
     """
-    from liaam.fitting.held import methods_of
+    from liaam.fitting.methods import methods_of
     from liaam.model import load_model
     from liaam.training import compact as compact_model
 

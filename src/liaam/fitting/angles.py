@@ -6,9 +6,8 @@ from liaam.fitting.level_image import LevelImage
 from liaam.fitting.objective import RIDGE, Objective, State
 
 SEARCH = np.deg2rad(60.0)
-"""Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the
-object, the global minimum over the full circle is often an inverted image: most failed fits of ``li`` on the spot
-protocol started near 250 degrees."""
+"""Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the object,
+the global minimum over the full circle is often an inverted image."""
 
 
 def best_image_angle(objective: Objective, image: LevelImage, state: State) -> float:
@@ -16,20 +15,8 @@ def best_image_angle(objective: Objective, image: LevelImage, state: State) -> f
 
     With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const. S and b hold inner products of the
     two log-chromaticity columns log R - log B and log G - log B with the appearance projected out. On the unit circle
-    the cost has at most four stationary points, the roots of a quartic.
-
-    Parameters
-    ----------
-    objective : Objective
-        Its method compares the invariant.
-    image : LevelImage
-    state : State
-        Its p and theta_1 are kept fixed.
-
-    Returns
-    -------
-    float
-        Best theta_2 within :data:`SEARCH` of theta_1, radians. The state's own theta_2 if no pixel is usable.
+    the cost has at most four stationary points, the roots of a quartic. The best within :data:`SEARCH` of theta_1 is
+    returned, radians, or the state's own theta_2 if no pixel is usable.
     """
     seen = objective.evaluate(image, state)
     root = seen["masked"].astype(np.float64)

@@ -9,16 +9,9 @@ from liaam.evaluation import short_repr
 from liaam.model.sampling import within
 from liaam.model.shape import diagonal_of
 
-DOUBTFUL = 0.52
-"""Score below which a detection is uncertain. With generic models of three sets of faces, each of 252 faces scores
-more, and so do generated ones under hard light from the side (0.55). Of images of cats, owls, rocks and balls one in
-four scores more, nearly all under the model trained on strongly turned heads."""
-
-APART = 0.1
-"""Mean distance of two shapes' landmarks, as a fraction of their size, beyond which they are different places."""
-
-OVERLAP = 0.3
-"""Fraction of an object's box that may lie in another's."""
+DOUBTFUL = 0.52  # score below which a detection is uncertain (experiments/notes/engine.md)
+APART = 0.1  # mean distance of landmarks, as a fraction of the size, beyond which shapes are different places
+OVERLAP = 0.3  # fraction of an object's box that may lie in another's
 
 
 @dataclass(frozen=True, eq=False)

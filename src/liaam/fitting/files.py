@@ -20,25 +20,11 @@ ROUNDING, FARTHEST = 0.02, 1e6
 
 
 def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> list[Path]:
-    """Write the landmarks and values of a fit.
+    """Write the landmarks of a fit, pixels from the centre of the top-left one, and the further entries of its .json.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    stem : str
-        File name without suffix.
-    landmarks : Landmarks
-        In pixels, with (0, 0) at the centre of the top-left pixel.
-    facts : dict
-        Further entries of the .json file. Numbers that are not finite become null.
-    image_size : (int, int)
-        Width and height of the image.
-
-    Returns
-    -------
-    list of Path
-        ``stem.pts`` (counts from 1), ``stem.csv``, ``stem.tps`` (y upwards) and ``stem.json`` (counts from 0).
+    The folder exists, ``stem`` is the file name without suffix, and ``image_size`` width and height. The files are
+    ``stem.pts`` (counts from 1), ``stem.csv``, ``stem.tps`` (y upwards) and ``stem.json`` (counts from 0). Numbers that
+    are not finite become null.
     """
     paths = [folder / f"{stem}{suffix}" for suffix in FIT_SUFFIXES]
     for path in paths[:-1]:

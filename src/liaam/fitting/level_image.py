@@ -1,6 +1,5 @@
 """The encoded level: the region of an image around the start in a method's encoding, and its noise."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
@@ -13,53 +12,28 @@ from liaam.model.sampling import Light, Patch, make_patch
 from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
 
-MARGIN = 0.4
-"""Margin around the start that a fit may use, as a fraction of the object's diagonal."""
-
-NEAR = 0.1
-"""The same for levels that start from a coarser level's solution."""
-
-LOG_RANGE = (-7.0, 0.5)
-"""Range of logarithms of linear light for which noise is tabulated, from black to highlights."""
-
-LOG_STEPS = 512
-"""Number of entries of that table."""
-
-NO_NOISE = np.zeros(2, np.float32)
-"""The table for methods that do not weigh noise."""
+MARGIN = 0.4  # around the start that a fit may use, as a fraction of the object's diagonal
+NEAR = 0.1  # the same for levels that start from a coarser level's solution
+LOG_RANGE = (-7.0, 0.5)  # of logarithms of linear light for which noise is tabulated, from black to highlights
+LOG_STEPS = 512  # entries of that table
+NO_NOISE = np.zeros(2, np.float32)  # the table for methods that do not weigh noise
 
 
 @dataclass(frozen=True, eq=False)
 class LevelImage:
-    """An image in a method's encoding, ready for an objective.
+    """An image in a method's encoding, ready for an objective."""
 
-    Attributes
-    ----------
-    patch : Patch
-        Encoded region around the start.
-    from_model : Similarity
-        Model pixels to patch pixels.
-    log_noise : (s,) float32
-        Standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOG_RANGE`.
-    value_left : float
-        Fraction of that deviation left after the blur of the encoded channels.
-    slope_left : float
-        Standard deviation of a gradient per model pixel after the blur, for noise of unit standard deviation.
-    blur : float
-        Standard deviation of the blur, model pixels.
-    correlated : float
-        Number of sampled pixels per independent residual, for weights by rows.
-    point_precision, points : (n_p, n_p), (n_p,) float64
-        Precision and mean of p by the points of another landmarker; empty for none.
-    """
-
-    patch: Patch
-    from_model: Similarity
+    patch: Patch  # encoded region around the start
+    from_model: Similarity  # model pixels to patch pixels
+    # (s,) float32: standard deviation of the logarithm due to noise, at evenly spaced logarithms over LOG_RANGE; the
+    # fraction of it left after the blur of the encoded channels; and the standard deviation of a gradient per model
+    # pixel after the blur, for noise of unit standard deviation.
     log_noise: np.ndarray = field(default_factory=NO_NOISE.copy)
     value_left: float = 1.0
     slope_left: float = 1.0
-    blur: float = 0.0
-    correlated: float = 1.0
+    blur: float = 0.0  # its standard deviation, model pixels
+    correlated: float = 1.0  # number of sampled pixels per independent residual, for weights by rows
+    # Precision and mean of p by the points of another landmarker, (n_p, n_p) and (n_p,) float64; empty for none.
     point_precision: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     points: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
@@ -73,23 +47,12 @@ class LevelImage:
     @cached_property
     def compiled(self) -> Any:
         """The image in the form that the core takes."""
-        channels = self.channels
-        return _core.make_image(
-            {
-                "pixels": channels.reshape(-1),
-                "height": channels.shape[0],
-                "width": channels.shape[1],
-                "from_model": rows_of(self.from_model),
-                "log_noise": self.log_noise,
-                "first_log": LOG_RANGE[0],
-                "last_log": LOG_RANGE[1],
-                "value_left": float(self.value_left),
-                "slope_left": float(self.slope_left),
-                "correlated": float(self.correlated),
-                "point_precision": self.point_precision,
-                "points": self.points,
-            }
-        )
+        own = ("log_noise", "value_left", "slope_left", "correlated", "point_precision", "points")
+        height, width = self.channels.shape[:2]
+        about = {"pixels": self.channels.reshape(-1), "height": height, "width": width}
+        about |= {"from_model": np.column_stack([self.from_model.matrix, self.from_model.offset])}
+        about |= {"first_log": LOG_RANGE[0], "last_log": LOG_RANGE[1]}
+        return _core.make_image(about | {name: getattr(self, name) for name in own})
 
     @classmethod
     def at(
@@ -104,26 +67,11 @@ class LevelImage:
         margin: float = MARGIN,
         density: float = 1.0,
     ) -> "LevelImage":
-        """Crop and encode an image around a shape.
+        """Crop and encode an image around a shape (n, 2) in it.
 
-        Parameters
-        ----------
-        image : (h, w, 3) uint8, uint16 or float32, or Light
-        shape : (n, 2) float
-            Start, image pixels.
-        pose : Similarity
-            Model pixels to image pixels.
-        method : Method
-        response : Response
-            Response of the image's camera.
-        blur : float
-            Standard deviation of the blur, model pixels.
-        noise : NoiseModel or float, optional
-            Noise of the image; by default it is measured here.
-        margin : float
-            Margin that the fit may use, as a fraction of the object's diagonal.
-        density : float
-            Fraction of the frame's pixels that are sampled.
+        The pose maps model pixels to image pixels, ``blur`` is in model pixels, ``margin`` a fraction of the object's
+        diagonal, and ``density`` the fraction of the frame's pixels that are sampled. The noise is measured here by
+        default.
         """
         patch = make_patch(image, shape, pose, encoding=method.encoding, response=response, blur=blur, margin=margin)
         from_model = Similarity(patch.from_image.matrix @ pose.matrix, patch.from_image(pose.offset[None])[0])
@@ -140,19 +88,8 @@ class LevelImage:
         return cls(patch, from_model, table, *left, blur, correlated)
 
 
-def rows_of(similarity: Similarity) -> np.ndarray:
-    """Return a similarity as (2, 3) float64: matrix and offset."""
-    return np.ascontiguousarray(np.column_stack([similarity.matrix, similarity.offset]), np.float64)
-
-
-def similarity_of(rows: Sequence) -> Similarity:
-    """Return the similarity of :func:`rows_of`."""
-    given = np.asarray(rows)
-    return Similarity(given[:, :2], given[:, 2])
-
-
 def noise_table(noise: NoiseModel | float, response: Response) -> np.ndarray:
-    """Return the standard deviation of the logarithm due to noise, at evenly spaced logarithms over :data:`LOG_RANGE`.
+    """Return the standard deviation of the logarithm due to noise, at evenly spaced logarithms over ``LOG_RANGE``.
 
     ``noise`` is the standard deviation in stored values of [0, 1], or the camera's noise model in linear light.
     """

@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from itertools import repeat
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -22,67 +22,26 @@ from liaam.workers import all_cores, in_order, one_thread
 ERRORS = ("raise", "return")
 """What to do about an image that cannot be fitted."""
 
+Raise = Literal["raise"]
+Return = Literal["return"]
+
 
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[False] = False,
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["raise"] = "raise",
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[False] = ..., errors: Raise = ..., **settings
 ) -> list[FitResult]: ...
-
-
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[False] = False,
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["return"],
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[False] = ..., errors: Return, **settings
 ) -> list[FitResult | LiaamError]: ...
-
-
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[True],
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["raise"] = "raise",
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Raise = ..., **settings
 ) -> list[list[FitResult]]: ...
-
-
 @overload
 def fit_many(
-    model: AAM,
-    images: Iterable,
-    init=None,
-    method: str | Method = DEFAULT_METHOD,
-    *,
-    every: Literal[True],
-    workers: int | None = None,
-    progress: bool | None = None,
-    errors: Literal["return"],
-    **settings,
+    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Return, **settings
 ) -> list[list[FitResult] | LiaamError]: ...
-
-
 def fit_many(
     model: AAM,
     images: Iterable,
@@ -97,9 +56,8 @@ def fit_many(
 ) -> list:
     """Fit a model to many images, on all cores.
 
-    Results do not depend on the number of workers. They equal those of :func:`liaam.fitting.fit` bit for bit if BLAS
-    uses one thread there. During the call, BLAS and OpenCV use one thread each in the whole process. Ctrl-C stops after
-    the running fits.
+    Results do not depend on the number of workers, and equal those of :func:`liaam.fit` bit for bit if BLAS uses one
+    thread there. Meanwhile BLAS and OpenCV use one thread each in the whole process. Ctrl-C stops after running fits.
 
     Parameters
     ----------
@@ -187,7 +145,7 @@ def refuse_one_start(every: bool, init: Any) -> None:
 
 
 def _fits(
-    perform: Callable, tasks: Iterable["_Task"], workers: int, n_images: int | None, progress: bool | None
+    perform: Callable, tasks: Iterable[tuple], workers: int, n_images: int | None, progress: bool | None
 ) -> Generator[Any, None, None]:
     done = 0
     threads = workers if n_images is None else max(1, min(workers, n_images))
@@ -200,25 +158,16 @@ def _fits(
                 yield result
 
 
-class _Task(NamedTuple):
-    number: int
-    image: Any
-    init: Any
-
-    @property
-    def name(self) -> str:
-        return f"images[{self.number}]"
-
-
-def _fit(fitter: Fitter, every: bool, errors: str, task: _Task) -> FitResult | list[FitResult] | LiaamError:
+def _fit(fitter: Fitter, every: bool, errors: str, task: tuple) -> FitResult | list[FitResult] | LiaamError:
+    image, init, name = task
     try:
-        return fitter.fit_all(task.image, task.name) if every else fitter.fit(task.image, task.init, task.name)
+        return fitter.fit_all(image, name) if every else fitter.fit(image, init, name)
     except LiaamError as error:
         if errors == "raise":
             raise
         return _without_frames(error)
     except Exception as error:
-        error.add_note(f"liaam was fitting {task.image if _is_path(task.image) else task.name}")
+        error.add_note(f"liaam was fitting {image if _is_path(image) else name}")
         raise
 
 
@@ -275,7 +224,8 @@ def _is_one_start(init) -> bool:
     return (given.ndim == 1 and given.size > 0) or (given.ndim == 2 and given.shape[1] == 2)
 
 
-def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
+def _tasks(images: Iterable, starts: Iterable) -> Iterator[tuple]:
+    """Yield each image with its start, and its name in messages."""
     rest, number = iter(starts), -1
     for number, image in enumerate(images):
         try:
@@ -283,7 +233,7 @@ def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
         except StopIteration:
             fault = f"more than {count_of(number, 'image')} but {count_of(number, 'start')}"
             raise StartError(f"{fault}; {_ONE_OR_EACH}") from None
-        yield _Task(number, image, start)
+        yield image, start, f"images[{number}]"
     if not isinstance(starts, repeat) and next(rest, _END) is not _END:
         raise StartError(f"{count_of(number + 1, 'image')} but more starts; {_ONE_OR_EACH}")
 

@@ -1,4 +1,7 @@
-"""The table of methods: each fitting method is one row of parameters of the common objective (eq 9, generalised)."""
+"""The table of methods: each fitting method is one row of parameters of the common objective (eq 9, generalised).
+
+A model can fit with the methods for whose appearances it was trained.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -6,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.model import MESH, SURROUNDINGS, VIEWS
+from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS
 from liaam.model.appearance import APPEARANCES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
 from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, name_of
@@ -58,6 +61,19 @@ WEIGHTS = ("model", "noise", "rows")
 """In the order of the core's."""
 
 STEPS = ("own", "scored", "expected")
+
+CHOICES: dict[str, Any] = {
+    "encoding": ENCODINGS,
+    "appearance": APPEARANCES,
+    "metric": METRICS,
+    "free_angles": FREE_ANGLES,
+    "bias": BIASES,
+    "weights": WEIGHTS,
+    "step": STEPS,
+    "view": VIEWS,
+    "loss": ("squares", *LOSSES),
+}
+"""What the fields of a method may be; ``encoding`` may also be a function."""
 
 
 @dataclass(frozen=True)
@@ -118,49 +134,44 @@ class Method:
     view: str = MESH
 
     def __post_init__(self) -> None:
-        if not callable(self.encoding):
-            _check("encoding", self.encoding, ENCODINGS)
-        _check("appearance", self.appearance, APPEARANCES)
-        _check("metric", self.metric, METRICS)
-        _check("free_angles", self.free_angles, FREE_ANGLES)
-        _check("bias", self.bias, BIASES)
-        _check("weights", self.weights, WEIGHTS)
-        _check("step", self.step, STEPS)
-        _check("view", self.view, VIEWS)
-        if self.metric not in INVARIANT_AT and self.free_angles != "none":
-            raise MethodError(f"method {self.name}: metric {self.metric} has no angle to free")
-        if self.metric in ("invariant", "chromaticity") and self.bias == "common":
+        for name, known in CHOICES.items():
+            value = getattr(self, name)
+            if not callable(value) and value not in known:
+                raise MethodError(f"unknown {name} {value!r}; choose from {', '.join(known)}")
+        encoding, appearance, metric = self.encoding_name, self.appearance, self.metric
+        apart = any((metric == name) != (encoding == name) for name in ("orientation", "soft", "features"))
+        for is_wrong, why in (
+            (metric not in INVARIANT_AT and self.free_angles != "none", f"metric {metric} has no angle to free"),
             # L . 1 = 0 (and C . 1 = 0): a constant common to all log channels is a null vector.
-            raise MethodError(f"method {self.name}: a common bias is invisible to metric {self.metric}")
-        if self.gain and self.metric == "invariant":
-            raise MethodError(f"method {self.name}: a gain on logarithms does not model any change of light")
-        _check("loss", self.loss, ("squares", *LOSSES))
-        if ENCODING_OF[self.appearance] != self.encoding_name:
-            raise MethodError(
-                f"method {self.name}: {self.encoding_name} images do not suit a {self.appearance} appearance"
-            )
-        for name in ("orientation", "soft", "features"):
-            if (self.metric == name) != (self.encoding_name == name):
-                raise MethodError(
-                    f"method {self.name}: metric {self.metric} does not suit encoding {self.encoding_name}"
-                )
-        if self.weights == "rows" and self.encoding != "soft":
-            raise MethodError(f"method {self.name}: weights by rows are for encoding soft")
-        if self.weights == "noise" and self.encoding != "log":
-            raise MethodError(
-                f"method {self.name}: noise weights are for methods that compare logarithms, whose noise depends on "
-                "brightness; the noise of values is uniform"
-            )
-        if self.weights != "model" and self.loss == "learnt":
-            raise MethodError(
-                f"method {self.name}: weights by {self.weights} already include the model's errors; leave out 'learnt'"
-            )
-        if (self.illumination or self.normalise) and self.encoding != "value":
-            raise MethodError(f"method {self.name}: an illumination basis and normalisation need encoding value")
-        if self.appearance == "invariant" and self.metric != "invariant":
-            raise MethodError(f"method {self.name}: the invariant appearance needs the invariant metric")
-        if self.appearance in ("invariant", "soft") and self.free_angles in ("both", "shared"):
-            raise MethodError(f"method {self.name}: theta_1 is fixed by an appearance projected before the PCA")
+            (self.needs_colour and self.bias == "common", f"a common bias is invisible to metric {metric}"),
+            (self.gain and metric == "invariant", "a gain on logarithms does not model any change of light"),
+            (ENCODING_OF[appearance] != encoding, f"{encoding} images do not suit a {appearance} appearance"),
+            (apart, f"metric {metric} does not suit encoding {encoding}"),
+            (self.weights == "rows" and encoding != "soft", "weights by rows are for encoding soft"),
+            (
+                self.weights == "noise" and encoding != "log",
+                "noise weights are for methods that compare logarithms, whose noise depends on brightness; the noise "
+                "of values is uniform",
+            ),
+            (
+                self.weights != "model" and self.loss == "learnt",
+                f"weights by {self.weights} already include the model's errors; leave out 'learnt'",
+            ),
+            (
+                (self.illumination or self.normalise) and encoding != "value",
+                "an illumination basis and normalisation need encoding value",
+            ),
+            (
+                appearance == "invariant" and metric != "invariant",
+                "the invariant appearance needs the invariant metric",
+            ),
+            (
+                appearance in ("invariant", "soft") and self.free_angles in ("both", "shared"),
+                "theta_1 is fixed by an appearance projected before the PCA",
+            ),
+        ):
+            if is_wrong:
+                raise MethodError(f"method {self.name}: {why}")
 
     @property
     def encoding_name(self) -> str:
@@ -186,7 +197,7 @@ class Method:
 
     @property
     def reweighs(self) -> bool:
-        """Whether weights are updated between iterations ."""
+        """Whether weights are updated between iterations."""
         return self.weighs_noise or self.normalise or self.loss != "squares"
 
     @property
@@ -232,29 +243,27 @@ class Method:
 
     @property
     def model_metric_parts(self) -> np.ndarray:
-        """The same for P(theta_1), on the channels of the appearance, (3, k, c) float64."""
-        if not self.projects_appearance:
+        """The same for P(theta_1), on the channels of the appearance, (3, k, c) float64.
+
+        It is the identity for an appearance that was projected before it was learnt.
+        """
+        if self.appearance in ("invariant", "orientation", "soft", "features"):
             return np.stack([np.eye(self.n_rows), *np.zeros((2, self.n_rows, self.n_rows))])
         return self.metric_parts[:, :, : self._rows.shape[1]]
 
     def model_metric(self, theta: float) -> np.ndarray:
         """Return P(theta_1) for the model, (k, channels of the appearance)."""
-        return np.tensordot([1.0, np.cos(theta), np.sin(theta)], self.model_metric_parts, axes=1)
+        return at_angle(self.model_metric_parts, theta)
 
     def image_metric(self, theta: float) -> np.ndarray:
         """Return P(theta_2) for the image, (k, channels of the encoding)."""
-        parts = self.metric_parts[:, :, : self._rows.shape[1]]
-        return np.tensordot([1.0, np.cos(theta), np.sin(theta)], parts, axes=1)
-
-    @property
-    def projects_appearance(self) -> bool:
-        """Whether P applies to the model's appearance; the others were projected before they were learnt."""
-        return self.appearance not in ("invariant", "orientation", "soft", "features")
+        return at_angle(self.metric_parts[:, :, : self._rows.shape[1]], theta)
 
 
-def _check(what: str, value: str, known) -> None:
-    if value not in known:
-        raise MethodError(f"unknown {what} {value!r}; choose from {', '.join(known)}")
+def at_angle(parts: np.ndarray, theta: float) -> np.ndarray:
+    """Combine parts (3, ...) that are constant and multiplied by cos and sin of an angle."""
+    at = np.array([1.0, np.cos(theta), np.sin(theta)], parts.dtype)
+    return np.ascontiguousarray(np.tensordot(at, parts, axes=1))
 
 
 class MethodTable(dict[str, Method]):
@@ -265,97 +274,47 @@ class MethodTable(dict[str, Method]):
         return "\n".join(f"{name:{width}}  {method.summary}" for name, method in self.items())
 
 
-METHODS = MethodTable(
-    (method.name, method)
-    for method in (
-        Method(
-            "soft-li",
-            "gradients of log brightness and of the invariant, by estimated variance; the default, for any light",
-            "soft",
-            "soft",
-            "soft",
-            weights="rows",
-            step="expected",
-            view=SURROUNDINGS,
-        ),
-        Method(
-            "grey", "luminance; drifts when the light changes", "value", "value", "luminance", gain=True, bias="common"
-        ),
-        Method(
-            "rgb", "colour values; drifts when the light changes", "value", "value", "rgb", gain=True, bias="common"
-        ),
-        Method(
-            "li",
-            "light-invariant projection; estimates the image's angle (paper section 4)",
-            "log",
-            "log",
-            "invariant",
-            "image",
-            step="scored",
-        ),
-        Method(
-            "li-lit",
-            "as li, with an appearance learnt after the projection",
-            "log",
-            "invariant",
-            "invariant",
-            "image",
-            step="scored",
-        ),
-        Method(
-            "li-pc", "as li; estimates the angles of both cameras", "log", "log", "invariant", "both", step="scored"
-        ),
-        Method(
-            "li-pcs", "as li-pc, with one angle for both cameras", "log", "log", "invariant", "shared", step="scored"
-        ),
-        Method(
-            "chroma",
-            "log-chromaticity: invariant to intensity; assumes one colour of light for the whole object",
-            "log",
-            "log",
-            "chromaticity",
-            bias="rows",
-            step="scored",
-        ),
-        Method(
-            "grey-plain", "unmodified luminance: even a change of exposure is an error", "value", "value", "luminance"
-        ),
-        Method(
-            "grey-norm",
-            "luminance normalised to the model's mean and standard deviation (affine photometric normalisation)",
-            "value",
-            "value",
-            "luminance",
-            normalise=True,
-        ),
-        Method(
-            "varied",
-            "as grey, learnt from relit images too (train with --lamps)",
-            "value",
-            "varied",
-            "luminance",
-            gain=True,
-            bias="common",
-        ),
-        Method(
-            "aia",
-            "active illumination: as grey, plus an illumination basis (train with --lamps)",
-            "value",
-            "value",
-            "luminance",
-            gain=True,
-            bias="common",
-            illumination=True,
-        ),
-        Method(
-            "igo",
-            "orientation of the luminance gradient: ignores its magnitude",
-            "orientation",
-            "orientation",
-            "orientation",
-        ),
-    )
-)
+_SOFT: dict[str, Any] = {"encoding": "soft", "appearance": "soft", "metric": "soft", "view": SURROUNDINGS}
+_ORIENTATION: dict[str, Any] = {"encoding": "orientation", "appearance": "orientation", "metric": "orientation"}
+_PLAIN: dict[str, Any] = {"encoding": "value", "appearance": "value", "metric": "luminance"}
+_GREY: dict[str, Any] = {**_PLAIN, "gain": True, "bias": "common"}
+_LI: dict[str, Any] = {"encoding": "log", "appearance": "log", "metric": "invariant", "step": "scored"}
+
+_ROWS: dict[str, tuple[str, dict[str, Any]]] = {
+    "soft-li": (
+        "gradients of log brightness and of the invariant, by estimated variance; the default, for any light",
+        {**_SOFT, "weights": "rows", "step": "expected"},
+    ),
+    "grey": ("luminance; drifts when the light changes", _GREY),
+    "rgb": ("colour values; drifts when the light changes", {**_GREY, "metric": "rgb"}),
+    "li": (
+        "light-invariant projection; estimates the image's angle (paper section 4)",
+        {**_LI, "free_angles": "image"},
+    ),
+    "li-lit": (
+        "as li, with an appearance learnt after the projection",
+        {**_LI, "free_angles": "image", "appearance": "invariant"},
+    ),
+    "li-pc": ("as li; estimates the angles of both cameras", {**_LI, "free_angles": "both"}),
+    "li-pcs": ("as li-pc, with one angle for both cameras", {**_LI, "free_angles": "shared"}),
+    "chroma": (
+        "log-chromaticity: invariant to intensity; assumes one colour of light for the whole object",
+        {**_LI, "metric": "chromaticity", "bias": "rows"},
+    ),
+    "grey-plain": ("unmodified luminance: even a change of exposure is an error", _PLAIN),
+    "grey-norm": (
+        "luminance normalised to the model's mean and standard deviation (affine photometric normalisation)",
+        {**_PLAIN, "normalise": True},
+    ),
+    "varied": ("as grey, learnt from relit images too (train with --lamps)", {**_GREY, "appearance": "varied"}),
+    "aia": (
+        "active illumination: as grey, plus an illumination basis (train with --lamps)",
+        {**_GREY, "illumination": True},
+    ),
+    "igo": ("orientation of the luminance gradient: ignores its magnitude", _ORIENTATION),
+}
+
+METHODS = MethodTable((name, Method(name, summary, **row)) for name, (summary, row) in _ROWS.items())
 """All methods by name, in the order of the table."""
 
 
@@ -410,6 +369,46 @@ def get_method(method: str | Method) -> Method:
             )
         changes[key] = value
     return replace(METHODS[base], name=method, **changes) if changes else METHODS[base]
+
+
+def needed_by(method: Method) -> set[str]:
+    """Return the names of the appearances that a method needs at each level of its view."""
+    return {method.appearance, *(("illumination",) if method.illumination else ())}
+
+
+def _missing(model: AAM, method: Method) -> set[str]:
+    """Return the names of the appearances that the model lacks."""
+    if method.view not in model.views:
+        return needed_by(method)
+    return set().union(*(needed_by(method) - set(level.appearances) for level in model.views[method.view].levels))
+
+
+def methods_of(model: AAM) -> tuple[str, ...]:
+    """Return the names of the methods that a model can fit with."""
+    return tuple(name for name, method in METHODS.items() if not _missing(model, method))
+
+
+def check_holds(model: AAM, method: Method) -> None:
+    """Raise an error if the model lacks what the method needs."""
+    if method.view not in model.views:
+        raise MethodError(
+            f"method {method.name}: the model has no view {method.view}; train it again, or use method "
+            f"'{'li' if model.is_colour else 'grey'}'"
+        )
+    missing = _missing(model, method)
+    if missing & {"varied", "illumination"} and not model.n_lamps:
+        raise MethodError(
+            f"method {method.name} needs a model trained on relit images; train it with lamps "
+            "and at least one copy of each image ('liaam train --lamps', or train(..., lamps=...))"
+        )
+    if missing:
+        raise MethodError(
+            f"method {method.name}: the model was trained for {', '.join(methods_of(model)) or 'no method'}; train it "
+            f"again with '--methods {method.name.partition('+')[0]}' (train(..., methods=...)), or use one of these"
+        )
+    levels = model.views[method.view].levels
+    if method.loss == "learnt" and any(level.appearances[method.appearance].unexplained is None for level in levels):
+        raise MethodError(f"method {method.name}: the model has no variances of its errors; train it again")
 
 
 def gaussian_median(k: int) -> float:

@@ -8,9 +8,8 @@ import numpy as np
 
 from liaam import _core
 from liaam.errors import MethodError
-from liaam.fitting.held import check_holds
 from liaam.fitting.level_image import LevelImage, correlated_pixels
-from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, gaussian_median
+from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, at_angle, check_holds, gaussian_median
 from liaam.fitting.reference import CORRELATED, GRADIENT_ROWS, Problem
 from liaam.fitting.reference_loop import solve_level
 from liaam.model import AAM, Level
@@ -26,59 +25,34 @@ cannot observe, such as pure shading under L(theta), at the mean; otherwise roun
 class State(NamedTuple):
     """The unknowns of a fit."""
 
-    p: np.ndarray
-    """(n_p,) float64: parameters of the warp."""
-    angles: np.ndarray
-    """(2,) float64: theta_1 (model) and theta_2 (image), radians."""
-    lam: np.ndarray
-    """(m,) float64: coordinates of the appearance, extra modes last."""
+    p: np.ndarray  # (n_p,) float64: parameters of the warp
+    angles: np.ndarray  # (2,) float64: theta_1 (model) and theta_2 (image), radians
+    lam: np.ndarray  # (m,) float64: coordinates of the appearance, extra modes last
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The cost of a method for a model at one level (eq 9, generalised).
-
-    Attributes
-    ----------
-    method : Method
-    warp : Warp
-    appearance : AppearanceModel
-    theta_model : float
-        The training camera's angle, radians.
-    prior : (n_p,) float64
-        Precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels.
-    illumination : AppearanceModel, optional
-        Illumination basis, for methods that add one.
-    correlated : float
-        Number of pixels per independent residual, for weights that do not account for correlation.
-    density : float
-        Fraction of the frame's pixels that are used.
-    dof : float
-        Degrees of freedom of the prior's scale (:func:`liaam.fitting.reference_loop.next_prior_scale`); infinite for a
-        scale of 1.
-    whole : Objective, optional
-        The same objective over all of the frame's pixels, in the order of ``warp.kept``; by default this one.
-    in_frame : (AppearanceModel, AppearanceModel or None), optional
-        Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default
-        those at the warp's pixels.
-    """
+    """The cost of a method for a model at one level (eq 9, generalised)."""
 
     method: Method
     warp: Warp
     appearance: AppearanceModel
-    theta_model: float
+    theta_model: float  # the training camera's angle, radians
+    # (n_p,): precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels, with
+    # ``dof`` degrees of freedom (reference_loop.next_prior_scale); infinite for a scale of 1.
     prior: np.ndarray
-    illumination: AppearanceModel | None = None
-    correlated: float = 1.0
-    density: float = 1.0
+    illumination: AppearanceModel | None = None  # basis, for methods that add one
+    blur: float = 0.0  # of the image: its standard deviation, model pixels
+    density: float = 1.0  # fraction of the frame's pixels that are used
     dof: float = np.inf
-    whole: "Objective | None" = None
+    # Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default those
+    # at the warp's pixels.
     in_frame: tuple[AppearanceModel, AppearanceModel | None] | None = None
 
     @property
-    def of_all_pixels(self) -> "Objective":
-        """The same objective over all of the frame's pixels."""
-        return self if self.whole is None else self.whole
+    def correlated(self) -> float:
+        """Number of pixels per independent residual, for weights that do not account for correlation."""
+        return max(1.0, self.density * correlated_pixels(self.blur))
 
     @property
     def n_q(self) -> int:
@@ -109,7 +83,7 @@ class Objective:
         """
         n, k, method = len(self.appearance.mean), self.method.n_rows, self.method
         parts = self._rows_of(self.appearance, self.illumination)
-        rows, slope_parts = self._at_model_angle(parts).reshape(-1, n * k), self._slope_parts
+        rows, slope_parts = at_angle(parts, self.theta_model).reshape(-1, n * k), self._slope_parts
         m, none = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
         lines = np.zeros((n * k, padded(m)), np.float32)
         lines[:, :m] = rows[1:].T
@@ -119,7 +93,7 @@ class Objective:
             **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
             "rows": rows,
             "lines": lines.ravel(),
-            "slopes": self._at_model_angle(slope_parts) if self._turns else slope_parts[0],
+            "slopes": at_angle(slope_parts, self.theta_model) if self._turns else slope_parts[0],
             "row_parts": parts.reshape(3, -1, n * k) if self._turns else none,
             "slope_parts": slope_parts if self._turns else none,
             "sqrt_weights": own,
@@ -147,31 +121,28 @@ class Objective:
         """Whether theta_1, and so the model's side, changes during a fit."""
         return bool(self.method.angle_directions[0].any())
 
+    def _textures(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> list[np.ndarray]:
+        """Return the mean, the modes and what the method adds to them, each (count, n, c)."""
+        added = [illumination.modes] if self.method.illumination and illumination is not None else []
+        gain = [appearance.mean[None]] if self.method.gain else []  # its mode is the mean
+        return [appearance.mean[None], appearance.modes, *added, *gain]
+
     def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
-        k, parts = self.method.n_rows, []
-        textures = [appearance.mean[None], appearance.modes]
-        if self.method.illumination and illumination is not None:
-            textures.append(illumination.modes)
-        for metric in self.method.model_metric_parts.astype(np.float32):
-            rows = [texture @ metric.T for texture in textures]
-            if self.method.gain:  # the gain's mode is the mean
-                rows.append(rows[0])
-            parts.append(np.concatenate(rows))
-        biases = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}
-        constant = np.broadcast_to(biases[self.method.bias], (len(biases[self.method.bias]), *parts[0].shape[1:]))
-        parts = [np.concatenate([part, constant if i == 0 else 0.0 * constant]) for i, part in enumerate(parts)]
+        n, k, textures = len(appearance.mean), self.method.n_rows, self._textures(appearance, illumination)
+        bias = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}[self.method.bias]
+        constant = np.broadcast_to(bias, (len(bias), n, k))
+        parts = [
+            np.concatenate([*(texture @ metric.T for texture in textures), constant if i == 0 else 0.0 * constant])
+            for i, metric in enumerate(self.method.model_metric_parts.astype(np.float32))
+        ]
         return np.stack(parts).astype(np.float32)
 
     def _ridge(self) -> np.ndarray:
         """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
         appearance, k = self.appearance, self.method.n_rows
-        modes = [appearance.modes]
-        if self.method.illumination and self.illumination is not None:
-            modes.append(self.illumination.modes)
-        if self.method.gain:
-            modes.append(appearance.mean[None])
-        sizes = [np.square(own, dtype=np.float64).sum(axis=(1, 2)) for own in modes]
+        textures = self._textures(appearance, self.illumination)[1:]
+        sizes = [np.square(own, dtype=np.float64).sum(axis=(1, 2)) for own in textures]
         biases = {"none": [], "common": [k * len(appearance.mean)], "rows": [len(appearance.mean)] * k}
         ridge = RIDGE * np.maximum(np.concatenate([*sizes, biases[self.method.bias]]), 1e-12)
         ridge[: appearance.n_modes] += self._ordinary_unit() / np.maximum(appearance.eigenvalues, 1e-12)
@@ -195,11 +166,6 @@ class Objective:
     def _knows_colours(self) -> bool:
         return bool(self.appearance.mean[:, -1].any())
 
-    def _at_model_angle(self, parts: np.ndarray) -> np.ndarray:
-        """Combine parts (3, ...) float32 that are constant and multiplied by cos and sin of theta_1."""
-        at = np.array([1.0, np.cos(self.theta_model), np.sin(self.theta_model)], np.float32)
-        return np.ascontiguousarray(np.tensordot(at, parts, axes=1))
-
     @cached_property
     def _slope_parts(self) -> np.ndarray:
         """Spatial gradients of mean and modes, (1 or 3, 1 + m, 2 n k) float32; empty for methods that use none.
@@ -207,7 +173,7 @@ class Objective:
         Three parts, as of :meth:`_rows_of`, if theta_1 is free; else one at the model's angle.
         """
         parts = self._rows_of(*(self.in_frame or (self.appearance, self.illumination)))
-        parts = parts if self._turns else self._at_model_angle(parts)[None]
+        parts = parts if self._turns else at_angle(parts, self.theta_model)[None]
         if not self.method.expects:
             return np.zeros((*parts.shape[:2], 0), np.float32)
         n_parts, n_modes, n_all, k = parts.shape
@@ -240,10 +206,7 @@ class Objective:
     def evaluate(self, image: LevelImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
         """Evaluate the residual of a state, solve for lambda there if asked, and update the weights ``weigh`` times.
 
-        Returns
-        -------
-        dict
-            The arrays of :meth:`Problem.arrays`.
+        The result are the arrays of :meth:`Problem.arrays`.
         """
         problem = self.problem(image)
         problem.begin(state.p, tuple(state.angles), state.lam)
@@ -272,10 +235,8 @@ class Objective:
 
 THINNING = 1.5
 """Distance between sampled pixels, in standard deviations of a level's blur, rounded to whole pixels. Closer pixels are
-redundant: with every second row and column of its sharpest level instead of twice as many pixels, ``soft-li`` is off by
-0.015 more on average (standard error 0.013), in per cent of the distance between the eyes, over 590 fits to strangers
-and the same person. Coarse levels need their pixels: with a quarter less, distant starts are lost. Of these levels,
-model files hold only the pixels that this distance needs (:func:`pixels_for`)."""
+redundant at the sharpest level; coarse levels need theirs (experiments/notes/engine.md). Of these levels, model files
+hold only the pixels that this distance needs (:func:`pixels_for`)."""
 
 
 def pixels_for(warp: PiecewiseAffineWarp, blur: float) -> np.ndarray:
@@ -291,19 +252,10 @@ def pixels_for(warp: PiecewiseAffineWarp, blur: float) -> np.ndarray:
 def make_objectives(model: AAM, method: Method, thinning: float | None = None) -> tuple[Objective, ...]:
     """Make the objectives of a model and a method, one per level, coarse to fine.
 
-    Parameters
-    ----------
-    model : AAM
-    method : Method
-    thinning : float, optional
-        Distance between sampled pixels, in standard deviations of a level's blur. By default :data:`THINNING`, and 0
-        (every pixel) for orientations: they are normalised after the blur, so neighbours are less redundant. Measured
-        with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise.
-
-    Raises
-    ------
-    MethodError
-        If the model lacks what the method needs, such as colour.
+    ``thinning`` is the distance between sampled pixels, in standard deviations of a level's blur. By default it is
+    :data:`THINNING`, and 0 (every pixel) for orientations: they are normalised after the blur, so neighbours are less
+    redundant. Measured with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise. MethodError is
+    raised if the model lacks what the method needs, such as colour.
     """
     if method.needs_colour and not model.is_colour:
         raise MethodError(
@@ -327,23 +279,19 @@ def _objective(model: AAM, method: Method, warp: PiecewiseAffineWarp, level: Lev
     # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
     prior = np.concatenate([1.0 / np.maximum(warp.shape_model.eigenvalues, 1e-12), np.zeros(4)])
 
-    def at(kept: np.ndarray, whole: Objective | None = None) -> Objective:
-        density = len(kept) / len(appearance.mean)
-        return Objective(
-            method,
-            warp.at(kept),
-            appearance.at(kept),
-            model.theta,
-            prior,
-            None if illumination is None else illumination.at(kept),
-            correlated=max(1.0, density * correlated_pixels(level.blur)),
-            density=density,
-            dof=dof,
-            whole=whole,
-            in_frame=(appearance, illumination),
-        )
-
-    return at(warp.every(thinning * level.blur), at(warp.every(0.0)))
+    kept = warp.every(thinning * level.blur)
+    return Objective(
+        method,
+        warp.at(kept),
+        appearance.at(kept),
+        model.theta,
+        prior,
+        None if illumination is None else illumination.at(kept),
+        blur=level.blur,
+        density=len(kept) / len(appearance.mean),
+        dof=dof,
+        in_frame=(appearance, illumination),
+    )
 
 
 def _encoded(model: AAM, method: Method) -> Method:

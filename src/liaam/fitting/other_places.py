@@ -6,47 +6,27 @@ other likely one lowers the odds.
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
-from liaam.fitting.level_image import NEAR
-from liaam.fitting.levels import FittedLevel, Target, is_sane, spare
+from liaam.fitting.levels import Target
+from liaam.fitting.prepared import Prepared
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
-from liaam.fitting.search import LARGE
-from liaam.fitting.solver import SolverOptions
-from liaam.fitting.uncertainty import quality_features
+from liaam.fitting.search import LARGE, Finder
 from liaam.model.shape import diagonal_of
 
-if TYPE_CHECKING:
-    from liaam.fitting.fitter import Fitter
-
-BRIEF = 12
-"""Largest number of steps per level of fits to other detections. Right fits take fewer; wrong ones, and most are, take
-up to ``max_iterations``. Photographs without a face take two thirds of the time, and nothing is lost."""
-
-PROMISING = 3
-"""Number of these detections that are fitted at the sharpest level, which takes most of the time: those of the highest
-odds at the level before. All of 121 fits that end elsewhere than they began end as with every detection; with two, 7
-end elsewhere again. With only those of a tenth of the best odds, right fits under flashes are doubtful, because quality
-falls at the sharpest level where the object is not."""
+# Largest number of steps per level of fits to other detections: right fits take fewer, wrong ones take more. Number of
+# detections that are fitted at the sharpest level, which takes most of the time: those of the highest odds at the level
+# before. What was measured for these is in experiments/notes/engine.md.
+BRIEF, PROMISING = 12, 3
 
 Start = tuple[Target, Detection | None]
 """A start, and the detection that it is from."""
 
 
-class Blurred(NamedTuple):
-    """A fit at all levels but the sharpest: its target, levels, the shape that it reached, and its quality."""
-
-    target: Target
-    stages: list[FittedLevel]
-    shape: np.ndarray
-    quality: float
-
-
 def likeliest(
-    fitter: "Fitter", first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
+    prepared: Prepared, finder: Finder, first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
 ) -> tuple[FitResult, float, Start]:
     """Return the most likely fit in a region (its corners), the factor on its odds, and its start.
 
@@ -61,17 +41,17 @@ def likeliest(
     def odds(shape: np.ndarray, quality: float) -> float:
         return prior(shape, quality) * odds_of(quality)
 
-    own, brief = prior(first.landmarks, first.quality), replace(fitter.options, max_iterations=BRIEF)
+    own, brief = prior(first.landmarks, first.quality), replace(prepared.options, max_iterations=BRIEF)
     if with_prior(first, min(own, 1.0)).quality >= LEAST_QUALITY:
         return first, min(own, 1.0), start
 
     blurred = []
-    for place in fitter.finder.others_in(target.linear.crop(low, high)):
-        fit = fit_blurred(fitter, target._replace(start=place.landmarks + low), brief)
+    for place in finder.others_in(target.linear.crop(low, high)):
+        fit = prepared.fit_blurred(target._replace(start=place.landmarks + low), brief)
         blurred.append((fit, found and replace(place, others=found.others)))
     blurred.sort(key=lambda each: odds(each[0].shape, each[0].quality), reverse=True)
     tried = [(first, start)]
-    tried += [(fit_sharpest(fitter, fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
+    tried += [(prepared.fit_sharpest(fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
     unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
     while True:
         i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
@@ -79,28 +59,10 @@ def likeliest(
         if i not in unfinished:
             break
         unfinished.remove(i)
-        tried[i] = fitter._fit_from(start[0]), start
+        tried[i] = prepared.fit_target(start[0]), start
     seen = [(each.landmarks, each.quality) for each, _ in tried]
     seen += [(fit.shape, fit.quality) for fit, _ in blurred[PROMISING:]]
     others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
     own = prior(best.landmarks, best.quality)
     shared = own / (own + others) if own > 0 else 1.0
     return replace(best, n_starts=1 + len(blurred)), min(own, 1.0) * shared, start
-
-
-def fit_blurred(fitter: "Fitter", target: Target, options: SolverOptions) -> Blurred:
-    """Fit all levels but the sharpest."""
-    stages, known = fitter._solved(target, spare(options), last=max(1, len(fitter.objectives) - 1)), fitter.reliability
-    reached = stages[-1].reached
-    if known is None or not is_sane(reached, target.start):
-        return Blurred(target, [], target.start, 0.0)
-    return Blurred(target, stages, reached, known.quality(quality_features(stages[-1])))
-
-
-def fit_sharpest(fitter: "Fitter", fit: Blurred, options: SolverOptions) -> FitResult:
-    """Fit the sharpest level, from the shape that the others have reached."""
-    n_blurred = len(fitter.objectives) - 1
-    if not n_blurred or not fit.stages:
-        return fitter._fit_from(fit.target, options)
-    from_there = fit.target._replace(start=fit.shape, margin=NEAR)
-    return fitter.result_of(fit.target, [*fit.stages, *fitter._solved(from_there, options, first=n_blurred)])

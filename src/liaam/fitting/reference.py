@@ -15,38 +15,24 @@ from liaam.fitting.level_image import LevelImage
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 from liaam.reference import sample
 
-UNKNOWN = 1e5
-"""Variance assigned to a pixel whose logarithm is not usable."""
+UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable
+LEAST_UNEXPLAINED = 0.02  # lower bound on the unexplained variance, as a fraction of the residual's
+MOST_DIRECTION_NOISE = 0.5  # upper bound on the variance of each component of a direction: that of a random direction
 
-LEAST_UNEXPLAINED = 0.02
-"""Lower bound on the unexplained variance, as a fraction of the residual's."""
-
-MOST_DIRECTION_NOISE = 0.5
-"""Upper bound on the variance of each component of a direction: that of a random direction."""
-
+# Change of the logarithm of an unexplained variance, and fraction of pixels that become usable or cease to be, below
+# which weights are kept.
 ALIKE, CHANGED = 0.2, 0.02
-"""Change of the logarithm of an unexplained variance, and fraction of pixels that become usable or cease to be, below
-which weights are kept."""
 
+# Number of rows of ``soft`` that are gradients (the others are colour), and factors on the number of correlated pixels
+# for the model's errors in gradients and in colour: they are patches rather than grains, and widest in colour.
 GRADIENT_ROWS, CORRELATED = 2, np.array([8.0, 30.0])
-"""Number of rows of ``soft`` that are gradients (the others are colour), and factors on the number of correlated pixels
-for the model's errors in gradients and in colour: they are patches rather than grains, and widest in colour."""
 
-FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))
-"""Candidate factors on the model's learnt errors; the most likely one is used."""
-
-LEARNT = 6
-"""Number of the loss ``learnt``."""
+FACTORS = np.concatenate((np.zeros(1), np.geomspace(1e-3, 30.0, 19)))  # on the learnt errors: the likeliest is used
+LEARNT = 6  # number of the loss ``learnt``
 
 
 class Problem:
-    """An objective at one encoded image, with the state of the fit and all that follows from it.
-
-    Parameters
-    ----------
-    objective : liaam.fitting.objective.Objective
-    image : LevelImage
-    """
+    """An objective at one encoded image, with the state of the fit and all that follows from it."""
 
     def __init__(self, objective: Any, image: LevelImage) -> None:
         self.warp, self.f, self.image = objective.warp, objective.fields, image

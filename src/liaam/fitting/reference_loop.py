@@ -10,8 +10,9 @@ The two eliminations differ in lambda only. Variable projection solves for it at
 costs. The joint form (the paper's) updates it by its own part of the step.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,35 +60,7 @@ LEAST_PRECISION, TO_AND_FRO = 1e-9, 0.5
 undo before the lower bound on the curvature is doubled."""
 
 
-@dataclass
-class LevelFit:
-    """The solution of a level, with the names of the core's class."""
-
-    p: np.ndarray
-    angles: np.ndarray
-    lam: np.ndarray
-    costs: np.ndarray
-    path: np.ndarray
-    angle_history: np.ndarray
-    n_iterations: int
-    converged: bool
-    held: bool
-    flat: bool
-    noise_variance: float
-    squares: float
-    weight: float
-    prior_scale: float
-    expected_hessian: np.ndarray
-    usable: np.ndarray
-    contrast: np.ndarray
-    weighted_contrast: np.ndarray
-    n_counted: int
-    samples: np.ndarray
-    residual: np.ndarray
-
-
-@dataclass
-class Controls:
+class Controls(NamedTuple):
     """Options of one run of the loop; see ``src/core/level.hpp``."""
 
     options: Any
@@ -106,7 +79,7 @@ class Trace:
 
     costs: list[float] = field(default_factory=list)
     path: list[np.ndarray] = field(default_factory=list)
-    angles: list[np.ndarray] = field(default_factory=list)
+    angle_history: list[np.ndarray] = field(default_factory=list)
     n_iterations: int = 0
     converged: bool = False
     held: bool = False
@@ -178,7 +151,7 @@ class Loop:
             return
         trace.costs.append(cost)
         trace.path.append(problem.p.copy())
-        trace.angles.append(problem.angles.copy())
+        trace.angle_history.append(problem.angles.copy())
 
     def propose(self, controls: Controls, damping: float, fresh: bool, ends: bool, trace: Trace) -> tuple[bool, bool]:
         """Compute the step; at the end, only the Hessian. Return whether there is one, and whether it is short."""
@@ -346,13 +319,9 @@ def next_prior_scale(
 
     The prior is a Student distribution: p ~ N(0, scale Lambda), where the scale is drawn for each shape with ``dof``
     degrees of freedom. Estimating the scale keeps a shape near the mean close to it, and leaves a distant one free to
-    move. The image determines p by ``hessian``, in which a residual of weight 1 has the given variance.
-
-    Returns
-    -------
-    float
-        (dof + p' Lambda^-1 p) / (dof + gamma), with gamma the number of parameters that the image determines. The last
-        scale if this is not finite.
+    move. The image determines p by ``hessian``, in which a residual of weight 1 has the given variance. The result is
+    (dof + p' Lambda^-1 p) / (dof + gamma), with gamma the number of parameters that the image determines; the last
+    scale if this is not finite.
     """
     if not 0.0 < variance < np.inf:
         return scale
@@ -371,7 +340,7 @@ def next_prior_scale(
 
 def solve_level(
     objective: Any, image: Any, p: np.ndarray, angles, lam: np.ndarray, options: Any, blur: float, evaluate_last: bool
-) -> LevelFit:
+) -> SimpleNamespace:
     """Minimise an objective over one encoded image, from a start; see ``src/core/level.cpp``."""
     step = objective.method.step
     problem, expected = Problem(objective, image), step == "expected"
@@ -410,40 +379,26 @@ def score(loop: Loop, trace: Trace, controls: Controls) -> None:
     state = problem.p.copy(), problem.angles.copy(), problem.lam.copy()
     more = loop.run(controls)
     if more.costs[-1] <= T["SCORING_RISE"] * trace.costs[-1]:
-        for name in ("costs", "path", "angles"):
+        for name in ("costs", "path", "angle_history"):
             getattr(trace, name).extend(getattr(more, name)[1:])
         trace.n_iterations, trace.held = trace.n_iterations + more.n_iterations, more.held
         return
     vars(problem).update(before)
     vars(loop).update(loops)
     problem.set_state(*state)
-    loop.run(replace(controls, max_iterations=0, expected=False, reweigh=False, evaluate_last=True))
+    loop.run(controls._replace(max_iterations=0, expected=False, reweigh=False, evaluate_last=True))
 
 
-def collect(loop: Loop, trace: Trace) -> LevelFit:
-    """Collect the solution."""
+def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
+    """Collect the solution, with the names of the core's ``LevelFit``."""
     problem = loop.problem
     shown = GRADIENT_ROWS if loop.f["weighting"] == 2 else problem.k
-    return LevelFit(
-        p=problem.p,
-        angles=problem.angles,
-        lam=problem.lam,
-        costs=np.array(trace.costs),
-        path=np.array(trace.path),
-        angle_history=np.array(trace.angles),
-        n_iterations=trace.n_iterations,
-        converged=trace.converged,
-        held=trace.held,
-        flat=trace.flat,
-        noise_variance=problem.noise_variance,
-        squares=problem.squares,
-        weight=problem.weight,
+    own = ("p", "angles", "lam", "noise_variance", "squares", "weight", "expected_hessian", "usable", "samples")
+    return SimpleNamespace(
+        **{name: getattr(problem, name) for name in (*own, "residual")},
+        **{name: np.array(each) if isinstance(each, list) else each for name, each in vars(trace).items()},
         prior_scale=loop.prior_scale,
-        expected_hessian=problem.expected_hessian,
-        usable=problem.usable,
         contrast=contrast(problem, problem.own, shown),
         weighted_contrast=contrast(problem, problem.masked, shown),
         n_counted=int(np.count_nonzero(problem.masked[:, :shown])),
-        samples=problem.samples,
-        residual=problem.residual,
     )

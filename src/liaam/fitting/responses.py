@@ -1,33 +1,34 @@
 """Responses of templates: their correlation with an image's gradient orientations, and its strongest maxima."""
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.peaks import Peaks
 from liaam.fitting.templates import Field, Template, spectra
 
+# Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas.
 SPECTRA_KEPT = 600_000
-"""Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas."""
+SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
+LEAST_RESPONSE = 1e-3  # of a place
 
-SURROUNDINGS = 2
-"""Radius in pixels within which a place has to be the maximum."""
 
-LEAST_RESPONSE = 1e-3
-"""Smallest response of a place."""
+class Peaks(NamedTuple):
+    """Local maxima of the templates' responses."""
+
+    centres: np.ndarray  # (k, 2) float64: centre of the shape, image pixels
+    scales: np.ndarray  # (k,) float64: image pixels per pixel of the reduced model
+    fields: np.ndarray  # (k,) int: index of the image's field
+    templates: np.ndarray  # (k,) int: index of the template
+    responses: np.ndarray  # (k,) float64: mean cosine between expected and measured orientation, by length of both
 
 
 class Bank:
     """Templates that are correlated with fields of images.
 
-    Parameters
-    ----------
-    templates : sequence of Template
-    pad : int
-        Number of pixels that an object may extend beyond a field.
-    normalised : bool
-        Whether responses are the correlations themselves, not mean cosines.
+    Objects may extend ``pad`` pixels beyond a field. If ``normalised``, responses are the correlations themselves, not
+    mean cosines.
     """
 
     def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:
@@ -94,3 +95,18 @@ class Bank:
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
         return {**self.__dict__, "_spectra": {}}
+
+
+def strongest(peaks: Peaks, apart: float, count: int) -> np.ndarray:
+    """Return indices of the strongest peaks, without those near a stronger one of similar size."""
+    left, chosen = peaks.responses.copy(), []
+    logs = np.log(peaks.scales)
+    while len(chosen) < count and left.size and left.max() > 0:
+        best = int(left.argmax())
+        chosen.append(best)
+        near = np.linalg.norm(peaks.centres - peaks.centres[best], axis=1) < apart * np.minimum(
+            peaks.scales, peaks.scales[best]
+        )
+        left[near & (np.abs(logs - logs[best]) < 0.3)] = 0.0
+        left[best] = 0.0
+    return np.array(chosen, dtype=int)

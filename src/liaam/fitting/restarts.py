@@ -5,60 +5,46 @@ half-way, with the far side of the outline in the background.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from liaam.fitting.levels import FittedLevel, Target, is_sane, prepare_level, spare
+from liaam.fitting.levels import FittedLevel, Target, is_sane, prepare_level
 from liaam.fitting.objective import Objective
-from liaam.fitting.solver import SolverOptions
+from liaam.fitting.prepared import Prepared
+from liaam.fitting.result import FitResult
+from liaam.fitting.solver import SolverOptions, spare
 from liaam.model.shape import diagonal_of
 
-BENT = 2.5
-"""Deformation of the mean shape along its strongest mode, in standard deviations, in both directions."""
+BENT = 2.5  # deformation of the mean shape along its strongest mode, in standard deviations, in both directions
+SHIFT = 0.06  # of the mean shape to the right, left, bottom and top, as a fraction of its diagonal
 
-SHIFT = 0.06
-"""Shift of the mean shape to the right, left, bottom and top, as a fraction of its diagonal."""
-
-BENT_ON, MODES = 2.0, 3
-"""Further deformation of the best of these, in standard deviations, and number of modes it is applied to. Strongly
-turned heads deviate along several modes: of 34 fits that restarts can save, 4 are lost with it and 9 without."""
-
-BEST = 3
-"""Number of shapes deformed further."""
-
-KEPT = 2
-"""Number of starts returned; a third saves no more fits."""
-
-APART = 0.02
-"""Root mean square distance, as a fraction of the diagonal, below which two shapes count as the same."""
+# Further deformation of the best of these, in standard deviations, number of modes it is applied to, and of shapes.
+# Strongly turned heads deviate along several modes: of 34 fits that restarts can save, 4 are lost with it, 9 without.
+BENT_ON, MODES, BEST = 2.0, 3, 3
+KEPT = 2  # starts returned; a third saves no more fits
+APART = 0.02  # root mean square distance, as a fraction of the diagonal, below which two shapes count as the same
 
 
-def other_starts(
-    objective: Objective, blur: float, target: Target, options: SolverOptions, kept: int = KEPT
-) -> list[np.ndarray]:
-    """Find other shapes to start a fit from.
+def fit_again(prepared: Prepared, target: Target, first: FitResult) -> FitResult:
+    """Return the better fit by quality, of the first and the best from other starts."""
+    starts, options = other_starts(prepared.objectives[0], target, prepared.options), prepared.options
+    if not starts:
+        return first
+    fits = [prepared.fit_blurred(target._replace(start=start), options) for start in starts]
+    best = prepared.fit_sharpest(max(fits, key=lambda each: each.quality), options)
+    better = best.quality > first.quality and is_sane(best.landmarks, target.start)
+    return replace(best if better else first, n_starts=first.n_starts + len(fits))
 
-    The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level. The best of these
-    are deformed further and fitted again. The shapes of least cost are returned.
 
-    Parameters
-    ----------
-    objective : Objective
-        Objective of the coarsest level.
-    blur : float
-        Blur of that level, model pixels.
-    target : Target
-    options : SolverOptions
-    kept : int
-        Largest number of starts.
+def other_starts(objective: Objective, target: Target, options: SolverOptions, kept: int = KEPT) -> list[np.ndarray]:
+    """Find other shapes to start a fit from: (n, 2) float64, image pixels, the best first, at most ``kept``.
 
-    Returns
-    -------
-    list of (n, 2) float64
-        Shapes in image pixels, best first.
+    The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level, whose objective
+    is given. The best of these are deformed further and fitted again. The shapes of least cost are returned.
     """
     options = spare(options)
-    image, state, pose = prepare_level(objective, blur, target.measured(objective.method), (), options)
+    image, state, pose = prepare_level(objective, target.measured(objective.method), (), options)
     warp, n_modes = objective.warp, objective.warp.n_parameters - 4  # the similarity vectors come last
     deviations = objective.prior[:n_modes] ** -0.5
 

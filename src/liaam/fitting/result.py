@@ -135,7 +135,12 @@ def trace(stages: Sequence[FittedLevel]) -> tuple[Iteration, ...]:
     return tuple(
         Iteration(cost, shape, theta if stage.objective.method.has_angles else np.nan, level)
         for level, stage in enumerate(stages)
-        for cost, shape, theta in stage.path
+        for cost, shape, (_, theta) in zip(
+            stage.solution.costs.tolist(),
+            stage.shapes(stage.solution.path),
+            stage.solution.angle_history.tolist(),
+            strict=True,
+        )
     )
 
 

@@ -12,12 +12,11 @@ import numpy as np
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
-from liaam.fitting.levels import CompiledLevels, FittedLevel, LinearImage, Target, solve_levels
+from liaam.fitting.levels import FittedLevel, Levels, LinearImage, Target
 from liaam.fitting.methods import get_method
-from liaam.fitting.objective import THINNING, Objective, make_objectives
-from liaam.fitting.peaks import Peaks, Place, strongest
+from liaam.fitting.objective import THINNING, make_objectives
 from liaam.fitting.picture import described, load_picture
-from liaam.fitting.responses import Bank
+from liaam.fitting.responses import Bank, Peaks, strongest
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
 from liaam.model import AAM
@@ -25,75 +24,35 @@ from liaam.model.shape import Similarity, align, diagonal_of, rotation
 from liaam.photometry import Response
 from liaam.workers import in_threads
 
-SMALLEST, LARGEST = 0.15, 1.25
-"""Range of the diagonals searched, as fractions of the image's shorter side."""
+# What was measured for these is in experiments/notes/engine.md.
+SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image's shorter side
+LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
+STEP = 1.2  # ratio of consecutive sizes
+PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
+SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
+VISITED = 0.25  # margin around a place that its fit may use, as a fraction of the object's diagonal
+GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged
+SHAPE_PENALTY = 0.05  # on the score, per unit of the mean squared shape mode in standard deviations
+MOST = 20  # objects in an image
 
-STEP = 1.2
-"""Ratio of consecutive sizes."""
+# One object: the sum of score and response at which the search stops, and the fraction of the strongest response below
+# which places are left out. Small objects (diagonal as a fraction of the image's shorter side) are searched for only if
+# none of the best places of large ones is sure: they take three quarters of the time.
+SURE, WORTH = 1.25, 0.75
+LARGE, LARGE_PLACES = 0.3, 2
 
-LEAST_PIXELS = 20.0
-"""Smallest diagonal searched, pixels of the image."""
-
-FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
-"""Rotations of objects that fill the frame, degrees: a subset of those of the mean shape."""
-
-LARGE = 0.3
-"""Diagonal of a large object, as a fraction of the image's shorter side. If one object is wanted, small ones are
-searched for only if no large one is :data:`SURE`. The search at small sizes takes three quarters of all pixels. On the
-images named there, the results equal those of a search at all sizes."""
-
-LARGE_PLACES = 2
-"""Largest number of places that are fitted before small objects are searched for."""
-
-PADDING = 0.25
-"""Largest distance that an object may extend beyond the image, as a fraction of its diagonal."""
-
-SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)
-"""Solver options for the fits of places."""
-
-SHAPE_PENALTY = 0.05
-"""Penalty on the score per unit of the mean squared shape mode, in standard deviations."""
-
-SURE = 1.25
-"""Sum of score and response at which the search for one object stops. Seven of ten correct places have more, and no
-wrong place has more than 1.18. Scores alone reach 0.67 at wrong places. Measured with generic models of three sets of
-faces on 861 images: original, under simulated hard light, shadows and dapples, and small within images of an owl, a cat
-and a rock."""
-
-WORTH = 0.75
-"""Smallest response, as a fraction of the strongest, at which a place is fitted if one object is wanted. The correct
-place has at least 0.84 on 609 of the photographs of :data:`SURE`, and 0.77 on a generated head in side light."""
-
+# Further objects: the sum of score and response, the smallest response of places that are fitted, and their number.
 SURE_BESIDE, CLEAR, MOST_BESIDE = 1.15, 0.45, 4
-"""Sum of score and response of further objects, the smallest response of places that are fitted for them, and their
-largest number. Of 12 pairs of faces whose second is as large or smaller, 10 have more; so has the second face in one
-of 54 photographs, and no place without a face (largest sum: 1.12). This takes 2 % of the time of a fit."""
 
-MOST = 20
-"""Largest number of objects in an image."""
+# Other places to fit if the first is not the object: their number, and that of places scored for each. Bonus on their
+# score per unit of the learnt filter's response, which is 1 at the mean, and per unit of log size: there are more wrong
+# places of small sizes.
+OTHERS, LOOKED = 12, 2
+RESPONSE_WORTH, SIZE_WORTH = 0.5, 0.05
 
-OTHERS = 12
-"""Number of other places to fit if the first is not the object."""
-
-LOOKED = 2
-"""Number of places scored for each of these, of templates and of the learnt filter each. With twice as many, as many
-faces are among all places (249 of 257 photographs of imm, wild and flashes), and the search takes 1.6 times as long."""
-
-RESPONSE_WORTH = 0.5
-"""Bonus on the score of other places per unit of the learnt filter's response, which is 1 at the mean. Without it, one
-face in forty of photographs in the wild falls behind the first six places."""
-
-SIZE_WORTH = 0.05
-"""Bonus on the score per unit of log size: there are more wrong places of small sizes. 0.1 gives the same results."""
-
+# Objects that fill the frame: diagonals as fractions of its shorter side, and rotations, degrees, of those in TURNS.
 FILLING = (0.95, 1.1)
-"""Diagonals of objects that fill the frame, as fractions of its shorter side."""
-
-VISITED = 0.25
-"""Margin around a place that its fit may use, as a fraction of the object's diagonal."""
-
-GROWTH = (0.5, 2.0)
-"""Limits on the change of size in the fit of a place; beyond them it has diverged."""
+FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,10 +107,10 @@ class Finder:
         return Bank(rotated, int(PADDING * self.small.diagonal), normalised=True)
 
     @cached_property
-    def objective(self) -> Objective:
-        """The objective of the fits of places."""
+    def level(self) -> Levels:
+        """The level of the fits of places."""
         # The limits on scores were set with this thinning. All pixels find no more, and take longer.
-        return make_objectives(self.small, get_method("igo"), thinning=THINNING)[0]
+        return Levels(make_objectives(self.small, get_method("igo"), thinning=THINNING), keeps_samples=True)
 
     def find(
         self,
@@ -185,48 +144,21 @@ class Finder:
     def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Detection]:
         """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
 
-        Parameters
-        ----------
-        linear : LinearImage
-        most : int
-            Largest number of places, besides those that fill the frame.
-
-        Returns
-        -------
-        list of Detection
-            The best first, then those that fill the frame. Their shapes are the aligned mean shape, because
-            deformations of the reduced model are a bad start.
+        The best come first, ``most`` at most, then those that fill the frame. Their shapes are the aligned mean shape,
+        because deformations of the reduced model are a bad start.
         """
         search = _Search(self, linear, LOOKED * most, self.filters)
         worth = 0.0 if self.model.search_filter is None else RESPONSE_WORTH
         mean, places = self.model.shape_model.mean, choose(search.ranked(worth), are_apart, most) + search.filling()
         return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in choose(places, are_apart)]
 
-    def __getstate__(self) -> dict:
-        """Leave out what the core holds."""
-        return {name: value for name, value in self.__dict__.items() if name != "_compiled"}
-
-    @cached_property
-    def _levels(self) -> list[tuple[Objective, float]]:
-        return [(self.objective, self.small.levels[0].blur)]
-
-    @cached_property
-    def _compiled(self) -> CompiledLevels | None:
-        """The fits of places, prepared for the core."""
-        if not CompiledLevels.can_fit(self._levels):
-            return None
-        return CompiledLevels(self._levels, keeps_samples=True)
-
-    def _fitted(self, linear: LinearImage, place: Place, template: Template, field: Field) -> Detection:
+    def _fitted(
+        self, linear: LinearImage, centre: np.ndarray, scale: float, template: Template, field: Field
+    ) -> Detection:
         """Fit the reduced model at a place of a field, from a template's shape, and score the result."""
-        warp = self.objective.warp
-        pose = Similarity(rotation(template.turn) * place.scale, np.array(place.centre))
-        start = pose(warp.shape(template.p))
-        target = Target(linear, start, margin=VISITED)
-        if self._compiled is not None and CompiledLevels.can_take(target, SETTINGS):
-            (level,) = self._compiled.fit(target, SETTINGS)
-        else:
-            (level,) = solve_levels(self._levels, target, SETTINGS)
+        warp = self.level.objectives[0].warp
+        start = Similarity(rotation(template.turn) * scale, centre)(warp.shape(template.p))
+        (level,) = self.level.fit(Target(linear, start, margin=VISITED), SETTINGS)
         shape, growth = level.reached, diagonal_of(level.reached) / diagonal_of(start)
         if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
             return self._detection(start, 0.0)
@@ -235,7 +167,7 @@ class Finder:
 
     def _score(self, level: FittedLevel, strength: np.ndarray) -> float:
         """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape."""
-        solution, weights = level.solution, self.objective.appearance.usable[:, None].astype(np.float64)
+        solution, weights = level.solution, level.objective.appearance.usable[:, None].astype(np.float64)
         seen = solution.samples.reshape(-1, 2).astype(np.float64)
         expected = seen - solution.residual.reshape(-1, 2)
         # Pixels outside the image count as unexplained: otherwise half an object at the border scores as a whole one.
@@ -258,17 +190,7 @@ class Finder:
 
 
 class _Search:
-    """The search of one image, with its fields, maxima and fits so far.
-
-    Parameters
-    ----------
-    finder : Finder
-    linear : LinearImage
-    count : int
-        Largest number of places to fit.
-    bank : Bank
-        What the image is compared with.
-    """
+    """The search of one image, with its fields, maxima and fits so far; ``count`` is the most places to fit."""
 
     def __init__(self, finder: Finder, linear: LinearImage, count: int, bank: Bank) -> None:
         self.finder, self.linear, self.image, self.count, self.bank = finder, linear, linear.image, count, bank
@@ -276,16 +198,17 @@ class _Search:
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / finder.small.diagonal)
         self.fields: list[Field] = []
         self.found: list[Peaks] = []
-        self.strongest: Peaks  # of all sizes looked at, without those near a stronger one
-        self.fits: dict[Place, Detection] = {}
+        self.peaks: Peaks  # of all sizes looked at
+        self.strongest: np.ndarray  # their indices, without those near a stronger one
+        self.fits: dict[int, Detection] = {}  # by these indices
 
     def for_one(self, least: float) -> list[Detection]:
         """Fit the best places until one is certain and scores at least ``least``, large objects first."""
         large = self.sizes >= LARGE * min(self.image.shape[:2])  # never empty: the largest size exceeds the image
         most = None if large.all() else LARGE_PLACES
-        seen, sure = self._in_turn(self._peaks(self.sizes[large], WORTH), least, most)
+        seen, sure = self._in_turn(self._look(self.sizes[large], WORTH)[:most], least)
         if not sure and not large.all():
-            seen, _ = self._in_turn(self._peaks(self.sizes[~large], WORTH), least)
+            seen, _ = self._in_turn(self._look(self.sizes[~large], WORTH), least)
         if not seen and self.fits:  # the best places all lie outside the image, and weaker ones were left out
             return self.for_all()
         return seen
@@ -300,22 +223,20 @@ class _Search:
         return [detection for detection, _ in sorted(places, key=lambda each: -each[1])]
 
     def _seen(self) -> list[tuple[Detection, float]]:
-        self.found = []
-        peaks = self._peaks(self.sizes)
-        seen = zip(map(self._fitted, peaks.places()), peaks.responses.tolist(), strict=True)
+        self.fields, self.found, self.fits = [], [], {}
+        seen = [(self._fitted(i), float(self.peaks.responses[i])) for i in self._look(self.sizes)]
         return [(detection, each) for detection, each in seen if is_inside(detection.landmarks, self.image)]
 
     def beside(self, best: Detection) -> tuple[Detection, ...]:
         """Return further certain objects, from the responses that the search for one object has seen."""
-        peaks, small = self.strongest, self.finder.small
+        centres, scales, responses = (
+            column[self.strongest] for column in (self.peaks.centres, self.peaks.scales, self.peaks.responses)
+        )
         low, high = best.landmarks.min(axis=0), best.landmarks.max(axis=0)
-        outside = ((peaks.centres < low) | (peaks.centres > high)).any(axis=1)
-        large = peaks.scales * small.diagonal >= 0.5 * diagonal_of(best.landmarks)
-        clear = peaks.take(np.flatnonzero(outside & large & (peaks.responses >= CLEAR))[:MOST_BESIDE])
-        seen = [
-            (self._fitted(place), strength) for place, strength in zip(clear.places(), clear.responses, strict=True)
-        ]
-        sure = [each for each, strength in seen if each.score + strength >= SURE_BESIDE]
+        outside = ((centres < low) | (centres > high)).any(axis=1)
+        large = scales * self.finder.small.diagonal >= 0.5 * diagonal_of(best.landmarks)
+        clear = self.strongest[outside & large & (responses >= CLEAR)][:MOST_BESIDE]
+        sure = [self._fitted(i) for i in clear if self._fitted(i).score + self.peaks.responses[i] >= SURE_BESIDE]
         return tuple(choose([best, *sorted(sure, key=lambda each: -each.score)], are_beside)[1:])
 
     def filling(self) -> list[Detection]:
@@ -325,13 +246,16 @@ class _Search:
         """
         size, small, rotations = np.array(self.image.shape[1::-1]), self.finder.small, self.finder.rotations
         scales = [fraction * size.min() / small.diagonal for fraction in FILLING]
-        nearest = [int(np.argmin([abs(np.log(field.scale / scale)) for field in self.fields])) for scale in scales]
-        centre, turns = tuple(0.5 * (size - 1.0)), [TURNS[rotations].index(turn) for turn in FILLING_TURNS[rotations]]
-        places = [Place(centre, *at, turn) for turn in turns for at in zip(scales, nearest, strict=True)]
-        return [self._fitted(place) for place in places]
+        nearest = [min(self.fields, key=lambda field: abs(np.log(field.scale / scale))) for scale in scales]
+        templates = [self.bank.templates[TURNS[rotations].index(turn)] for turn in FILLING_TURNS[rotations]]
+        return [
+            self.finder._fitted(self.linear, 0.5 * (size - 1.0), scale, template, field)
+            for template in templates
+            for scale, field in zip(scales, nearest, strict=True)
+        ]
 
-    def _peaks(self, sizes: np.ndarray, worth: float = 0.0) -> Peaks:
-        """Return the places of the strongest responses, for these sizes and those searched before."""
+    def _look(self, sizes: np.ndarray, worth: float = 0.0) -> np.ndarray:
+        """Search these sizes; return the places of the strongest responses, also of those searched before."""
         small, first = self.finder.small, len(self.fields)
 
         def look(i: int) -> tuple[Field, Peaks]:
@@ -342,29 +266,30 @@ class _Search:
         for field, peaks in in_threads(look, range(len(sizes))):
             self.fields.append(field)
             self.found.append(peaks)
-        found = Peaks.join(self.found)
-        self.strongest = found.take(strongest(found, 0.2 * small.diagonal, self.count))
+        self.peaks = Peaks(*map(np.concatenate, zip(*self.found, strict=True)))
+        self.strongest = strongest(self.peaks, 0.2 * small.diagonal, self.count)
         return self.strongest
 
-    def _in_turn(self, peaks: Peaks, least: float, most: int | None = None) -> tuple[list[Detection], bool]:
+    def _in_turn(self, places: np.ndarray, least: float) -> tuple[list[Detection], bool]:
         """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""
         seen: list[Detection] = []
-        for place, strength in zip(peaks.places()[:most], peaks.responses, strict=False):
-            if strength < WORTH * peaks.responses[0]:
+        for place in places:
+            response = self.peaks.responses[place]
+            if response < WORTH * self.peaks.responses[places[0]]:
                 break
             detection = self._fitted(place)
             if not is_inside(detection.landmarks, self.image):
                 continue
             seen.append(detection)
-            if detection.score >= max(least, DOUBTFUL) and detection.score + strength >= SURE:
+            if detection.score >= max(least, DOUBTFUL) and detection.score + response >= SURE:
                 return seen, True
         return seen, False
 
-    def _fitted(self, place: Place) -> Detection:
+    def _fitted(self, place: int) -> Detection:
         if place not in self.fits:
-            field = self.fields[place.field]
-            template = self.bank.templates[place.template]
-            self.fits[place] = self.finder._fitted(self.linear, place, template, field)
+            centre, scale, field, template, _ = (column[place] for column in self.peaks)
+            about = self.bank.templates[template], self.fields[field]
+            self.fits[place] = self.finder._fitted(self.linear, centre, scale, *about)
         return self.fits[place]
 
 
@@ -402,7 +327,7 @@ def find(
 
 
 def search_sizes(shorter_side: int) -> np.ndarray:
-    """Return the diagonals of objects to search for in an image, pixels, in ratios of :data:`STEP`."""
+    """Return the diagonals of objects to search for in an image, pixels, in ratios of ``STEP``."""
     low, high = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
     if low >= high:
         return np.array([high])

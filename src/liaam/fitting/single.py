@@ -18,27 +18,18 @@ FITTERS_KEPT = 4
 _turn = Lock()
 
 
-def _kept_fitter(
-    model: AAM, method: str | Method, camera: CameraModel | None, rotations: str, restarts: bool, margin: float, options
-) -> Fitter:
+def _kept_fitter(model: AAM | str, method: str | Method, camera: CameraModel | None, **settings) -> Fitter:
     """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
-
-    def make() -> Fitter:
-        about = {"camera": camera, "rotations": rotations, "restarts": restarts, "margin": margin}
-        return Fitter.of(model, method, **about, **options)
-
-    if not isinstance(model, AAM):
-        return make()  # which says what is wrong
-    key = method, id(camera), rotations, restarts, margin, *sorted(options.items())
+    known: Any = load_model(model) if isinstance(model, str) and model in MODELS else model
+    kept = vars(known).setdefault("_fitters", {}) if isinstance(known, AAM) else {}
+    key = method, id(camera), *sorted(settings.items())
     with _turn:
-        kept = vars(model).setdefault("_fitters", {})
-        fitter = kept.pop(key, None)
-        if fitter is not None and fitter.camera is camera:
-            kept[key] = fitter  # the last used is dropped last
-            return fitter
-    fitter = make()
+        fitter = kept.get(key)
+    if fitter is None or fitter.camera is not camera:
+        fitter = Fitter.of(known, method, camera=camera, **settings)
     with _turn:
-        kept[key] = fitter
+        kept.pop(key, None)
+        kept[key] = fitter  # the last used is dropped last
         while len(kept) > FITTERS_KEPT:
             kept.pop(next(iter(kept)))
     return fitter
@@ -82,8 +73,8 @@ def fit(
     ImageError, StartError, MethodError
         If an argument is invalid.
     """
-    fitter = _kept_fitter(_known(model), method, camera, rotations, restarts, margin, options)
-    return _with_image(fitter.fit(image, init), image)
+    about = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
+    return _with_image(_kept_fitter(model, method, camera, **about).fit(image, init), image)
 
 
 def fit_all(
@@ -114,15 +105,10 @@ def fit_all(
     ImageError, StartError, MethodError
         If an argument is invalid, or if no object is found.
     """
-    results = _kept_fitter(_known(model), method, camera, rotations, restarts, margin, options).fit_all(image)
-    return [_with_image(result, image) for result in results]
+    about = {"rotations": rotations, "restarts": restarts, "margin": margin, **options}
+    return [_with_image(result, image) for result in _kept_fitter(model, method, camera, **about).fit_all(image)]
 
 
 def _with_image(result: FitResult, image) -> FitResult:
     """Return a result with its image, unless it has the path."""
     return result if result.image is not None else replace(result, image=image)
-
-
-def _known(model: Any) -> Any:
-    """Return a model that is given by its name."""
-    return load_model(model) if isinstance(model, str) and model in MODELS else model

@@ -13,20 +13,9 @@ from liaam.fitting.result import FitResult
 
 
 def solution_at(fitter: Fitter, image, result: FitResult) -> dict[str, Any]:
-    """Evaluate a result at all pixels of the sharpest level, with the best lambda there.
+    """Evaluate a result, of this or another method, at all pixels of the sharpest level, with the best lambda there.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    image : (h, w, 3) array or path
-        The fitted image.
-    result : FitResult
-        Result of this or another method.
-
-    Returns
-    -------
-    dict
-        Arrays of :meth:`liaam.fitting.reference.Problem.arrays` at the shape and angles of ``result``.
+    The result are the arrays of :meth:`liaam.fitting.reference.Problem.arrays` at its shape and angles.
     """
     if fitter.model.others:
         return solution_at(fitter.part_for(result), image, result)
@@ -39,23 +28,11 @@ def solution_at(fitter: Fitter, image, result: FitResult) -> dict[str, Any]:
 
 
 def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the residual (paper eq 10) in the method's encoding, at all pixels of the sharpest level.
+    """Compute the residual (paper eq 10) of this fitter's result in the method's encoding, at the sharpest level.
 
-    Parameters
-    ----------
-    fitter : Fitter
-    image : (h, w, 3) array or path
-        The fitted image.
-    result : FitResult
-        Result of this fitter.
-
-    Returns
-    -------
-    residual : (n_pixels, k) float32
-        Image minus model, in the raster order of the frame of ``fitter.view``; 0 at unusable pixels. Of a model of
-        several shapes, :meth:`Fitter.part_for` gives the fitter with that view.
-    usable : (n_pixels,) float32
-        1 at usable pixels, else 0.
+    That is image minus model, (n_pixels, k) float32, in the raster order of the frame of ``fitter.view``; 0 at unusable
+    pixels, and which are usable, (n_pixels,) float32. Of a model of several shapes, :meth:`Fitter.part_for` gives the
+    fitter with that view.
     """
     if fitter.model.others:
         return residual_at(fitter.part_for(result), image, result)
@@ -73,7 +50,7 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
 
 def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, LevelImage, State]:
     """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
-    linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.objectives[-1].of_all_pixels
+    linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.dense
     blur, noise = fitter.view.levels[-1].blur, fitter.image_camera.noise
     about = objective.method, linear.response, blur, noise, MARGIN, objective.density
     encoded = LevelImage.at(linear.image, result.landmarks, result.pose, *about)

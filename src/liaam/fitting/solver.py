@@ -1,7 +1,7 @@
 """Options of the solver. The loop is ``src/core/level.cpp``, and :mod:`liaam.fitting.reference_loop` in NumPy."""
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from numbers import Integral, Real
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting.methods import Method
+from liaam.fitting.reference_loop import THRESHOLDS
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
@@ -94,3 +95,12 @@ class SolverOptions:
 def scored(method: Method, options: SolverOptions) -> Method:
     """Return a method with the kind of steps that the options ask for."""
     return replace(method, step="scored") if options.scoring and method.step == "own" else method
+
+
+@lru_cache(maxsize=16)
+def spare(options: SolverOptions) -> SolverOptions:
+    """Return looser options for a coarse level, whose solution only starts the next."""
+    scoring = None if options.scoring is None else 0
+    tolerance = THRESHOLDS["COARSE"] * options.tolerance
+    relative_tolerance = THRESHOLDS["COARSE_RELATIVE"] * options.relative_tolerance
+    return replace(options, tolerance=tolerance, relative_tolerance=relative_tolerance, scoring=scoring)

@@ -10,15 +10,11 @@ from liaam.model.sampling import within
 from liaam.model.shape import ShapeModel, align
 from liaam.photometry import exposure_faults
 
-FOLD_LIMIT = 0.3
-"""Fraction of the mesh's area flipped beyond which a fit has diverged."""
-
+FOLD_LIMIT = 0.3  # fraction of the mesh's area flipped beyond which a fit has diverged
+USABLE_LIMIT = 0.25  # fraction of the object's pixels that must be usable
+# Standard deviations of a shape mode beyond which a fit has diverged, plus half a model pixel, since a few training
+# images underestimate the variance.
 SHAPE_LIMIT = 5.0
-"""Standard deviations of a shape mode beyond which a fit has diverged, plus half a model pixel, since a few training
-images underestimate the variance."""
-
-USABLE_LIMIT = 0.25
-"""Fraction of the object's pixels that must be usable."""
 
 
 def status_of(

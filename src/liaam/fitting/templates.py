@@ -18,80 +18,47 @@ from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response
 from liaam.photometry.encoding import value_luminance
 
-TEMPLATE = 40.0
-"""Diagonal of the reduced model, pixels. Measured on ``imm``: 48 finds no more faces and takes 1.5 times as long, 32
-misses turned faces."""
+# What was measured for these is in experiments/notes/engine.md.
+TEMPLATE = 40.0  # diagonal of the reduced model, pixels
+AVERAGED = 0.5  # standard deviation of the average of which a pixel of the reduced model is made, in its pixels
 
-AVERAGED = 0.5
-"""Standard deviation of the average of which a pixel of the reduced model is made, in its pixels."""
-
+# Rotations of the mean shape, degrees, for objects about as in training and for any rotation, and of deformed shapes.
+# These are deformed along the strongest shape mode by so many standard deviations, if that moves the landmarks by so
+# many pixels of the reduced model (root mean square).
 TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-20.0, -10.0, 0.0, 10.0, 20.0),
     "all": tuple(np.arange(-180.0, 180.0, 15.0).tolist()),
 }
-"""Rotations of the mean shape, degrees: for objects about as in training, and for any rotation."""
-
 BENT_TURNS: dict[str, tuple[float, ...]] = {
     "upright": (-10.0, 0.0, 10.0),
     "all": tuple(np.arange(-180.0, 180.0, 30.0).tolist()),
 }
-"""Rotations of the deformed shapes, degrees."""
+BEND, BEND_WORTH = 1.5, 0.4
 
-BEND = 1.5
-"""Deformation along the strongest shape mode, standard deviations. In sets of faces this mode is the turn of the head;
-without it, one face in sixty of ``imm`` is missed, a turned one."""
-
-BEND_WORTH = 0.4
-"""Root mean square movement of the landmarks, pixels of the reduced model, that needs deformed templates."""
-
+# Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
+# 0.7 of their full length. It suppresses noise in flat regions and smooth shading.
 SOFTNESS = 0.02
-"""Luminance gradient per pixel of the reduced model, as a fraction of the image's contrast, at which orientations get
-0.7 of their full length. It suppresses noise in flat regions and smooth shading. With models of three sets of faces,
-the scores of faces and of other objects hardly overlap with it; with unweighted orientations they do."""
-
-SAMPLES = 20_000
-"""Approximate number of pixels from which an image's contrast is measured."""
-
-CONTRASTS = (0.3, 1.0)
-"""Limits on the measured contrast, so that flat images are not amplified further."""
+SAMPLES = 20_000  # pixels, about, from which an image's contrast is measured
+CONTRASTS = (0.3, 1.0)  # limits on the measured contrast, so that flat images are not amplified further
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Gradient orientations that the reduced model expects.
+    """Gradient orientations that the reduced model expects."""
 
-    Attributes
-    ----------
-    field : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the orientation varies; 0 outside the mesh.
-    origin : (2,) float64
-        Position of the first pixel relative to the shape's centre, pixels.
-    turn : float
-        Rotation, radians.
-    p : (m + 4,) float64
-        Shape parameters of the reduced model.
-    """
-
+    # (h, w) complex64: cosine and sine, shorter than 1 where the orientation varies; 0 outside the mesh.
     field: np.ndarray
-    origin: np.ndarray
-    turn: float
-    p: np.ndarray
+    origin: np.ndarray  # (2,) position of the first pixel relative to the shape's centre, pixels
+    turn: float  # rotation, radians
+    p: np.ndarray  # (m + 4,) shape parameters of the reduced model
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """Gradient orientations of an image at one resolution.
+    """Gradient orientations of an image at one resolution."""
 
-    Attributes
-    ----------
-    values : (h, w) complex64
-        Cosine and sine as real and imaginary part, shorter than 1 where the gradient is weak.
-    length : (2,) float64
-        Width and height of a pixel of the field, image pixels.
-    """
-
-    values: np.ndarray
-    length: np.ndarray
+    values: np.ndarray  # (h, w) complex64: cosine and sine, shorter than 1 where the gradient is weak
+    length: np.ndarray  # (2,) width and height of a pixel of the field, image pixels
 
     @property
     def scale(self) -> float:
@@ -112,18 +79,10 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class Grey:
-    """Reduced luminance of an image, from which fields are made.
+    """Reduced luminance of an image, from which fields are made."""
 
-    Attributes
-    ----------
-    values : (h, w) float32
-        From 0 to 1.
-    reduce : int
-        Image pixels per pixel, along each axis.
-    """
-
-    values: np.ndarray
-    reduce: int
+    values: np.ndarray  # (h, w) float32, from 0 to 1
+    reduce: int  # image pixels per pixel, along each axis
 
     @staticmethod
     def of(image: np.ndarray, response: Response, factor: float) -> "Grey":
@@ -158,17 +117,9 @@ class Grey:
 
 
 def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
-    """Compute softly normalised gradients of an image, g / sqrt(|g|^2 + softness^2).
+    """Compute softly normalised gradients, g / sqrt(|g|^2 + softness^2), (h, w) complex64, of an image (h, w) float32.
 
-    Parameters
-    ----------
-    grey : (h, w) float32
-    blur : float
-        Standard deviation of a blur applied first, pixels.
-
-    Returns
-    -------
-    (h, w) complex64
+    It is blurred first, by a standard deviation of ``blur`` pixels.
     """
     import cv2  # heavy: imported when first needed
 
@@ -199,19 +150,7 @@ def is_searchable(model: AAM) -> bool:
 def shrink(model: AAM) -> AAM:
     """Reduce a model to the orientations of its coarsest level, on a smaller reference frame, if its own is larger.
 
-    Parameters
-    ----------
-    model : AAM
-
-    Returns
-    -------
-    AAM
-        Model with one level and one appearance, ``orientation``.
-
-    Raises
-    ------
-    MethodError
-        If the model has no orientations.
+    The result has one level and one appearance, ``orientation``. Without orientations MethodError is raised.
     """
     level = model.levels[0]
     if not is_searchable(model):

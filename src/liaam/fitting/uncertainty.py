@@ -40,11 +40,9 @@ def covariance(
     return (vectors * inverse) @ vectors.T
 
 
+# Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
+# noise, and the upper limit of that fraction (experiments/notes/engine.md).
 BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
-"""Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
-noise, and the upper limit of that fraction. Set on IMM without calibration (15 methods, 15 images of 5 unseen persons,
-some spot-lit). Fits to noise with grains of 1 to 8 pixels explain at most 3.5 times that, correct fits at least 14
-times. For models of few pixels, fits to coarse noise exceed the limit and are not detected."""
 
 
 def explains_more_than_noise(stage: FittedLevel) -> bool:
@@ -107,20 +105,9 @@ def landmark_covariances(
 ) -> np.ndarray:
     """Return the covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit plus left-out errors.
 
-    Parameters
-    ----------
-    shapes : ShapeModel
-    pose : Similarity
-        Model pixels to image pixels.
-    p : (n_p,) float64
-    spread : (n_q, n_q) float64
-        Covariance of (p, free angles).
-    contours : sequence of (indices, closed)
-        The model's contours. Errors on left-out images are those along and across them.
-    reliability : Reliability, optional
-        Source of the fits' errors on left-out images; by default the shape model's errors on left-out shapes.
-    unit : float
-        Variance of a residual at weight 1, on which these errors depend.
+    ``spread`` is the covariance of (p, free angles), and ``pose`` maps model pixels to image pixels. Errors on left-out
+    images are those along and across the contours, from the model's calibration; by default the shape model's errors on
+    left-out shapes. They depend on ``unit``, the variance of a residual at weight 1.
     """
     fitted = fitted_covariances(shapes, spread)
     unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)

@@ -28,35 +28,32 @@ ENCODINGS = ("value", "log", "orientation", "soft")
   see :func:`encode`).
 """
 
-LOGARITHMIC = ("log", "soft")
-"""Encodings with logarithms, which are unusable in dark and saturated pixels."""
-
-WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}
-"""Number of channels of each encoding, without the weight of the pixel."""
+LOGARITHMIC = ("log", "soft")  # these are unusable in dark and saturated pixels
+WIDTHS = {"value": 3, "log": 3, "orientation": 3, "soft": 6}  # channels, without the weight of the pixel
 
 Encoding = str | Encoder
 """A name of :data:`ENCODINGS`, or a function of the user with a model's projection."""
 
+# Weights of linear R, G and B in the brightness for the gradients of ``soft``. On simulated scenes equal weights have a
+# sixth less error by noise than luminance, which is mostly green.
 BRIGHTNESS = np.full(3, 1.0 / 3.0)
-"""Weights of linear R, G and B in the brightness for the gradients of ``soft``. On simulated scenes equal weights have
-a sixth less error by noise than luminance, which is mostly green."""
 
+# Gradient of log brightness, per pixel of the reference frame, for which the squared length is normalised to one half.
+# On photographs of faces, 0.025 to 0.1 perform alike.
 SOFTNESS = 0.1
-"""Gradient of log brightness, per pixel of the reference frame, for which the squared length is normalised to one half.
-On photographs of faces, 0.025 to 0.1 perform alike."""
+LOG_FLOOR = 0.004  # added to linear brightness before the logarithm, to suppress gradients of noise in dark pixels
 
-LOG_FLOOR = 0.004
-"""Added to linear brightness before the logarithm, to suppress gradients of noise in dark pixels."""
-
+# Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to zero. The published
+# orientation has no such limit, and is undefined in flat regions.
 FLAT = 1e-4
-"""Gradient of luminance per pixel, in values of [0, 1], below which its direction fades to zero. The published
-orientation has no such limit, and is undefined in flat regions."""
 
-DARK = 7.5 / 255
-"""Stored value below which a logarithm is unusable because of noise and JPEG rounding, between two 8-bit values."""
-
-SATURATED = 250.5 / 255
-"""Stored value above which a channel counts as clipped, also between two 8-bit values."""
+# Stored values, both between two 8-bit values: below the first a logarithm is unusable because of noise and JPEG
+# rounding, and above the second a channel counts as clipped.
+DARK, SATURATED = 7.5 / 255, 250.5 / 255
+UNUSABLE = 1e-3  # weight of an unusable pixel in a blur; usable pixels have about 1
+BRIGHTEST = 1e6  # upper bound of stored values and linear light of float images
+ALL = 0.999  # fraction of a block's pixels above which the whole block counts as usable
+FLOATS_AT_ONCE = 4_000_000  # pixels of a picture of floats whose light is worked out at a time, 40 bytes a pixel
 
 
 def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
@@ -218,13 +215,6 @@ def encode(
     return np.concatenate([channels[..., : width_of(encoding)], channels[..., -1:]], axis=2)
 
 
-BRIGHTEST = 1e6
-"""Upper bound of stored values and linear light of float images."""
-
-ALL = 0.999
-"""Fraction of a block's pixels above which the whole block counts as usable."""
-
-
 class Means(NamedTuple):
     """Linear light of blocks of pixels."""
 
@@ -272,10 +262,6 @@ def block_means(
     return _stacked(parts)._replace(grey=grey)
 
 
-FLOATS_AT_ONCE = 4_000_000
-"""Pixels of a picture of floats whose light is worked out at a time: that takes 40 bytes a pixel."""
-
-
 def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
     """Return the linear light of each pixel of an image of floats (h, w, 3)."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
@@ -310,7 +296,7 @@ def encode_means(
 ) -> np.ndarray:
     """Encode averaged light to eight channels (h, w, 8) float32, as the core samples them.
 
-    These are the encoding's channels (:data:`WIDTHS`), zeros, and last the weight of the pixel in {0, 1}. The means are
+    These are the encoding's channels (``WIDTHS``), zeros, and last the weight of the pixel in {0, 1}. The means are
     from :func:`block_means` for the same encoding; for the other parameters see :func:`encode`.
     """
     if callable(encoding):
@@ -377,7 +363,3 @@ def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarra
         return encode(image, "value", response)[..., :3] @ LUMINANCE[0].astype(np.float32)
     tables = np.outer(LUMINANCE[0], _table(image.dtype.str, "value", response)).astype(np.float32)
     return _core.stored_luminance(image, tables)
-
-
-UNUSABLE = 1e-3
-"""Weight of an unusable pixel in a blur; usable pixels have about 1."""

@@ -22,8 +22,7 @@ from liaam.errors import LiaamError, MethodError
 from liaam.evaluation import finite_or_none, point_error
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
-from liaam.fitting.held import methods_of
-from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.fitting.methods import DEFAULT_METHOD, methods_of
 from liaam.fitting.result import FitResult
 from liaam.io import Landmarks
 from liaam.model import AAM

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from liaam.errors import LiaamError, ModelFileError
-from liaam.fitting.held import methods_of
+from liaam.fitting.methods import methods_of
 from liaam.model import AAM, load_model
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.fitting.held import check_holds, methods_of, needed_by
-from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, check_holds, get_method, methods_of, needed_by
 from liaam.fitting.objective import pixels_for
 from liaam.fitting.templates import pixels_for_search
 from liaam.model import AAM, MESH

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.fitting.held import needed_by
-from liaam.fitting.methods import Method
+from liaam.fitting.methods import Method, needed_by
 from liaam.io.files import some_names
 from liaam.lamps import Copies
 from liaam.model import AAM, VIEWS, Level

@@ -1,0 +1,148 @@
+"""A model and a method, prepared for many images: fits of targets and their results."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from liaam.fitting.level_image import NEAR
+from liaam.fitting.levels import FittedLevel, Levels, Target, is_sane
+from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
+from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, trace
+from liaam.fitting.solver import SolverOptions, scored, spare
+from liaam.fitting.status import status_of
+from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
+from liaam.model import AAM, Reliability, View
+from liaam.model.shape import ShapeModel, own_parameters
+
+# Number of steps beyond which a fit of low quality is restarted, even if its status is not doubtful. Correct fits may
+# have low quality in harder light than that of training, but take about 15 steps; 11 wrong ones took 27 and more.
+SLOW = 25
+
+# Fits from another landmarker's points, a start of known precision: the largest blur of the levels that are used, as a
+# multiple of the points' root mean square error on left-out images, and ``early_tolerance``, unless it is set. On the
+# spot protocol with simulated points errors are as with all levels and steps, within 0.1 %.
+REACH, MAPPED_TOLERANCE = 0.35, 1.0
+
+
+class Blurred(NamedTuple):
+    """A fit at all levels but the sharpest: its target, levels, the shape that it reached, and its quality."""
+
+    target: Target
+    stages: list[FittedLevel]
+    shape: np.ndarray
+    quality: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A model of one shape, a method and the solver's options; :class:`liaam.fitting.Fitter` is for several shapes."""
+
+    model: AAM
+    method: str | Method = DEFAULT_METHOD
+    options: SolverOptions = field(default_factory=SolverOptions)
+
+    @cached_property
+    def objectives(self) -> tuple[Objective, ...]:
+        """The objectives of model and method, one per level, coarse to fine."""
+        return make_objectives(self.model, scored(get_method(self.method), self.options))
+
+    @cached_property
+    def levels(self) -> Levels:
+        """The objectives, ready to fit images."""
+        return Levels(self.objectives)
+
+    @cached_property
+    def dense(self) -> Objective:
+        """The objective of the sharpest level at all pixels of its frame."""
+        return make_objectives(self.model, self.objectives[-1].method, thinning=0.0)[-1]
+
+    @property
+    def view(self) -> View:
+        """The model's view that the method fits with."""
+        return self.model.views[self.objectives[0].method.view]
+
+    @property
+    def shapes(self) -> ShapeModel:
+        """The shape model that the method fits with."""
+        return self.view.shape_model
+
+    @property
+    def reliability(self) -> Reliability | None:
+        """Calibration of quality and covariances; None if training has not calibrated the method."""
+        known, method = self.view.reliabilities, self.objectives[0].method
+        return next((each for name, each in known.items() if METHODS.get(name) == method), None)
+
+    def known_for(self, result: FitResult) -> Reliability | None:
+        """Return the calibration if it says something about a fit: not if that was limited to few iterations."""
+        return None if result.status.unusable or self.options.max_iterations <= SLOW else self.reliability
+
+    def falls_short(self, result: FitResult) -> bool:
+        """Return whether a fit has low quality, so that another start may be better."""
+        known = self.known_for(result)
+        least = max(LEAST_QUALITY, known.low if known is not None and result.n_iterations > SLOW else 0.0)
+        return known is not None and result.quality < least
+
+    def fit_target(self, target: Target, options: SolverOptions | None = None) -> FitResult:
+        """Fit all levels; from another landmarker's points those that are sharp enough."""
+        options, points, first = self.options if options is None else options, self.model.points, 0
+        if target.pull is not None and points is not None:
+            near = (i for i, each in enumerate(self.objectives) if each.blur <= REACH * points.deviation)
+            first = next(near, len(self.objectives) - 1)
+            if options.early_tolerance is None:
+                options = replace(options, early_tolerance=MAPPED_TOLERANCE)
+        return self.result_of(target, self.levels.fit(target, options, first))
+
+    def fit_blurred(self, target: Target, options: SolverOptions) -> Blurred:
+        """Fit all levels but the sharpest."""
+        stages = self.levels.fit(target, spare(options), last=max(1, len(self.objectives) - 1))
+        reached, known = stages[-1].reached, self.reliability
+        if known is None or not is_sane(reached, target.start):
+            return Blurred(target, [], target.start, 0.0)
+        return Blurred(target, stages, reached, known.quality(quality_features(stages[-1])))
+
+    def fit_sharpest(self, fit: Blurred, options: SolverOptions) -> FitResult:
+        """Fit the sharpest level, from the shape that the others have reached."""
+        n_blurred = len(self.objectives) - 1
+        if not n_blurred or not fit.stages:
+            return self.fit_target(fit.target, options)
+        from_there = fit.target._replace(start=fit.shape, margin=NEAR)
+        return self.result_of(fit.target, [*fit.stages, *self.levels.fit(from_there, options, first=n_blurred)])
+
+    def result_of(self, target: Target, stages: Sequence[FittedLevel]) -> FitResult:
+        """Make the result of a fit from its levels: compute status, quality and covariances."""
+        stage, known, history = stages[-1], self.reliability, trace(stages)
+        solution, method, p = stage.solution, stage.objective.method, np.zeros(len(self.shapes.basis))
+        p[own_parameters(len(solution.p), len(p))] = solution.p
+        theta_model, theta = solution.angles if method.has_angles else (np.nan, np.nan)
+        spread = covariance(stage, self.objectives[-1], self.options.shape_prior / solution.prior_scale, target.pull)
+        spread = spread if known is None else known.variance_factor * spread
+        seen, unit = quality_features(stage), stage.objective.noise_variance(solution)
+        status = status_of(target.image, history, stage, self.model, self.shapes)
+        quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
+        # A fit that explains nothing is doubtful, also without calibration.
+        explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)
+        if status.ok and (quality < LEAST_QUALITY or not explains):
+            status = FitStatus.DOUBTFUL
+        about = self.shapes, stage.pose, p, spread, self.model.contours, known, unit
+        return FitResult(
+            landmarks=history[-1].landmarks,
+            status=status,
+            theta=float(theta),
+            theta_model=float(theta_model),
+            p=p,
+            pose=stage.pose,
+            lam=solution.lam,
+            cost=float(solution.costs[-1]),
+            n_iterations=sum(stage.solution.n_iterations for stage in stages),
+            history=history,
+            covariance=spread,
+            landmark_covariances=landmark_covariances(*about),
+            residual_variance=unit,
+            evidence=seen,
+            quality=quality,
+            method=method,
+        )
