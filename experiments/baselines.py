@@ -17,7 +17,7 @@ from experiments.charts import figure_of_bars
 from experiments.measures import or_dash
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.simulated import displaced
-from experiments.solvers import check_trials, get_solver, make_fitters
+from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import (
     PAPER_THETA,
     TILT,
@@ -119,15 +119,6 @@ class Trial:
         return f"{self.situation}, trial {self.number}"
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Settings shared by all trials."""
-
-    data: Path | None
-    solver: str
-    seed: int
-
-
 @lru_cache(maxsize=1)
 def get_fitters(data: Path | None, solver: str) -> dict[str, Fitter]:
     """Train on the subject, with lamps learnt from some of its shadowed images; once per process."""
@@ -174,7 +165,7 @@ def covered(image: np.ndarray, shape: np.ndarray, rng: np.random.Generator, shar
     return image
 
 
-def run_trial(setup: Setup, trial: Trial) -> list[Row]:
+def run_trial(setup: Request, trial: Trial) -> list[Row]:
     """Fit one changed image with the situation's methods."""
     fitters, subject = get_fitters(setup.data, setup.solver), get_subject(setup.data)
     situation = next(s for s in SITUATIONS if s.name == trial.situation)
@@ -203,28 +194,18 @@ def baselines_experiment(
     data: Path | None = None, trials: int = 24, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
     """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
-    check_trials(solver, trials)
+    setup = Request(data, ("grey",), trials, seed, solver)  # each situation has its own methods
     return Experiment(
         name="baselines",
         title="The paper's references, each where it should help",
         settings={
             **subject_facts(data),
-            "trials": trials,
-            "seed": seed,
-            "solver": f"{solver}: {get_solver(solver).summary}",
+            **setup.settings(),
+            "methods": sorted({method for situation in SITUATIONS for method in situation.methods}),
             "gamma": GAMMA,
         },
         tasks=tuple(Trial(situation.name, number) for situation in SITUATIONS for number in range(trials)),
-        work=partial(run_trial, Setup(data, solver, seed)),
-        columns={
-            "situation": "",
-            "method": "",
-            "trial": "",
-            "image": "",
-            "error_px": ".6f",
-            "iterations": "",
-            "status": "",
-        },
+        work=partial(run_trial, setup),
         summarise=summarise,
         draw=draw,
         report=report,

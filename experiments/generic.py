@@ -16,15 +16,14 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.lights import hard_light
-from experiments.measures import or_dash
+from experiments.measures import or_dash, percent
 from experiments.protocol import (
     METHODS,
     STARTS,
     Header,
-    Request,
     Table,
     Trained,
-    columns_of,
+    disturbed_start,
     eight_bit,
     face_size,
     in_percent,
@@ -37,7 +36,8 @@ from experiments.protocol import (
     tell,
 )
 from experiments.runner import Experiment, Row
-from experiments.spot import disturbed_start, find_persons, percent
+from experiments.solvers import Request
+from experiments.spot import find_persons
 from experiments.subjects import data_facts
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import LiaamError
@@ -108,6 +108,7 @@ class GenericRequest(Request):
         One of :data:`UNITS`.
     """
 
+    data: Path
     test: Path | None = None
     first: int | None = None
     lamps: Path | None = None
@@ -272,7 +273,7 @@ def get_trained(request: GenericRequest, fold: int) -> Trained:
         light = AUTO
     elif source is not None:
         light = learn_lamps(load_folder(source), request.training_lamp) if source.is_dir() else load_lamps(source)
-    return request.train(training, f"fold {fold}", leave_out=True, lamps=light, diagonal=request.diagonal)
+    return Trained.on(request, training, f"fold {fold}", leave_out=True, lamps=light, diagonal=request.diagonal)
 
 
 def image_of(request: Request, shown: Shown) -> np.ndarray:
@@ -342,7 +343,6 @@ def generic_experiment(
         settings={**facts, "digest": data_facts(samples)["digest"], **request.settings()},
         tasks=tasks,
         work=partial(fit_object, request),
-        columns=columns_of("object", "picture", "light", "start", "trial"),
         summarise=partial(summarise, request),
         draw=draw,
         report=report,

@@ -160,7 +160,6 @@ def relight_experiment(
         settings=settings,
         tasks=tuple(HeldOut(0, name) for name in get_folds(request)[0][0].tested),
         work=partial(relight_object, request),
-        columns={"method": "", "object": "", "light": "", **dict.fromkeys(MEASURES, ".6f"), "status": ""},
         summarise=summarise,
         draw=lambda _, summary: draw(summary),
         report=lambda summary: tell(str(__doc__).strip(), table(summary)),

@@ -16,7 +16,7 @@ import numpy as np
 from experiments.charts import Panel, figure_of_curves
 from experiments.cramer_rao import Bound, cramer_rao_bound
 from experiments.runner import Experiment, Row, markdown_table
-from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import (
     PAPER_THETA,
     PENUMBRA,
@@ -126,26 +126,10 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Settings shared by all trials.
-
-    Attributes
-    ----------
-    sweep : Sweep
-    data : Path, optional
-        Folder of one person's images; generated images if None.
-    methods : tuple of str
-    solver : str
-    seed : int
-    strength : float
-        Change of log light in the shadow.
-    """
+class Setup(Request):
+    """What was asked for, with the swept condition and the change of log light in the shadow."""
 
     sweep: Sweep
-    data: Path | None
-    methods: tuple[str, ...]
-    solver: str
-    seed: int
     strength: float = STRENGTH
 
 
@@ -307,38 +291,22 @@ def simulated_experiment(
     strength : float
         Change of log light in the shadow.
     """
-    check_request(tuple(methods), solver, trials)
+    setup = Setup(data, tuple(methods), trials, seed, solver, sweep, strength)
     if not -5.0 <= strength <= 0.0:
         raise LiaamError(f"strength {strength:g}: give the shadow's change of log light, -5 (black) to 0 (none)")
-    setup = Setup(sweep, data, tuple(methods), solver, seed, strength)
     conditions = sweep.conditions(0.0)
     return Experiment(
         name=sweep.name,
         title=sweep.title,
         settings={
             **subject_facts(data),
-            "methods": list(methods),
-            "trials": trials,
-            "seed": seed,
-            "solver": f"{solver}: {get_solver(solver).summary}",
+            **setup.settings(),
             "strength": float(strength),
             **{key: value for key, value in conditions.items() if key != sweep.column},
             sweep.column: [float(value) for value in values],
         },
         tasks=tuple(Trial(float(value), number) for value in values for number in range(trials)),
         work=partial(run_trial, setup),
-        columns={
-            "method": "",
-            sweep.column: "g",
-            "trial": "",
-            "image": "",
-            "start_px": ".6f",
-            "error_px": ".6f",
-            "rms_px": ".6f",
-            "theta_error_deg": ".5f",
-            "iterations": "",
-            "status": "",
-        },
         summarise=partial(summarise, sweep.column, setup.methods),
         draw=partial(draw, sweep),
         report=partial(report, sweep),

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
-from experiments.measures import or_dash
+from experiments.measures import or_dash, percent
 from experiments.protocol import (
+    CONVERGED,
     STARTS,
     VARIANCE,
     Header,
-    Request,
     Table,
+    disturbed_start,
     eight_bit,
     face_size,
     held,
@@ -31,8 +32,8 @@ from experiments.protocol import (
     tell,
 )
 from experiments.runner import Experiment, Row
-from experiments.solvers import get_solver
-from experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
+from experiments.solvers import Request, get_solver
+from experiments.spot import Person, facts_of, find_persons
 from liaam.datasets import Sample
 from liaam.evaluation import finite_or_none, nme
 from liaam.fitting import Fitter
@@ -59,22 +60,6 @@ LEFT_OUT = (0, 2, 4)
 """Indices of the diffuse images of a person, of five, that are left out in turn."""
 
 STARTED = ("near", "far")
-
-COLUMNS = {
-    "group": "",
-    "subject": "",
-    "picture": "",
-    "light": "",
-    "noise": "g",
-    "start": "",
-    "nme": ".6f",
-    **{f"held_{level}": ".6f" for level in LEVELS},
-    "deviation": ".6f",
-    "quality": ".6f",
-    "status": "",
-}
-"""Columns of results.csv. ``held_L``: fraction of the landmarks inside their L % ellipse. ``deviation``: root mean
-square of the reported standard deviations. It and ``nme`` are divided by the face's size."""
 
 CHOICES = (
     f"Right is a fit whose error is below {CONVERGED:.0%} of the inter-ocular distance. Ellipses are those of right "
@@ -191,12 +176,12 @@ def _real(sample: Sample, light: str) -> Picture:
 
 
 @lru_cache(maxsize=1)
-def get_persons(folder: Path) -> tuple[Person, ...]:
+def get_persons(folder: Path | None) -> tuple[Person, ...]:
     """Find a folder's persons; once per process."""
-    return find_persons(folder)[0]
+    return find_persons(folder or Path())[0]
 
 
-def get_person(folder: Path, name: str) -> Person:
+def get_person(folder: Path | None, name: str) -> Person:
     """Get a person by name."""
     return next(person for person in get_persons(folder) if person.name == name)
 
@@ -234,7 +219,11 @@ def fit_subject(request: Request, subject: Subject) -> list[Row]:
 
 
 def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[Row]:
-    """Fit an image from each of its starts."""
+    """Fit an image from each of its starts.
+
+    ``held_L`` is the fraction of the landmarks inside their L % ellipse, ``deviation`` the root mean square of the
+    reported standard deviations. It and ``nme`` are divided by the face's size.
+    """
     unit, rng = face_size(picture.truth), request.rng(fitter.model.name, picture.name, "start")
     near = disturbed_start(fitter.model.shape_model.mean, picture.truth, unit, rng)
     size = (picture.image.shape[1], picture.image.shape[0])
@@ -270,7 +259,6 @@ def uncertainty_experiment(
         settings={**facts, "heads": heads, "seed": seed, "solver": request.settings()["solver"]},
         tasks=tuple(subjects),
         work=partial(fit_subject, request),
-        columns=COLUMNS,
         summarise=summarise,
         draw=draw,
         report=report,

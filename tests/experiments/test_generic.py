@@ -82,7 +82,7 @@ def test_the_first_pictures_train_and_the_others_are_fitted(folders):
 
 def test_lamps_reach_the_training(folder, folders, monkeypatch, tmp_path):
     asked = {}
-    monkeypatch.setattr(generic.GenericRequest, "train", lambda self, samples, name, **options: asked.update(options))
+    monkeypatch.setattr(generic.Trained, "on", lambda request, samples, name, **options: asked.update(options))
     lamps = copy_files(folder, tmp_path / "lamps", "03-1m*")
     for name in ("03-1m", "03-5m"):  # a person who has not moved, under two lamps
         for suffix in ("png", "pts"):
