@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.measures import or_dash
-from experiments.runner import Experiment, Row, markdown_table
+from experiments.runner import Experiment, Row, Trial, markdown_table
 from experiments.simulated import displaced
 from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import (
@@ -50,15 +50,7 @@ COVERED = 0.2
 class Situation:
     """One way to break the plain comparison.
 
-    Attributes
-    ----------
-    name, title : str
-    baseline : str
-        The method to be beaten.
-    methods : tuple of str
-        Methods to compare: those in `claimed`, and others.
-    claimed : tuple of str
-        Methods whose papers claim to beat the baseline.
+    Of the ``methods`` that are compared, the papers of those in ``claimed`` claim to beat the ``baseline``.
     """
 
     name: str
@@ -104,19 +96,6 @@ CHOICES = (
     "Gain: stored values become 0.5 to 0.8 of themselves plus 0 to 0.15. `grey` holds gain and offset among its modes, "
     "so the plain comparison is `grey-plain` here.",
 )
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One task."""
-
-    situation: str
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.situation}, trial {self.number}"
 
 
 @lru_cache(maxsize=1)
@@ -168,7 +147,7 @@ def covered(image: np.ndarray, shape: np.ndarray, rng: np.random.Generator, shar
 def run_trial(setup: Request, trial: Trial) -> list[Row]:
     """Fit one changed image with the situation's methods."""
     fitters, subject = get_fitters(setup.data, setup.solver), get_subject(setup.data)
-    situation = next(s for s in SITUATIONS if s.name == trial.situation)
+    situation = next(s for s in SITUATIONS if s.name == trial.condition)
     picture = trial.number % len(subject.images)
     rng = np.random.default_rng([setup.seed, trial.number, 3])
     image, truth = changed_picture(subject, situation.name, picture, rng), subject.shapes[picture]

@@ -67,17 +67,10 @@ CHOICES = (
 
 
 def find_splits(folder: Path) -> tuple[tuple[Split, ...], tuple[str, ...]]:
-    """Split each person's images into training and test images.
-
-    Returns
-    -------
-    splits : tuple of Split
-    left_out : tuple of str
-        Unused images, with the reasons.
-    """
+    """Split each person's images into training and test images; the unused ones are returned with the reasons."""
     persons, left_out = group_persons(folder)
     if persons:
-        return tuple(Split(person.name, person.training, (person.spot,)) for person in persons), left_out
+        return persons, left_out
     groups, left_out = group_by_person(folder, AT_LEAST)
     return tuple(Split(name, samples[0::2], samples[1::2]) for name, samples in groups.items()), left_out
 
@@ -89,20 +82,9 @@ def placed(mean: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def disturbed(shape: np.ndarray, unit: float, share: float, rng: np.random.Generator) -> np.ndarray:
-    """Shift, turn and scale a shape about its centroid.
+    """Shift, turn and scale a shape (n, 2) about its centroid, by up to a share of the largest disturbance.
 
-    Parameters
-    ----------
-    shape : (n, 2) float64
-    unit : float
-        Inter-ocular distance, pixels.
-    share : float
-        Of the largest disturbance.
-    rng : Generator
-
-    Returns
-    -------
-    (n, 2) float64
+    ``unit`` is the inter-ocular distance in pixels.
     """
     length, direction = share * SHIFT * unit * rng.uniform(), rng.uniform(0, 2 * np.pi)
     turn = rotation(rng.uniform(-share * TURN, share * TURN))

@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
 from experiments.cramer_rao import cramer_rao_bound
-from experiments.runner import Experiment, NumberedTrial, Row
+from experiments.runner import Experiment, Row, Trial
 from experiments.simulated import Curves, make_case, sharp_model, table_of_curves
 from experiments.solvers import Request
 from experiments.subjects import get_subject, subject_facts
@@ -45,7 +45,7 @@ CHOICES = (
 )
 
 
-def run_trial(setup: Request, sigmas: tuple[float, ...], trial: NumberedTrial) -> list[Row]:
+def run_trial(setup: Request, sigmas: tuple[float, ...], trial: Trial) -> list[Row]:
     """Compute all bounds for one image, with and without its shadow."""
     model, subject = sharp_model(setup.data), get_subject(setup.data)
     case = make_case(subject, setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
@@ -86,7 +86,7 @@ def bound_experiment(
             "seed": seed,
             "sigma_n": list(sigmas),
         },
-        tasks=tuple(NumberedTrial(number) for number in range(trials)),
+        tasks=tuple(Trial("all", number) for number in range(trials)),
         work=partial(run_trial, setup, sigmas),
         summarise=summarise,
         draw=draw,

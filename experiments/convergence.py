@@ -14,8 +14,8 @@ import numpy as np
 
 from experiments import simulated, spot
 from experiments.charts import Panel, figure_of_curves
-from experiments.protocol import STARTS, TRAINED
-from experiments.runner import Experiment, NumberedTrial, Row
+from experiments.protocol import STARTS, TRAINED, Split
+from experiments.runner import Experiment, Row, Trial
 from experiments.solvers import MAX_ITERATIONS, Request
 from experiments.subjects import get_subject, head_scenes, subject_facts
 from liaam.evaluation import error_statistics, point_error
@@ -45,7 +45,7 @@ SCENE_CHOICES = (
 )
 
 
-def trace_person(setup: Request, person: spot.Person) -> list[Row]:
+def trace_person(setup: Request, person: Split) -> list[Row]:
     """Trace the fits to one person's spot-lit image."""
     study = spot.study_of(person, setup)
     return [
@@ -55,14 +55,14 @@ def trace_person(setup: Request, person: spot.Person) -> list[Row]:
     ]
 
 
-def trace_shadow(setup: Request, trial: NumberedTrial) -> list[Row]:
+def trace_shadow(setup: Request, trial: Trial) -> list[Row]:
     """Trace the fits to one of a person's images under a simulated shadow."""
     fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
     case = simulated.make_case(get_subject(setup.data), setup.seed, trial.number, GAMMA, sigma_n=0.0)
     return trace(fitters, case.image, case.start, case.truth, case.picture, trial.number)
 
 
-def trace_scene(setup: Request, trial: NumberedTrial) -> list[Row]:
+def trace_scene(setup: Request, trial: Trial) -> list[Row]:
     """Trace the fits to a generated image under lateral light."""
     fitters = simulated.get_fitters(None, setup.methods, setup.solver, THETA_DEFAULT)
     scenes = _lateral_scenes()
@@ -134,7 +134,7 @@ def convergence_experiment(
 
 def _plan(setup: Request) -> tuple:
     """Return light, description of the data, tasks, work, choices and unused images, by the kind of data."""
-    numbered = tuple(NumberedTrial(number) for number in range(setup.trials))
+    numbered = tuple(Trial("all", number) for number in range(setup.trials))
     if setup.data is None:
         facts = {**subject_facts(None), "gamma": GAMMA}
         return "generated, hard, from the left", facts, numbered, trace_scene, SCENE_CHOICES, ()

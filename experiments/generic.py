@@ -35,7 +35,7 @@ from experiments.protocol import (
     statistics,
     tell,
 )
-from experiments.runner import Experiment, Row
+from experiments.runner import Experiment, Named, Row
 from experiments.solvers import Request
 from experiments.spot import find_persons
 from experiments.subjects import data_facts
@@ -90,22 +90,9 @@ CHOICES = (
 class GenericRequest(Request):
     """Options of an experiment.
 
-    Attributes
-    ----------
-    test : Path, optional
-        Folder of the images to fit.
-    first : int, optional
-        Without ``test``: how many images of ``data`` to train on; the others are fitted.
-    lamps : Path, optional
-        Folder or file to learn other lights from.
-    training_lamp : str, optional
-        Name of the lamp in it that is the training light.
-    diagonal : float
-        Diagonal of the reference frame in pixels.
-    starts : tuple of str
-        One of :data:`STARTED`.
-    unit : str
-        One of :data:`UNITS`.
+    ``test`` is the folder of the images to fit; without it, the ``first`` images of ``data`` are for training and the
+    others are fitted. ``lamps`` is a folder or file to learn other lights from, and ``training_lamp`` the name of the
+    lamp in it that is the training light.
     """
 
     data: Path
@@ -164,19 +151,6 @@ class Fold:
     tested: dict[str, tuple[Shown, ...]]
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """One unseen object to fit: one task."""
-
-    fold: int
-    name: str
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"fold {self.fold}, {self.name}"
-
-
 @lru_cache(maxsize=1)
 def get_folds(request: GenericRequest) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
     """Split the images into folds, and list unused ones; once per process."""
@@ -212,7 +186,7 @@ def _of_persons(folder: Path) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
 
     def shown(person) -> tuple[Shown, ...]:
         lights = ((Shown("diffuse", sample), Shown("relit", sample, relit=True)) for sample in person.training)
-        return (Shown("spot", person.spot), *(each for pair in lights for each in pair))
+        return (Shown("spot", person.tested[0]), *(each for pair in lights for each in pair))
 
     def fold(which: int) -> Fold:
         others = [person for i, person in enumerate(persons) if i % FOLDS != which]
@@ -295,10 +269,10 @@ def start_of(request: GenericRequest, kind: str, mean: np.ndarray, sample: Sampl
     return np.concatenate([middle - half, middle + half])
 
 
-def fit_object(request: GenericRequest, task: HeldOut) -> list[Row]:
+def fit_object(request: GenericRequest, task: Named) -> list[Row]:
     """Fit all images of one object."""
-    trained, rows = get_trained(request, task.fold), []
-    for shown in get_folds(request)[0][task.fold].tested[task.name]:
+    trained, rows = get_trained(request, task.group), []
+    for shown in get_folds(request)[0][task.group].tested[task.name]:
         image, truth = image_of(request, shown), shown.sample.landmarks.points
         unit = request.size(truth)
         for trial in range(request.trials):
@@ -331,7 +305,7 @@ def generic_experiment(
     more = {**light, "diagonal": diagonal, "starts": tuple(starts), "unit": unit}
     request = GenericRequest(data, tuple(methods), trials, seed, solver, **more)
     folds, left_out = get_folds(request)
-    tasks = tuple(HeldOut(i, name) for i, fold in enumerate(folds) for name in fold.tested)
+    tasks = tuple(Named(i, name) for i, fold in enumerate(folds) for name in fold.tested)
     shown = [each for fold in folds for pictures in fold.tested.values() for each in pictures]
     request.size(shown[0].sample.landmarks.points)  # raise early
     folders = {name: getattr(request, name) for name in ("data", "test", "lamps")}

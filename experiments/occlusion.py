@@ -25,7 +25,7 @@ from experiments.protocol import (
 )
 from experiments.runner import Experiment, Row
 from experiments.solvers import Request
-from experiments.spot import Person, facts_of, find_persons
+from experiments.spot import facts_of, find_persons
 from liaam.evaluation import inter_ocular_distance
 from liaam.plotting import figure_of_pictures
 
@@ -54,16 +54,9 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Case:
-    """One image of one person: one task.
+    """One image of one person, in diffuse or spot light: one task.
 
-    Attributes
-    ----------
-    split : Split
-        Its single test image is fitted.
-    light : str
-        Diffuse or spot.
-    turn : int
-        Index of the person, by which kinds of patch alternate.
+    Kinds of patch alternate by ``turn``, the index of the person.
     """
 
     split: Split
@@ -80,31 +73,21 @@ class Case:
         return PATCHES[(self.turn + trial) % len(PATCHES)]
 
 
-def cases_of(turn: int, person: Person) -> tuple[Case, Case]:
+def cases_of(turn: int, person: Split) -> tuple[Case, Case]:
     """Return one person's diffuse and spot-lit image, each with its training images."""
     out = turn % len(person.training)
     others = person.training[:out] + person.training[out + 1 :]
     return (
         Case(Split(person.name, others, (person.training[out],)), "diffuse", turn),
-        Case(Split(person.name, person.training, (person.spot,)), "spot", turn),
+        Case(person, "spot", turn),
     )
 
 
 def patch_box(landmarks: np.ndarray, size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int, int, int]:
-    """Choose the position of a patch.
+    """Choose the position of a patch in an image of a width and height: x0, y0, x1, y1, exclusive at the end.
 
-    Parameters
-    ----------
-    landmarks : (n, 2) float64
-    size : (int, int)
-        Width and height of the image.
-    rng : Generator
-
-    Returns
-    -------
-    (x0, y0, x1, y1) : tuple of int
-        Pixel range, exclusive at the end: the first of 100 positions with all corners inside the landmarks' hull, or
-        else the one with most corners inside.
+    It is the first of 100 positions with all corners inside the hull of the landmarks (n, 2), or else the one with most
+    corners inside.
     """
     import cv2
 
@@ -125,19 +108,9 @@ CORNERS = ((0, 0), (1, 0), (0, 1), (1, 1))
 
 
 def covered(image: np.ndarray, landmarks: np.ndarray, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Cover about a fifth of an object with a textured patch.
+    """Cover about a fifth of an object in an image (h, w, 3) uint8 with a textured patch.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    landmarks : (n, 2) float64
-    kind : {"colours", "copy"}
-        Random smooth colours, or a copy of another region of the same image.
-    rng : Generator
-
-    Returns
-    -------
-    (h, w, 3) uint8
+    The patch shows random smooth ``colours``, or a ``copy`` of another region of the same image.
     """
     x0, y0, x1, y1 = patch_box(landmarks, (image.shape[1], image.shape[0]), rng)
     size = (x1 - x0, y1 - y0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from experiments.lights import LIGHTS
 from experiments.protocol import FACE, METHODS, TRAINED, Table, Trained, eight_bit, fits_experiment, group_by_person
-from experiments.runner import Experiment, Row
+from experiments.runner import Experiment, Named, Row
 from experiments.solvers import Request
 from experiments.subjects import data_facts
 from liaam.datasets import Sample
@@ -70,52 +70,18 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Fold:
-    """Training and test images of one model.
-
-    Attributes
-    ----------
-    training, tested : tuple of Sample
-    """
+    """Training and test images of one model."""
 
     training: tuple[Sample, ...]
     tested: tuple[Sample, ...]
 
 
-@dataclass(frozen=True)
-class Picture:
-    """One image to fit under all lights: one task."""
-
-    fold: int
-    name: str
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"picture {self.name}"
-
-
 @lru_cache(maxsize=2)
 def get_folds(folder: Path, unseen: bool) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
-    """Split a folder; once per process.
+    """Split a folder of images that are named after persons, as 01_03; once per process.
 
-    Parameters
-    ----------
-    folder : Path
-        Images named after persons, as 01_03.
-    unseen : bool
-        Whether two persons at a time are left out. Otherwise every second image of each person, from the first on,
-        trains.
-
-    Returns
-    -------
-    folds : tuple of Fold
-    left_out : tuple of str
-        Unused images, with the reasons.
-
-    Raises
-    ------
-    LiaamError
-        If there are too few persons.
+    With ``unseen``, two persons at a time are left out. Otherwise every second image of each person, from the first on,
+    trains. The unused images are returned with the reasons. Raises a LiaamError if there are too few persons.
     """
     persons, left_out = group_by_person(folder, AT_LEAST)
     if not unseen:
@@ -144,16 +110,7 @@ def get_trained(request: Request, unseen: bool, fold: int) -> Trained:
 
 
 def box_start(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Place the mean shape in the true bounding box and disturb scale, rotation and shift, drawn in this order.
-
-    Parameters
-    ----------
-    mean, truth : (n, 2) float64
-
-    Returns
-    -------
-    (n, 2) float64
-    """
+    """Place the mean shape in the true bounding box and disturb scale, rotation and shift, drawn in this order."""
     size = diagonal_of(truth)
     scale = size / diagonal_of(mean) * rng.uniform(1 - SCALE, 1 + SCALE)
     turn = rotation(rng.uniform(-TURN, TURN))
@@ -165,10 +122,10 @@ def _middle(shape: np.ndarray) -> np.ndarray:
     return 0.5 * (shape.min(axis=0) + shape.max(axis=0))
 
 
-def fit_picture(unseen: bool, request: Request, task: Picture) -> list[Row]:
+def fit_picture(unseen: bool, request: Request, task: Named) -> list[Row]:
     """Fit one image under every light; a start is the same under all of them."""
-    trained = get_trained(request, unseen, task.fold)
-    sample = next(s for s in get_folds(request.data, unseen)[0][task.fold].tested if s.name == task.name)
+    trained = get_trained(request, unseen, task.group)
+    sample = next(s for s in get_folds(request.data, unseen)[0][task.group].tested if s.name == task.name)
     image, truth = eight_bit(sample), sample.landmarks.points
     rows = []
     for trial in range(request.trials):
@@ -201,7 +158,7 @@ def peer_experiment(
         name="peer",
         title=f"A peer's protocol: persons {persons} in training",
         settings={"data": data.resolve().name, **data_facts(samples), "persons": persons},
-        tasks=tuple(Picture(i, sample.name) for i, fold in enumerate(folds) for sample in fold.tested),
+        tasks=tuple(Named(i, sample.name) for i, fold in enumerate(folds) for sample in fold.tested),
         report=f"How do we compare with a peer on its own protocol, persons {persons} in training? The rows of "
         "menpofit are its published figures (orientations: gradients' of RGB, Wiberg's algorithm, two scales), with "
         "other draws of light and start than ours.",

@@ -120,21 +120,11 @@ class Trained:
     def fit(
         self, image: np.ndarray, truth: np.ndarray, unit: float, start: np.ndarray | None, /, **labels: Any
     ) -> list[Row]:
-        """Fit an image with every method from one start.
+        """Fit an image (h, w, 3) uint8 with every method from a shape or a box, or search for the object.
 
-        In the rows, ``bound`` is the error of the true shape projected on the shape model, ``held_95`` the fraction of
-        the landmarks inside their 95 % ellipse, and ``seconds`` the time of the fit, which varies between runs.
-
-        Parameters
-        ----------
-        image : (h, w, 3) uint8
-        truth : (n, 2) float64
-        unit : float
-            Unit of errors, in pixels.
-        start : (n, 2) or (4,) float64, optional
-            A shape or a box. By default the object is searched for.
-        **labels
-            Further columns.
+        Errors are divided by ``unit``, in pixels; labels are further columns. ``bound`` is the error of the true shape
+        projected on the shape model, ``held_95`` the fraction of the landmarks inside their 95 % ellipse, and
+        ``seconds`` the time of the fit, which varies between runs.
         """
         bound = nme(self.model.shape_model.project(truth), truth, unit)
         rows = []
@@ -151,14 +141,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class Split:
-    """Training and test images of one person: one task.
-
-    Attributes
-    ----------
-    name : str
-        Name of the person.
-    training, tested : tuple of Sample
-    """
+    """Training and test images of one person: one task."""
 
     name: str
     training: tuple[Sample, ...]
@@ -171,25 +154,10 @@ class Split:
 
 
 def group_by_person(folder: Path, at_least: int) -> tuple[dict[str, tuple[Sample, ...]], tuple[str, ...]]:
-    """Group a folder whose images are named ``PERSON-…`` or ``PERSON_…``.
+    """Group a folder whose images are named ``PERSON-…`` or ``PERSON_…``, in natural order, by name.
 
-    Parameters
-    ----------
-    folder : Path
-    at_least : int
-        Minimum number of images of a person.
-
-    Returns
-    -------
-    persons : dict of str to tuple of Sample
-        By name, in order; images in natural order.
-    left_out : tuple of str
-        Unused images, with the reasons.
-
-    Raises
-    ------
-    LiaamError
-        If no person is left.
+    The unused images are returned with the reasons, among them those of persons with too few. Raises a LiaamError if no
+    person is left.
     """
     data = load_folder(folder)
     left_out = [f"{item.path.name}: {item.reason}" for item in data.left_out]
@@ -349,17 +317,9 @@ def fits_experiment(
 ) -> Experiment:
     """Make an experiment whose rows are fits, with a table of errors by method and condition.
 
-    Parameters
-    ----------
-    request : Request
-    work : callable
-        From the request and a task to rows of :meth:`Trained.fit`.
-    labels : tuple of str
-        Columns whose values tell conditions apart.
-    published : mapping of condition to rows, optional
-        Further rows of the table.
-    **options
-        Of :class:`Experiment`; its ``report`` is the question.
+    ``work`` makes rows (:meth:`Trained.fit`) from the request and a task, the values of the columns ``labels`` tell
+    conditions apart, and ``published`` are further rows of the table by condition. The options are those of
+    :class:`Experiment`; its ``report`` is the question.
     """
     question = options.pop("report")
     return Experiment(

@@ -14,7 +14,8 @@ import numpy as np
 
 from experiments import simulated, spot
 from experiments.measures import or_dash
-from experiments.runner import Experiment, Row, markdown_table
+from experiments.protocol import Split
+from experiments.runner import Experiment, Row, Trial, markdown_table
 from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import SCENE_HEAD, get_subject, subject_facts
 from liaam.errors import MethodError
@@ -59,31 +60,11 @@ CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One task: a kind of image and the index of a draw, or a person."""
-
-    kind: str
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.kind}, trial {self.number}"
-
-
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An image whose shading is to be removed.
+    """An image whose shading is to be removed, and if known the same image under the training light.
 
-    Attributes
-    ----------
-    name : str
-    image : (h, w, 3) array
-    start, shape : (n, 2)
-        Start of the fit, and true landmarks.
-    canonical : (h, w, 3) array, optional
-        The same image under the training light, if known.
+    ``start`` and ``shape`` (n, 2) are the start of the fit and the true landmarks.
     """
 
     name: str
@@ -95,16 +76,16 @@ class Case:
 
 def get_case(setup: Request, task: Any) -> tuple[Mapping[str, Fitter], Case]:
     """Fitters and image of a task."""
-    if isinstance(task, spot.Person):
+    if isinstance(task, Split):
         study = spot.study_of(task, setup)
         return study.fitters, Case(task.key, study.image, study.start(setup.seed, 0), study.truth, None)
-    if task.kind == "shadow":
+    if task.condition == "shadow":
         case = simulated.make_case(get_subject(setup.data), setup.seed, task.number, GAMMA, sigma_n=0.0)
         fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
         canonical = get_subject(setup.data).images[case.picture]
         return fitters, Case(f"picture {case.picture + 1}", case.image, case.start, case.truth, canonical)
-    fitters = _scene_fitters(task.kind, setup.methods, setup.solver)
-    return fitters, _scene_case(task.kind, setup.seed, task.number)
+    fitters = _scene_fitters(task.condition, setup.methods, setup.solver)
+    return fitters, _scene_case(task.condition, setup.seed, task.number)
 
 
 def _camera(kind: str):
@@ -148,7 +129,7 @@ def run_trial(setup: Request, task: Any) -> list[Row]:
         result = fitter.fit(case.image, case.start)
         rows.append(
             {
-                "kind": getattr(task, "kind", "spot"),
+                "kind": getattr(task, "condition", "spot"),
                 "method": method,
                 "picture": case.name,
                 "trial": getattr(task, "number", 0),

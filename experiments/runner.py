@@ -53,15 +53,29 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True)
-class NumberedTrial:
-    """A task identified by the index of its draw."""
+class Trial:
+    """A task identified by a condition, such as a swept value or a kind of image, and by the index of its draw."""
 
+    condition: Any
     number: int
 
     @property
     def key(self) -> str:
         """Key of the task in the journal."""
-        return f"trial {self.number}"
+        return f"{self.condition}, trial {self.number}"
+
+
+@dataclass(frozen=True)
+class Named:
+    """A task identified by a group, such as the model that fits it, and by a name in it."""
+
+    group: Any
+    name: str
+
+    @property
+    def key(self) -> str:
+        """Key of the task in the journal."""
+        return f"{self.group}, {self.name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +148,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a task: rows, or the reason why there are none, as JSON types.
-
-    Attributes
-    ----------
-    rows : list of dict
-    fault : str, optional
-    """
+    """Result of a task: rows, or the reason why there are none, as JSON types."""
 
     rows: list[Row]
     fault: str | None = None
@@ -216,13 +224,7 @@ def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
 
 
 class Journal:
-    """Finished tasks on disk, one line each.
-
-    Attributes
-    ----------
-    outcomes : dict of str to Outcome
-        Outcomes by the task's key.
-    """
+    """Finished tasks on disk, one line each; ``outcomes`` has them by the task's key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

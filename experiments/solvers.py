@@ -19,22 +19,11 @@ MAX_ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Solver:
-    """Options of training and of the solver.
+    """Options of training and of the solver, and their description.
 
-    Attributes
-    ----------
-    summary : str
-        Description.
-    options : SolverOptions
-    blurs : mapping of views to tuples of float, optional
-        Levels of the model. By default as in ``liaam train``.
-    variance : float
-        Fraction of the variance kept in person-specific models of the simulated experiments.
-    diagonal : float
-        Diagonal of the reference frame in pixels.
-    prior : str, optional
-        Estimator of the shape covariance, for all views. By default as in ``liaam train``. If all modes are kept, it is
-        ``sample``.
+    ``blurs`` are the levels of the model and ``prior`` the estimator of the shape covariance, by default those of
+    ``liaam train``; if all modes are kept, the prior is ``sample``. ``variance`` is the fraction kept in
+    person-specific models of the simulated experiments, ``diagonal`` that of the reference frame in pixels.
     """
 
     summary: str
@@ -88,13 +77,7 @@ SOLVERS = {
 
 
 def get_solver(name: str) -> Solver:
-    """Get a solver by name.
-
-    Raises
-    ------
-    MethodError
-        If there is none of that name.
-    """
+    """Get a solver by name. Raises a MethodError if there is none of that name."""
     if name not in SOLVERS:
         raise MethodError(f"unknown solver {name!r}; choose from {', '.join(SOLVERS)}")
     return SOLVERS[name]
@@ -107,19 +90,7 @@ def make_fitters(model: AAM, methods: Sequence[str], solver: str) -> dict[str, F
 
 @dataclass(frozen=True)
 class Request:
-    """What was asked for.
-
-    Attributes
-    ----------
-    data : Path, optional
-        Folder of images with landmarks; generated images if None.
-    methods : tuple of str
-    trials : int
-        Draws for each value, image or person.
-    seed : int
-    solver : str
-        One of :data:`SOLVERS`.
-    """
+    """What was asked for; :data:`experiments.cli.HELP` describes the fields."""
 
     data: Path | None
     methods: tuple[str, ...]

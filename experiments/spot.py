@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.protocol import EYES, STARTS, TRAINED, Trained, disturbed_start, fits_experiment
+from experiments.protocol import EYES, STARTS, TRAINED, Split, Trained, disturbed_start, fits_experiment
 from experiments.runner import Experiment, Row
 from experiments.solvers import Request
 from experiments.subjects import data_facts
@@ -30,25 +30,11 @@ TRAINING_CONDITIONS = ("1", "2", "3", "4", "6")
 SPOT_CONDITION = "5"
 
 
-@dataclass(frozen=True)
-class Person:
-    """Images of one person: one task."""
-
-    name: str
-    training: tuple[Sample, ...]
-    spot: Sample
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"person {self.name}"
-
-
 @dataclass(frozen=True, eq=False)
 class Study:
     """One person's model and spot-lit image (h, w, 3) uint8, with landmarks (n, 2) and the inter-ocular distance."""
 
-    person: Person
+    person: Split
     trained: Trained
     image: np.ndarray
     truth: np.ndarray
@@ -65,20 +51,10 @@ class Study:
         return disturbed_start(self.trained.mean, self.truth, self.iod, rng)
 
 
-def find_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
-    """Group a folder by person.
+def find_persons(folder: Path) -> tuple[tuple[Split, ...], tuple[str, ...]]:
+    """Group a folder by person: those with all six conditions, in colour, and the others with the reasons.
 
-    Returns
-    -------
-    persons : tuple of Person
-        Persons with all six conditions, in colour.
-    left_out : tuple of str
-        Unused persons, with the reasons.
-
-    Raises
-    ------
-    LiaamError
-        If no person is complete.
+    Raises a LiaamError if no person is complete.
     """
     persons, left_out = group_persons(folder)
     if not persons:
@@ -89,7 +65,7 @@ def find_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
     return persons, left_out
 
 
-def group_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
+def group_persons(folder: Path) -> tuple[tuple[Split, ...], tuple[str, ...]]:
     """As :func:`find_persons`, but a folder without a complete person does not raise."""
     by_person: dict[str, dict[str, Sample]] = defaultdict(dict)
     data = load_folder(folder)
@@ -105,13 +81,13 @@ def group_persons(folder: Path) -> tuple[tuple[Person, ...], tuple[str, ...]]:
         elif is_grey(pictures[SPOT_CONDITION].read_image()):
             left_out.append(f"person {name}: the pictures are grey")
         else:
-            persons.append(Person(name, tuple(pictures[j] for j in TRAINING_CONDITIONS), pictures[SPOT_CONDITION]))
+            persons.append(Split(name, tuple(pictures[j] for j in TRAINING_CONDITIONS), (pictures[SPOT_CONDITION],)))
     return tuple(persons), tuple(left_out)
 
 
-def facts_of(folder: Path, persons: Sequence[Person]) -> dict[str, Any]:
+def facts_of(folder: Path, persons: Sequence[Split]) -> dict[str, Any]:
     """Describe the images, for an experiment's settings."""
-    samples = [sample for person in persons for sample in (*person.training, person.spot)]
+    samples = [sample for person in persons for sample in (*person.training, person.tested[0])]
     return {
         "data": folder.resolve().name,
         "persons": [person.name for person in persons],
@@ -119,18 +95,18 @@ def facts_of(folder: Path, persons: Sequence[Person]) -> dict[str, Any]:
     }
 
 
-def study_of(person: Person, request: Request) -> Study:
+def study_of(person: Split, request: Request) -> Study:
     """Train one person's model and read the spot-lit image."""
-    truth = person.spot.landmarks.points
+    truth = person.tested[0].landmarks.points
     trained = Trained.on(request, person.training, person.key, contours=None)
-    return Study(person, trained, person.spot.read_image(), truth, inter_ocular_distance(truth, *EYES))
+    return Study(person, trained, person.tested[0].read_image(), truth, inter_ocular_distance(truth, *EYES))
 
 
-def fit_person(request: Request, person: Person) -> list[Row]:
+def fit_person(request: Request, person: Split) -> list[Row]:
     """Fit one person's spot image with every method from the same starts."""
     study, rows = study_of(person, request), []
     for trial in range(request.trials):
-        labels = {"person": person.name, "picture": person.spot.name, "trial": trial}
+        labels = {"person": person.name, "picture": person.tested[0].name, "trial": trial}
         rows += study.trained.fit(study.image, study.truth, study.iod, study.start(request.seed, trial), **labels)
     return rows
 

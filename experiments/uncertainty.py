@@ -20,6 +20,7 @@ from experiments.protocol import (
     STARTS,
     VARIANCE,
     Header,
+    Split,
     Table,
     disturbed_start,
     eight_bit,
@@ -31,9 +32,9 @@ from experiments.protocol import (
     select,
     tell,
 )
-from experiments.runner import Experiment, Row
+from experiments.runner import Experiment, Named, Row
 from experiments.solvers import Request, get_solver
-from experiments.spot import Person, facts_of, find_persons
+from experiments.spot import facts_of, find_persons
 from liaam.datasets import Sample
 from liaam.evaluation import finite_or_none, nme
 from liaam.fitting import Fitter
@@ -77,42 +78,9 @@ CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Subject:
-    """A head or person to fit: one task.
-
-    Attributes
-    ----------
-    group : str
-        One of :data:`GROUPS`.
-    name : str
-        Number of a head, or name of a person.
-    """
-
-    group: str
-    name: str
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.group}, {self.name}"
-
-
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image to fit, with its landmarks.
-
-    Attributes
-    ----------
-    name : str
-    image : (h, w, 3) uint8 or float32
-    truth : (n, 2) float64
-    light : str
-    noise : float
-        Standard deviation of the added noise, of 255.
-    starts : tuple of str
-        One of :data:`STARTED`.
-    """
+    """An image to fit, with its landmarks, light and starts, and the standard deviation of added noise, of 255."""
 
     name: str
     image: np.ndarray
@@ -144,7 +112,7 @@ def generated(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]
 def spot_lit(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
     """Yield the model of a person's diffuse images, and the spot-lit image."""
     person = get_person(request.data, name)
-    yield trained(request, person.training, person.key), [_real(person.spot, "spot")]
+    yield trained(request, person.training, person.key), [_real(person.tested[0], "spot")]
 
 
 def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
@@ -158,7 +126,7 @@ def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]
 def strangers(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
     """Yield the model of every second person, and the images of a person not among them."""
     person = get_person(request.data, name)
-    pictures = [_real(person.spot, "spot"), *(_real(sample, "training") for sample in person.training[::2])]
+    pictures = [_real(person.tested[0], "spot"), *(_real(sample, "training") for sample in person.training[::2])]
     yield get_half(request, get_persons(request.data).index(person) % 2), pictures
 
 
@@ -176,12 +144,12 @@ def _real(sample: Sample, light: str) -> Picture:
 
 
 @lru_cache(maxsize=1)
-def get_persons(folder: Path | None) -> tuple[Person, ...]:
+def get_persons(folder: Path | None) -> tuple[Split, ...]:
     """Find a folder's persons; once per process."""
     return find_persons(folder or Path())[0]
 
 
-def get_person(folder: Path | None, name: str) -> Person:
+def get_person(folder: Path | None, name: str) -> Split:
     """Get a person by name."""
     return next(person for person in get_persons(folder) if person.name == name)
 
@@ -205,7 +173,7 @@ def lost(start: np.ndarray, unit: float, size: tuple[int, int], rng: np.random.G
     return shifted_into(moved, size)
 
 
-def fit_subject(request: Request, subject: Subject) -> list[Row]:
+def fit_subject(request: Request, subject: Named) -> list[Row]:
     """Fit all images of a subject from near and far."""
     rows = []
     for model, pictures in MAKERS[subject.group](request, subject.name):
@@ -248,10 +216,10 @@ def uncertainty_experiment(
     """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
     persons, missing = find_persons(data) if data else ((), ())
-    subjects = [Subject("generated", str(i)) for i in range(heads)]
-    subjects += [Subject(group, person.name) for group in ("left out", "spot") for person in persons]
+    subjects = [Named("generated", str(i)) for i in range(heads)]
+    subjects += [Named(group, person.name) for group in ("left out", "spot") for person in persons]
     halves = [*persons[0::2], *persons[1::2]] if len(persons) > 2 else []
-    subjects += [Subject("strangers", person.name) for person in halves]
+    subjects += [Named("strangers", person.name) for person in halves]
     facts = facts_of(data, persons) if data else {}
     return Experiment(
         name="uncertainty",

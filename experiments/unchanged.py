@@ -11,6 +11,7 @@ from experiments.protocol import (
     METHODS,
     STARTS,
     TRAINED,
+    Split,
     Trained,
     disturbed_start,
     eight_bit,
@@ -18,11 +19,11 @@ from experiments.protocol import (
 )
 from experiments.runner import Experiment, Row
 from experiments.solvers import Request
-from experiments.spot import Person, facts_of, find_persons
+from experiments.spot import facts_of, find_persons
 from liaam.evaluation import inter_ocular_distance
 
 
-def fit_person(request: Request, person: Person) -> list[Row]:
+def fit_person(request: Request, person: Split) -> list[Row]:
     """Fit each diffuse image of one person with a model of the others."""
     rows = []
     for sample in person.training:

@@ -40,7 +40,7 @@ def test_writes_a_row_per_fit_and_repeats_itself(persons_folder, read_rows, tmp_
 
 def test_starts_depend_on_seed_person_and_trial_only(persons_folder):
     persons, _ = find_persons(persons_folder)
-    truth = persons[0].spot.landmarks.points
+    truth = persons[0].tested[0].landmarks.points
     iod = np.linalg.norm(truth[EYES[0]].mean(0) - truth[EYES[1]].mean(0))
     starts = [disturbed_start(truth, truth, iod, np.random.default_rng([0, 3, trial])) for trial in (0, 0, 1)]
     assert np.array_equal(starts[0], starts[1])
