@@ -75,7 +75,7 @@ class Named:
     @property
     def key(self) -> str:
         """Key of the task in the journal."""
-        return f"{self.group}, {self.name}"
+        return f"group {self.group}, {self.name}"
 
 
 @dataclass(frozen=True, eq=False)
