@@ -15,9 +15,9 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.measures import or_dash
-from experiments.runner import Experiment, Row, markdown_table
+from experiments.runner import Experiment, Row, Trial, markdown_table
 from experiments.simulated import displaced
-from experiments.solvers import check_trials, get_solver, make_fitters
+from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import (
     PAPER_THETA,
     TILT,
@@ -50,15 +50,7 @@ COVERED = 0.2
 class Situation:
     """One way to break the plain comparison.
 
-    Attributes
-    ----------
-    name, title : str
-    baseline : str
-        The method to be beaten.
-    methods : tuple of str
-        Methods to compare: those in `claimed`, and others.
-    claimed : tuple of str
-        Methods whose papers claim to beat the baseline.
+    Of the ``methods`` that are compared, the papers of those in ``claimed`` claim to beat the ``baseline``.
     """
 
     name: str
@@ -104,28 +96,6 @@ CHOICES = (
     "Gain: stored values become 0.5 to 0.8 of themselves plus 0 to 0.15. `grey` holds gain and offset among its modes, "
     "so the plain comparison is `grey-plain` here.",
 )
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One task."""
-
-    situation: str
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.situation}, trial {self.number}"
-
-
-@dataclass(frozen=True)
-class Setup:
-    """Settings shared by all trials."""
-
-    data: Path | None
-    solver: str
-    seed: int
 
 
 @lru_cache(maxsize=1)
@@ -174,10 +144,10 @@ def covered(image: np.ndarray, shape: np.ndarray, rng: np.random.Generator, shar
     return image
 
 
-def run_trial(setup: Setup, trial: Trial) -> list[Row]:
+def run_trial(setup: Request, trial: Trial) -> list[Row]:
     """Fit one changed image with the situation's methods."""
     fitters, subject = get_fitters(setup.data, setup.solver), get_subject(setup.data)
-    situation = next(s for s in SITUATIONS if s.name == trial.situation)
+    situation = next(s for s in SITUATIONS if s.name == trial.condition)
     picture = trial.number % len(subject.images)
     rng = np.random.default_rng([setup.seed, trial.number, 3])
     image, truth = changed_picture(subject, situation.name, picture, rng), subject.shapes[picture]
@@ -203,28 +173,18 @@ def baselines_experiment(
     data: Path | None = None, trials: int = 24, seed: int = 0, solver: str = "liaam"
 ) -> Experiment:
     """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
-    check_trials(solver, trials)
+    setup = Request(data, ("grey",), trials, seed, solver)  # each situation has its own methods
     return Experiment(
         name="baselines",
         title="The paper's references, each where it should help",
         settings={
             **subject_facts(data),
-            "trials": trials,
-            "seed": seed,
-            "solver": f"{solver}: {get_solver(solver).summary}",
+            **setup.settings(),
+            "methods": sorted({method for situation in SITUATIONS for method in situation.methods}),
             "gamma": GAMMA,
         },
         tasks=tuple(Trial(situation.name, number) for situation in SITUATIONS for number in range(trials)),
-        work=partial(run_trial, Setup(data, solver, seed)),
-        columns={
-            "situation": "",
-            "method": "",
-            "trial": "",
-            "image": "",
-            "error_px": ".6f",
-            "iterations": "",
-            "status": "",
-        },
+        work=partial(run_trial, setup),
         summarise=summarise,
         draw=draw,
         report=report,

@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
+from experiments.measures import percent
 from experiments.protocol import (
+    CONVERGED,
     METHODS,
     TRAINED,
     Header,
-    Request,
     Split,
     Table,
     Trained,
@@ -29,7 +30,8 @@ from experiments.protocol import (
     tell,
 )
 from experiments.runner import Experiment, Row
-from experiments.spot import CONVERGED, group_persons, percent
+from experiments.solvers import Request
+from experiments.spot import group_persons
 from experiments.subjects import data_facts
 from liaam.evaluation import nme, point_error
 from liaam.model.shape import rotation
@@ -52,23 +54,6 @@ AT_LEAST = 6
 EDGES = (0.0, 0.05, 0.10, 0.15, 0.20, 0.25, 0.30, 0.50)
 """Bins of the size of a disturbance: mean distance of the landmarks from the undisturbed start, divided by the IOD."""
 
-COLUMNS = {
-    "method": "",
-    "person": "",
-    "picture": "",
-    "trial": "",
-    "disturbance": ".6f",
-    "nme": ".6f",
-    "converged": "",
-    "reference_nme": ".6f",
-    "away": ".6f",
-    "same_end": "",
-    "iterations": "",
-    "status": "",
-}
-"""Columns of results.csv, all divided by the inter-ocular distance. ``disturbance``: size of the start's disturbance.
-``reference_nme``: error of the fit from a small disturbance. ``away``: mean distance between the ends of both fits."""
-
 CHOICES = (
     f"Starts: the mean shape at the true centroid and size, moved by up to {SHIFT:.0%} of the inter-ocular distance in "
     f"a random direction, turned by up to {np.rad2deg(TURN):.0f}° and scaled by up to {SCALE:.0%}, all uniform; small: "
@@ -82,17 +67,10 @@ CHOICES = (
 
 
 def find_splits(folder: Path) -> tuple[tuple[Split, ...], tuple[str, ...]]:
-    """Split each person's images into training and test images.
-
-    Returns
-    -------
-    splits : tuple of Split
-    left_out : tuple of str
-        Unused images, with the reasons.
-    """
+    """Split each person's images into training and test images; the unused ones are returned with the reasons."""
     persons, left_out = group_persons(folder)
     if persons:
-        return tuple(Split(person.name, person.training, (person.spot,)) for person in persons), left_out
+        return persons, left_out
     groups, left_out = group_by_person(folder, AT_LEAST)
     return tuple(Split(name, samples[0::2], samples[1::2]) for name, samples in groups.items()), left_out
 
@@ -104,20 +82,9 @@ def placed(mean: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def disturbed(shape: np.ndarray, unit: float, share: float, rng: np.random.Generator) -> np.ndarray:
-    """Shift, turn and scale a shape about its centroid.
+    """Shift, turn and scale a shape (n, 2) about its centroid, by up to a share of the largest disturbance.
 
-    Parameters
-    ----------
-    shape : (n, 2) float64
-    unit : float
-        Inter-ocular distance, pixels.
-    share : float
-        Of the largest disturbance.
-    rng : Generator
-
-    Returns
-    -------
-    (n, 2) float64
+    ``unit`` is the inter-ocular distance in pixels.
     """
     length, direction = share * SHIFT * unit * rng.uniform(), rng.uniform(0, 2 * np.pi)
     turn = rotation(rng.uniform(-share * TURN, share * TURN))
@@ -128,7 +95,7 @@ def disturbed(shape: np.ndarray, unit: float, share: float, rng: np.random.Gener
 
 def fit_person(request: Request, split: Split) -> list[Row]:
     """Fit one person's images from all starts."""
-    trained = request.train(split.training, split.key)
+    trained = Trained.on(request, split.training, split.key)
     rows = []
     for sample in split.tested:
         image, truth = eight_bit(sample), sample.landmarks.points
@@ -138,7 +105,11 @@ def fit_person(request: Request, split: Split) -> list[Row]:
 
 
 def fit_picture(request: Request, trained: Trained, image: np.ndarray, truth: np.ndarray, name: str) -> list[Row]:
-    """Fit one image from all starts with every method."""
+    """Fit one image from all starts with every method. Distances are divided by the inter-ocular distance.
+
+    ``disturbance`` is the size of the start's disturbance, ``reference_nme`` the error of the fit from a small
+    disturbance, and ``away`` the mean distance between the ends of both fits.
+    """
     unit, rest = face_size(truth), placed(trained.mean, truth)
     near = disturbed(rest, unit, SMALL, request.rng(name, "near"))
     starts = [disturbed(rest, unit, 1.0, request.rng(name, trial)) for trial in range(request.trials)]
@@ -183,7 +154,6 @@ def basin_experiment(
         settings={"data": data.resolve().name, **data_facts(samples), **request.settings()},
         tasks=splits,
         work=partial(fit_person, request),
-        columns=COLUMNS,
         summarise=partial(summarise, request.methods),
         draw=draw,
         report=report,

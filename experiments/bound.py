@@ -1,7 +1,6 @@
 """Cramer-Rao bound of the error for each kind of measurement, and how close fits come to it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +9,9 @@ import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
 from experiments.cramer_rao import cramer_rao_bound
-from experiments.runner import Experiment, NumberedTrial, Row
+from experiments.runner import Experiment, Row, Trial
 from experiments.simulated import Curves, make_case, sharp_model, table_of_curves
-from experiments.solvers import check_trials
+from experiments.solvers import Request
 from experiments.subjects import get_subject, subject_facts
 from liaam.evaluation import finite_or_none, root_mean_square
 from liaam.fitting import Method
@@ -46,16 +45,7 @@ CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Settings shared by all trials."""
-
-    data: Path | None
-    seed: int
-    sigmas: tuple[float, ...]
-
-
-def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
+def run_trial(setup: Request, sigmas: tuple[float, ...], trial: Trial) -> list[Row]:
     """Compute all bounds for one image, with and without its shadow."""
     model, subject = sharp_model(setup.data), get_subject(setup.data)
     case = make_case(subject, setup.seed, trial.number, gamma=0.0, sigma_n=0.0)
@@ -75,7 +65,7 @@ def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
                     "bound_px": sigma * unit.rms,
                     "theta_bound_deg": float(np.rad2deg(sigma * unit.theta)),
                 }
-                for sigma in setup.sigmas
+                for sigma in sigmas
             ]
     return rows
 
@@ -84,7 +74,8 @@ def bound_experiment(
     data: Path | None = None, trials: int = 24, seed: int = 0, sigmas: Sequence[float] = SIGMAS
 ) -> Experiment:
     """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
-    check_trials("paper", trials)
+    setup = Request(data, ("li",), trials, seed, "paper")
+    sigmas = tuple(map(float, sigmas))
     return Experiment(
         name="bound",
         title="The bound that noise sets",
@@ -93,19 +84,10 @@ def bound_experiment(
             "measures": list(MEASURES),
             "trials": trials,
             "seed": seed,
-            "sigma_n": list(map(float, sigmas)),
+            "sigma_n": list(sigmas),
         },
-        tasks=tuple(NumberedTrial(number) for number in range(trials)),
-        work=partial(run_trial, Setup(data, seed, tuple(map(float, sigmas)))),
-        columns={
-            "light": "",
-            "measure": "",
-            "sigma_n": "g",
-            "trial": "",
-            "image": "",
-            "bound_px": ".6f",
-            "theta_bound_deg": ".5f",
-        },
+        tasks=tuple(Trial("all", number) for number in range(trials)),
+        work=partial(run_trial, setup, sigmas),
         summarise=summarise,
         draw=draw,
         report=report,

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.measures import or_dash
-from experiments.runner import Experiment, NumberedTrial, Row
+from experiments.runner import Experiment, Row, Trial
 from liaam.calibration import AngleEstimate, theta_from_chart, theta_from_image, theta_from_scene
 from liaam.calibration.estimate import axis_difference
 from liaam.errors import LiaamError
@@ -66,7 +66,7 @@ class Setup:
     sigmas: tuple[float, ...]
 
 
-def run_trial(setup: Setup, trial: NumberedTrial) -> list[Row]:
+def run_trial(setup: Setup, trial: Trial) -> list[Row]:
     """Calibrate one random scene and one chart with each camera and method, at each noise level."""
     rows = []
     for camera_name, camera in CAMERAS.items():
@@ -126,35 +126,15 @@ def _noisy(image: np.ndarray, sigma: float, rng: np.random.Generator) -> np.ndar
 
 
 def calibration_experiment(trials: int = 24, seed: int = 0, sigmas: Sequence[float] = SIGMAS) -> Experiment:
-    """Make the experiment.
-
-    Parameters
-    ----------
-    trials : int
-        Draws of scene, lights and noise.
-    seed : int
-    sigmas : sequence of float
-        Noise, 8-bit units.
-    """
+    """Make the experiment. A trial is a draw of scene, lights and noise; the noise is in 8-bit units."""
     if trials < 1 or not all(0 <= sigma <= 50 for sigma in sigmas):
         raise LiaamError("the calibration experiment needs at least one trial, and noise of 0 to 50 of 255")
     return Experiment(
         name="calibration",
         title="How well calibrations find the camera's angle",
         settings={"trials": trials, "seed": seed, "sigma_n": list(map(float, sigmas))},
-        tasks=tuple(NumberedTrial(number) for number in range(trials)),
+        tasks=tuple(Trial("all", number) for number in range(trials)),
         work=partial(run_trial, Setup(seed, tuple(map(float, sigmas)))),
-        columns={
-            "camera": "",
-            "kind": "",
-            "sigma_n": "g",
-            "trial": "",
-            "error_deg": ".5f",
-            "standard_error_deg": ".5f",
-            "observable": "",
-            "inside": "",
-            "plain_error_deg": ".5f",
-        },
         summarise=summarise,
         draw=draw,
         report=report,

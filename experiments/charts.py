@@ -181,13 +181,7 @@ def figure_of_bars(
 ) -> "Figure":
     """Draw horizontal bars of methods, one panel per group. None (no finite value) has no bar.
 
-    Parameters
-    ----------
-    groups : mapping of title to (mapping of method to value)
-    label : str
-        Name and unit of the values.
-    colours : callable
-        Colour of a method.
+    ``groups`` are values by method, by the title of the panel; ``label`` is their name and unit.
     """
     longest = max(len(values) for values in groups.values())
     # The labels of a long row of panels would be too small to read on a page.

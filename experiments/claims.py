@@ -18,14 +18,7 @@ Summaries = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Verdict:
-    """Answer to a claim.
-
-    Attributes
-    ----------
-    holds : bool
-    evidence : str
-        The numbers that support it.
-    """
+    """Answer to a claim, with the numbers that support it."""
 
     holds: bool
     evidence: str
@@ -33,19 +26,9 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and its test.
+    """A statement of the paper, the condition that our results must meet, and its test.
 
-    Attributes
-    ----------
-    name : str
-    text : str
-        Statement of the paper.
-    criterion : str
-        Condition that our results must meet.
-    needs : str
-        Name of the experiment with these results.
-    ask : callable
-        From that experiment's summary to a verdict.
+    ``ask`` makes a verdict from the summary of the experiment ``needs``.
     """
 
     name: str

@@ -20,7 +20,7 @@ app = make_app(
 
 EXPERIMENTS = (
     "displacement", "noise", "convergence", "spot", "bound", "calibration", "baselines", "reconstruct", "generic",
-    "relight", "recognise", "peer", "basin", "occlusion", "unchanged", "uncertainty",
+    "relight", "peer", "basin", "occlusion", "unchanged", "uncertainty",
 )  # fmt: skip
 """Modules with a function ``NAME_experiment``. Their first line is the command's help."""
 
@@ -41,13 +41,12 @@ HELP = {
     "starts": "From where to fit: near (the truth), box (a detector's), none (the object is searched for).",
     "unit": "Errors are shares of the distance of the eyes' centres, or of their outer corners.",
     "diagonal": "Diagonal of the reference frame, pixels.",
-    "far": "Lights to report together, separated by commas.",
     "unseen": "Fit persons that the model has not seen, two left out at a time.",
     "heads": "Generated heads.",
 }
 """Help of the options by parameter. Other parameters, such as swept values, have no option."""
 
-NAMES = ("methods", "starts", "far")
+NAMES = ("methods", "starts")
 """Parameters that take several names, separated by commas."""
 
 Out = Annotated[

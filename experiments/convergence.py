@@ -6,7 +6,6 @@ fitted under lateral light.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +14,9 @@ import numpy as np
 
 from experiments import simulated, spot
 from experiments.charts import Panel, figure_of_curves
-from experiments.runner import Experiment, NumberedTrial, Row
-from experiments.solvers import MAX_ITERATIONS, check_request, get_solver
+from experiments.protocol import STARTS, TRAINED, Split
+from experiments.runner import Experiment, Row, Trial
+from experiments.solvers import MAX_ITERATIONS, Request
 from experiments.subjects import get_subject, head_scenes, subject_facts
 from liaam.evaluation import error_statistics, point_error
 from liaam.fitting import FitResult, Fitter
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 GAMMA = 8.0
 """Displacement of the start in pixels, except in the spot protocol."""
 
-COLUMNS = {"method": "", "picture": "", "trial": "", "iteration": "", "error_px": ".6f"}
 SHOWN = (0, 1, 2, 3, 5, 10, 20, MAX_ITERATIONS)
 """Iterations in the report's table."""
 
@@ -46,20 +45,9 @@ SCENE_CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Settings shared by all fits."""
-
-    data: Path | None
-    methods: tuple[str, ...]
-    solver: str
-    trials: int
-    seed: int
-
-
-def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
+def trace_person(setup: Request, person: Split) -> list[Row]:
     """Trace the fits to one person's spot-lit image."""
-    study = spot.study_of(person, setup.methods, setup.solver)
+    study = spot.study_of(person, setup)
     return [
         row
         for trial in range(setup.trials)
@@ -67,14 +55,14 @@ def trace_person(setup: Setup, person: spot.Person) -> list[Row]:
     ]
 
 
-def trace_shadow(setup: Setup, trial: NumberedTrial) -> list[Row]:
+def trace_shadow(setup: Request, trial: Trial) -> list[Row]:
     """Trace the fits to one of a person's images under a simulated shadow."""
     fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
     case = simulated.make_case(get_subject(setup.data), setup.seed, trial.number, GAMMA, sigma_n=0.0)
     return trace(fitters, case.image, case.start, case.truth, case.picture, trial.number)
 
 
-def trace_scene(setup: Setup, trial: NumberedTrial) -> list[Row]:
+def trace_scene(setup: Request, trial: Trial) -> list[Row]:
     """Trace the fits to a generated image under lateral light."""
     fitters = simulated.get_fitters(None, setup.methods, setup.solver, THETA_DEFAULT)
     scenes = _lateral_scenes()
@@ -124,8 +112,7 @@ def convergence_experiment(
     solver: str = "paper",
 ) -> Experiment:
     """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
-    check_request(tuple(methods), solver, trials)
-    setup = Setup(data, tuple(methods), solver, trials, seed)
+    setup = Request(data, tuple(methods), trials, seed, solver)
     light, facts, tasks, work, choices, left_out = _plan(setup)
     return Experiment(
         name="convergence",
@@ -133,14 +120,10 @@ def convergence_experiment(
         settings={
             **facts,
             "light": light,
-            "methods": list(methods),
-            "trials": trials,
-            "seed": seed,
-            "solver": f"{solver}: {get_solver(solver).summary}",
+            **setup.settings(),
         },
         tasks=tasks,
         work=partial(work, setup),
-        columns=COLUMNS,
         summarise=partial(summarise, setup.methods),
         draw=draw,
         report=partial(report, light),
@@ -149,15 +132,15 @@ def convergence_experiment(
     )
 
 
-def _plan(setup: Setup) -> tuple:
+def _plan(setup: Request) -> tuple:
     """Return light, description of the data, tasks, work, choices and unused images, by the kind of data."""
-    numbered = tuple(NumberedTrial(number) for number in range(setup.trials))
+    numbered = tuple(Trial("all", number) for number in range(setup.trials))
     if setup.data is None:
         facts = {**subject_facts(None), "gamma": GAMMA}
         return "generated, hard, from the left", facts, numbered, trace_scene, SCENE_CHOICES, ()
     persons, left_out = spot.group_persons(setup.data)
     if persons:
-        return "a spot light", spot.facts_of(setup.data, persons), persons, trace_person, spot.CHOICES, left_out
+        return "a spot light", spot.facts_of(setup.data, persons), persons, trace_person, (STARTS, TRAINED), left_out
     facts = {**subject_facts(setup.data), "gamma": GAMMA}
     return (
         "a simulated shadow",

@@ -16,15 +16,14 @@ import numpy as np
 
 from experiments.charts import figure_of_bars
 from experiments.lights import hard_light
-from experiments.measures import or_dash
+from experiments.measures import or_dash, percent
 from experiments.protocol import (
     METHODS,
     STARTS,
     Header,
-    Request,
     Table,
     Trained,
-    columns_of,
+    disturbed_start,
     eight_bit,
     face_size,
     in_percent,
@@ -36,8 +35,9 @@ from experiments.protocol import (
     statistics,
     tell,
 )
-from experiments.runner import Experiment, Row
-from experiments.spot import disturbed_start, find_persons, percent
+from experiments.runner import Experiment, Named, Row
+from experiments.solvers import Request
+from experiments.spot import find_persons
 from experiments.subjects import data_facts
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import LiaamError
@@ -90,24 +90,12 @@ CHOICES = (
 class GenericRequest(Request):
     """Options of an experiment.
 
-    Attributes
-    ----------
-    test : Path, optional
-        Folder of the images to fit.
-    first : int, optional
-        Without ``test``: how many images of ``data`` to train on; the others are fitted.
-    lamps : Path, optional
-        Folder or file to learn other lights from.
-    training_lamp : str, optional
-        Name of the lamp in it that is the training light.
-    diagonal : float
-        Diagonal of the reference frame in pixels.
-    starts : tuple of str
-        One of :data:`STARTED`.
-    unit : str
-        One of :data:`UNITS`.
+    ``test`` is the folder of the images to fit; without it, the ``first`` images of ``data`` are for training and the
+    others are fitted. ``lamps`` is a folder or file to learn other lights from, and ``training_lamp`` the name of the
+    lamp in it that is the training light.
     """
 
+    data: Path
     test: Path | None = None
     first: int | None = None
     lamps: Path | None = None
@@ -163,19 +151,6 @@ class Fold:
     tested: dict[str, tuple[Shown, ...]]
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """One unseen object to fit: one task."""
-
-    fold: int
-    name: str
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"fold {self.fold}, {self.name}"
-
-
 @lru_cache(maxsize=1)
 def get_folds(request: GenericRequest) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
     """Split the images into folds, and list unused ones; once per process."""
@@ -211,7 +186,7 @@ def _of_persons(folder: Path) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
 
     def shown(person) -> tuple[Shown, ...]:
         lights = ((Shown("diffuse", sample), Shown("relit", sample, relit=True)) for sample in person.training)
-        return (Shown("spot", person.spot), *(each for pair in lights for each in pair))
+        return (Shown("spot", person.tested[0]), *(each for pair in lights for each in pair))
 
     def fold(which: int) -> Fold:
         others = [person for i, person in enumerate(persons) if i % FOLDS != which]
@@ -272,7 +247,7 @@ def get_trained(request: GenericRequest, fold: int) -> Trained:
         light = AUTO
     elif source is not None:
         light = learn_lamps(load_folder(source), request.training_lamp) if source.is_dir() else load_lamps(source)
-    return request.train(training, f"fold {fold}", leave_out=True, lamps=light, diagonal=request.diagonal)
+    return Trained.on(request, training, f"fold {fold}", leave_out=True, lamps=light, diagonal=request.diagonal)
 
 
 def image_of(request: Request, shown: Shown) -> np.ndarray:
@@ -294,10 +269,10 @@ def start_of(request: GenericRequest, kind: str, mean: np.ndarray, sample: Sampl
     return np.concatenate([middle - half, middle + half])
 
 
-def fit_object(request: GenericRequest, task: HeldOut) -> list[Row]:
+def fit_object(request: GenericRequest, task: Named) -> list[Row]:
     """Fit all images of one object."""
-    trained, rows = get_trained(request, task.fold), []
-    for shown in get_folds(request)[0][task.fold].tested[task.name]:
+    trained, rows = get_trained(request, task.group), []
+    for shown in get_folds(request)[0][task.group].tested[task.name]:
         image, truth = image_of(request, shown), shown.sample.landmarks.points
         unit = request.size(truth)
         for trial in range(request.trials):
@@ -330,7 +305,7 @@ def generic_experiment(
     more = {**light, "diagonal": diagonal, "starts": tuple(starts), "unit": unit}
     request = GenericRequest(data, tuple(methods), trials, seed, solver, **more)
     folds, left_out = get_folds(request)
-    tasks = tuple(HeldOut(i, name) for i, fold in enumerate(folds) for name in fold.tested)
+    tasks = tuple(Named(i, name) for i, fold in enumerate(folds) for name in fold.tested)
     shown = [each for fold in folds for pictures in fold.tested.values() for each in pictures]
     request.size(shown[0].sample.landmarks.points)  # raise early
     folders = {name: getattr(request, name) for name in ("data", "test", "lamps")}
@@ -342,7 +317,6 @@ def generic_experiment(
         settings={**facts, "digest": data_facts(samples)["digest"], **request.settings()},
         tasks=tasks,
         work=partial(fit_object, request),
-        columns=columns_of("object", "picture", "light", "start", "trial"),
         summarise=partial(summarise, request),
         draw=draw,
         report=report,

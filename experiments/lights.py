@@ -52,22 +52,11 @@ def hard_light(image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generato
 
 
 def circling_light(image: np.ndarray, landmarks: np.ndarray, turns: float) -> np.ndarray:
-    """Light a head by a coloured lamp that swings from side to side, for videos.
+    """Light a head (h, w, 3) uint8 under diffuse light by a coloured lamp that swings from side to side, for videos.
 
     The head is an ellipsoid around the landmarks with Lambertian shading. The lamp swings from 60° left to 60° right,
-    up and down a little, and from warm to cold and back. The ambient light is dim and has another colour.
-
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-        Image under diffuse light.
-    landmarks : (n, 2) float64
-    turns : float
-        Position of the lamp; 1 is a full swing to and fro.
-
-    Returns
-    -------
-    (h, w, 3) uint8
+    up and down a little, and from warm to cold and back; a turn of 1 is a full swing. The ambient light is dim and has
+    another colour.
     """
     x, y, radii = _about_head(image, landmarks)
     phase = 2 * np.pi * turns

@@ -13,3 +13,8 @@ def roc_area(right: np.ndarray, wrong: np.ndarray) -> float:
 def or_dash(value: float | None, style: str = ".3f") -> str:
     """Format a number, or return a dash for None."""
     return "–" if value is None else format(value, style)
+
+
+def percent(share: float | None, digits: int = 2) -> str:
+    """Format a fraction in per cent, or a dash."""
+    return "–" if share is None else f"{100 * share:.{digits}f}"

@@ -8,30 +8,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.charts import figure_of_bars
-from experiments.measures import or_dash
 from experiments.protocol import (
+    EYES,
     METHODS,
     STARTS,
     TRAINED,
-    Header,
-    Request,
     Split,
-    Table,
-    columns_of,
+    Trained,
+    disturbed_start,
     eight_bit,
-    in_percent,
-    ratio,
-    select,
-    statistics,
-    tell,
+    fits_experiment,
 )
 from experiments.runner import Experiment, Row
-from experiments.spot import EYES, Person, disturbed_start, facts_of, find_persons, percent
+from experiments.solvers import Request
+from experiments.spot import facts_of, find_persons
 from liaam.evaluation import inter_ocular_distance
 from liaam.plotting import figure_of_pictures
 
@@ -41,7 +35,6 @@ if TYPE_CHECKING:
 COVERED = 0.2
 """Fraction of the object's area under the patch."""
 
-LIGHTS = ("diffuse", "spot")
 PATCHES = ("colours", "copy")
 CELLS = 5
 """Number of random colours along each side of a patch."""
@@ -61,16 +54,9 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Case:
-    """One image of one person: one task.
+    """One image of one person, in diffuse or spot light: one task.
 
-    Attributes
-    ----------
-    split : Split
-        Its single test image is fitted.
-    light : str
-        One of :data:`LIGHTS`.
-    turn : int
-        Index of the person, by which kinds of patch alternate.
+    Kinds of patch alternate by ``turn``, the index of the person.
     """
 
     split: Split
@@ -87,31 +73,21 @@ class Case:
         return PATCHES[(self.turn + trial) % len(PATCHES)]
 
 
-def cases_of(turn: int, person: Person) -> tuple[Case, Case]:
+def cases_of(turn: int, person: Split) -> tuple[Case, Case]:
     """Return one person's diffuse and spot-lit image, each with its training images."""
     out = turn % len(person.training)
     others = person.training[:out] + person.training[out + 1 :]
     return (
         Case(Split(person.name, others, (person.training[out],)), "diffuse", turn),
-        Case(Split(person.name, person.training, (person.spot,)), "spot", turn),
+        Case(person, "spot", turn),
     )
 
 
 def patch_box(landmarks: np.ndarray, size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int, int, int]:
-    """Choose the position of a patch.
+    """Choose the position of a patch in an image of a width and height: x0, y0, x1, y1, exclusive at the end.
 
-    Parameters
-    ----------
-    landmarks : (n, 2) float64
-    size : (int, int)
-        Width and height of the image.
-    rng : Generator
-
-    Returns
-    -------
-    (x0, y0, x1, y1) : tuple of int
-        Pixel range, exclusive at the end: the first of 100 positions with all corners inside the landmarks' hull, or
-        else the one with most corners inside.
+    It is the first of 100 positions with all corners inside the hull of the landmarks (n, 2), or else the one with most
+    corners inside.
     """
     import cv2
 
@@ -132,19 +108,9 @@ CORNERS = ((0, 0), (1, 0), (0, 1), (1, 1))
 
 
 def covered(image: np.ndarray, landmarks: np.ndarray, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Cover about a fifth of an object with a textured patch.
+    """Cover about a fifth of an object in an image (h, w, 3) uint8 with a textured patch.
 
-    Parameters
-    ----------
-    image : (h, w, 3) uint8
-    landmarks : (n, 2) float64
-    kind : {"colours", "copy"}
-        Random smooth colours, or a copy of another region of the same image.
-    rng : Generator
-
-    Returns
-    -------
-    (h, w, 3) uint8
+    The patch shows random smooth ``colours``, or a ``copy`` of another region of the same image.
     """
     x0, y0, x1, y1 = patch_box(landmarks, (image.shape[1], image.shape[0]), rng)
     size = (x1 - x0, y1 - y0)
@@ -176,7 +142,7 @@ def _elsewhere(
 def fit_case(request: Request, case: Case) -> list[Row]:
     """Fit one image with and without patches."""
     (sample,) = case.split.tested
-    trained = request.train(case.split.training, case.key)
+    trained = Trained.on(request, case.split.training, case.key)
     image, truth = eight_bit(sample), sample.landmarks.points
     iod = inter_ocular_distance(truth, *EYES)
     rows = []
@@ -184,8 +150,8 @@ def fit_case(request: Request, case: Case) -> list[Row]:
         start = disturbed_start(trained.mean, truth, iod, request.rng(sample.name, trial))
         patched = covered(image, truth, case.patch(trial), request.rng(sample.name, trial, "patch"))
         labels = {"person": case.split.name, "picture": sample.name, "light": case.light, "trial": trial}
-        rows += trained.fit(image, truth, iod, start, **labels, patch="none")
-        rows += trained.fit(patched, truth, iod, start, **labels, patch=case.patch(trial))
+        rows += trained.fit(image, truth, iod, start, **labels, face="bare", patch="none")
+        rows += trained.fit(patched, truth, iod, start, **labels, face="covered", patch=case.patch(trial))
     return rows
 
 
@@ -196,67 +162,20 @@ def occlusion_experiment(
     request = Request(data, tuple(methods), trials, seed, solver)
     persons, left_out = find_persons(data)
     cases = tuple(case for turn, person in enumerate(persons) for case in cases_of(turn, person))
-    return Experiment(
+    return fits_experiment(
+        request,
+        fit_case,
+        ("light", "face"),
         name="occlusion",
         title="A textured patch over a fifth of the face",
-        settings={**facts_of(data, persons), **request.settings()},
+        settings=facts_of(data, persons),
         tasks=cases,
-        work=partial(fit_case, request),
-        columns=columns_of("person", "picture", "light", "trial", "patch"),
-        summarise=partial(summarise, request.methods),
-        draw=draw,
-        report=report,
+        report="What does a patch over a fifth of the face cost? Models of one person each, fitted to a picture under "
+        "the light of training and to one under a spot light. Errors by inter-ocular distance.",
         pictures=partial(draw_pictures, request, cases[0]),
         choices=CHOICES,
         left_out=left_out,
-        skips_faults=True,
     )
-
-
-def summarise(methods: Sequence[str], rows: list[Row]) -> dict[str, Any]:
-    """Statistics by method and light, without and with a patch, and with each kind of patch."""
-    return {
-        "persons": sorted({row["person"] for row in rows}),
-        "methods": {
-            method: {light: _by_patch(select(rows, method=method, light=light)) for light in LIGHTS}
-            for method in methods
-        },
-    }
-
-
-def _by_patch(rows: list[Row]) -> dict[str, Any]:
-    bare, under = select(rows, patch="none"), [row for row in rows if row["patch"] != "none"]
-    cells = {"uncovered": statistics(bare), "covered": statistics(under)}
-    return {
-        **cells,
-        "ratio": ratio(cells["covered"]["nme_median"], cells["uncovered"]["nme_median"]),
-        "patches": {kind: statistics(select(rows, patch=kind)) for kind in PATCHES},
-    }
-
-
-def table(summary: dict[str, Any]) -> tuple[Header, Table]:
-    """Medians by light and method."""
-    header = ["light", "method", "bare, %", "patch, %", "ratio", *PATCHES, "bare > 8 %", "patch > 8 %"]
-    rows = []
-    for light in LIGHTS:
-        for method, cells in summary["methods"].items():
-            cell = cells[light]
-            medians = [percent(cell[name]["nme_median"]) for name in ("uncovered", "covered")]
-            kinds = [percent(cell["patches"][kind]["nme_median"]) for kind in PATCHES]
-            beyond = [percent(cell[name]["beyond"], 0) for name in ("uncovered", "covered")]
-            rows.append([light, method, *medians, or_dash(cell["ratio"], ".2f"), *kinds, *beyond])
-    return header, rows
-
-
-def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
-    """Median errors as bars, a panel for each light with and without patch."""
-    methods = summary["methods"]
-    groups = {
-        f"{light}, {how}": in_percent({method: cells[light][how]["nme_median"] for method, cells in methods.items()})
-        for light in LIGHTS
-        for how in ("uncovered", "covered")
-    }
-    return figure_of_bars(groups, "median error, % of inter-ocular distance")
 
 
 def draw_pictures(request: Request, case: Case) -> "Figure":
@@ -265,14 +184,3 @@ def draw_pictures(request: Request, case: Case) -> "Figure":
     image, truth = eight_bit(sample), sample.landmarks.points
     patched = {kind: covered(image, truth, kind, request.rng(sample.name, 0, "patch")) for kind in PATCHES}
     return figure_of_pictures([{"uncovered": image, **patched}])
-
-
-def report(summary: dict[str, Any]) -> str:
-    """Format the question and the medians."""
-    question = (
-        f"What does a patch over a fifth of the face cost? Models of one person each, of {len(summary['persons'])} "
-        "persons, fitted to a picture under the light of training and to one under a spot light. Median error by "
-        "inter-ocular distance; ratio: with patch by bare; then by what the patch shows, "
-        "and the shares of fits beyond 8 %."
-    )
-    return tell(question, table(summary))

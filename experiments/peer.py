@@ -9,31 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from experiments.charts import figure_of_bars
 from experiments.lights import LIGHTS
-from experiments.protocol import (
-    FACE,
-    METHODS,
-    TRAINED,
-    Header,
-    Request,
-    Table,
-    Trained,
-    columns_of,
-    eight_bit,
-    group_by_person,
-    in_percent,
-    median_bound,
-    select,
-    statistics,
-    tell,
-)
-from experiments.runner import Experiment, Row
-from experiments.spot import percent
+from experiments.protocol import FACE, METHODS, TRAINED, Table, Trained, eight_bit, fits_experiment, group_by_person
+from experiments.runner import Experiment, Named, Row
+from experiments.solvers import Request
 from experiments.subjects import data_facts
 from liaam.datasets import Sample
 from liaam.errors import LiaamError
@@ -58,21 +41,21 @@ diagonal."""
 
 ORIENTATIONS, RAW = "menpofit, orientations", "menpofit, raw RGB"
 
-PUBLISHED: dict[bool, dict[tuple[str, str], tuple[float | None, float]]] = {
+PUBLISHED: dict[bool, dict[str, Table]] = {
     False: {
-        ("none", RAW): (1.00, 0.0126),
-        ("smooth", ORIENTATIONS): (0.82, 0.016),
-        ("shadow", ORIENTATIONS): (1.00, 0.014),
-        ("dapples", ORIENTATIONS): (0.96, 0.015),
+        "none": [[RAW, "1.26", "–", "0", "–"]],
+        "smooth": [[ORIENTATIONS, "1.60", "–", "18", "–"]],
+        "shadow": [[ORIENTATIONS, "1.40", "–", "0", "–"]],
+        "dapples": [[ORIENTATIONS, "1.50", "–", "4", "–"]],
     },
     True: {
-        ("none", ORIENTATIONS): (None, 0.049),
-        ("smooth", ORIENTATIONS): (None, 0.075),
-        ("shadow", ORIENTATIONS): (None, 0.041),
+        "none": [[ORIENTATIONS, "4.90", "–", "–", "–"]],
+        "smooth": [[ORIENTATIONS, "7.50", "–", "–", "–"]],
+        "shadow": [[ORIENTATIONS, "4.10", "–", "–", "–"]],
     },
 }
-"""Published results of menpofit, by (whether persons are unseen), (light, method): fraction converged and median error.
-Its images, lights and starts are from other seeds, so only large differences matter."""
+"""Published results of menpofit, by whether persons are unseen and by light: rows of the table. Its images, lights and
+starts are from other seeds, so only large differences matter."""
 
 CHOICES = (
     f"Starts: the mean shape with centre and diagonal of the true box, scaled by ±{SCALE:.0%}, turned by "
@@ -87,52 +70,18 @@ CHOICES = (
 
 @dataclass(frozen=True)
 class Fold:
-    """Training and test images of one model.
-
-    Attributes
-    ----------
-    training, tested : tuple of Sample
-    """
+    """Training and test images of one model."""
 
     training: tuple[Sample, ...]
     tested: tuple[Sample, ...]
 
 
-@dataclass(frozen=True)
-class Picture:
-    """One image to fit under all lights: one task."""
-
-    fold: int
-    name: str
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"picture {self.name}"
-
-
 @lru_cache(maxsize=2)
 def get_folds(folder: Path, unseen: bool) -> tuple[tuple[Fold, ...], tuple[str, ...]]:
-    """Split a folder; once per process.
+    """Split a folder of images that are named after persons, as 01_03; once per process.
 
-    Parameters
-    ----------
-    folder : Path
-        Images named after persons, as 01_03.
-    unseen : bool
-        Whether two persons at a time are left out. Otherwise every second image of each person, from the first on,
-        trains.
-
-    Returns
-    -------
-    folds : tuple of Fold
-    left_out : tuple of str
-        Unused images, with the reasons.
-
-    Raises
-    ------
-    LiaamError
-        If there are too few persons.
+    With ``unseen``, two persons at a time are left out. Otherwise every second image of each person, from the first on,
+    trains. The unused images are returned with the reasons. Raises a LiaamError if there are too few persons.
     """
     persons, left_out = group_by_person(folder, AT_LEAST)
     if not unseen:
@@ -157,20 +106,11 @@ def _all(groups) -> tuple[Sample, ...]:
 @lru_cache(maxsize=1)
 def get_trained(request: Request, unseen: bool, fold: int) -> Trained:
     """Train a fold's model; once per process."""
-    return request.train(get_folds(request.data, unseen)[0][fold].training, f"fold {fold}")
+    return Trained.on(request, get_folds(request.data, unseen)[0][fold].training, f"fold {fold}")
 
 
 def box_start(mean: np.ndarray, truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Place the mean shape in the true bounding box and disturb scale, rotation and shift, drawn in this order.
-
-    Parameters
-    ----------
-    mean, truth : (n, 2) float64
-
-    Returns
-    -------
-    (n, 2) float64
-    """
+    """Place the mean shape in the true bounding box and disturb scale, rotation and shift, drawn in this order."""
     size = diagonal_of(truth)
     scale = size / diagonal_of(mean) * rng.uniform(1 - SCALE, 1 + SCALE)
     turn = rotation(rng.uniform(-TURN, TURN))
@@ -182,10 +122,10 @@ def _middle(shape: np.ndarray) -> np.ndarray:
     return 0.5 * (shape.min(axis=0) + shape.max(axis=0))
 
 
-def fit_picture(request: Request, unseen: bool, task: Picture) -> list[Row]:
+def fit_picture(unseen: bool, request: Request, task: Named) -> list[Row]:
     """Fit one image under every light; a start is the same under all of them."""
-    trained = get_trained(request, unseen, task.fold)
-    sample = next(s for s in get_folds(request.data, unseen)[0][task.fold].tested if s.name == task.name)
+    trained = get_trained(request, unseen, task.group)
+    sample = next(s for s in get_folds(request.data, unseen)[0][task.group].tested if s.name == task.name)
     image, truth = eight_bit(sample), sample.landmarks.points
     rows = []
     for trial in range(request.trials):
@@ -209,67 +149,23 @@ def peer_experiment(
     request = Request(data, tuple(methods), trials, seed, solver)
     folds, left_out = get_folds(data, unseen)
     samples = sorted({s for fold in folds for s in (*fold.training, *fold.tested)}, key=lambda sample: sample.name)
-    return Experiment(
+    persons = "unseen" if unseen else "seen"
+    return fits_experiment(
+        request,
+        partial(fit_picture, unseen),
+        ("light",),
+        PUBLISHED[unseen],
         name="peer",
-        title=f"A peer's protocol: {_persons(unseen)}",
-        settings={
-            "data": data.resolve().name,
-            **data_facts(samples),
-            "persons": "unseen" if unseen else "seen",
-            **request.settings(),
-        },
-        tasks=tuple(Picture(i, sample.name) for i, fold in enumerate(folds) for sample in fold.tested),
-        work=partial(fit_picture, request, unseen),
-        columns=columns_of("picture", "light", "trial"),
-        summarise=partial(summarise, request.methods, unseen),
-        draw=draw,
-        report=report,
+        title=f"A peer's protocol: persons {persons} in training",
+        settings={"data": data.resolve().name, **data_facts(samples), "persons": persons},
+        tasks=tuple(Named(i, sample.name) for i, fold in enumerate(folds) for sample in fold.tested),
+        report=f"How do we compare with a peer on its own protocol, persons {persons} in training? The rows of "
+        "menpofit are its published figures (orientations: gradients' of RGB, Wiberg's algorithm, two scales), with "
+        "other draws of light and start than ours.",
         pictures=partial(draw_pictures, request, unseen),
         choices=CHOICES,
         left_out=left_out,
-        skips_faults=True,
     )
-
-
-def _persons(unseen: bool) -> str:
-    return "persons never seen" if unseen else "persons seen in training"
-
-
-def summarise(methods: Sequence[str], unseen: bool, rows: list[Row]) -> dict[str, Any]:
-    """Statistics by method and light."""
-    return {
-        "unseen": unseen,
-        "bound_median": median_bound(rows),
-        "methods": {
-            method: {light: statistics(select(rows, method=method, light=light)) for light in SHOWN}
-            for method in methods
-        },
-    }
-
-
-def table(summary: dict[str, Any]) -> tuple[Header, Table]:
-    """Medians by light and method, beside menpofit's."""
-    rows = []
-    for light in SHOWN:
-        for method, cells in summary["methods"].items():
-            cell = cells[light]
-            numbers = (percent(1 - cell["beyond"], 0), percent(cell["nme_median"]), percent(cell["nme_p90"]))
-            rows.append([light, method, *numbers, f"{1000 * cell['seconds_median']:.0f}"])
-        rows += [
-            [light, method, percent(converged, 0), percent(median), "–", "–"]
-            for (where, method), (converged, median) in PUBLISHED[summary["unseen"]].items()
-            if where == light
-        ]
-    return ["light", "method", "converged, %", "median, %", "p90, %", "ms"], rows
-
-
-def draw(_rows: list[Row], summary: dict[str, Any]) -> "Figure":
-    """Median errors as bars, a panel for each light."""
-    methods = summary["methods"]
-    medians = {
-        light: in_percent({method: cells[light]["nme_median"] for method, cells in methods.items()}) for light in SHOWN
-    }
-    return figure_of_bars(medians, f"median error, % of {FACE} box diagonals")
 
 
 def draw_pictures(request: Request, unseen: bool) -> "Figure":
@@ -279,13 +175,3 @@ def draw_pictures(request: Request, unseen: bool) -> "Figure":
     return figure_of_pictures(
         [{light: LIGHTS[light](image, truth, request.rng(sample.name, 0, light)) for light in SHOWN}]
     )
-
-
-def report(summary: dict[str, Any]) -> str:
-    """Format the question and the medians."""
-    question = (
-        f"How do we compare with a peer on its own protocol, {_persons(summary['unseen'])}? The rows of menpofit are "
-        "its published figures (orientations: gradients' of RGB, Wiberg's algorithm, two scales), with other draws of "
-        f"light and start than ours. The shape model's bound here: {percent(summary['bound_median'])} %."
-    )
-    return tell(question, table(summary))

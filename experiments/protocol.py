@@ -1,22 +1,25 @@
-"""Helpers shared by protocols on folders of many persons: grouping by person, rows of fits, and statistics."""
+"""What the protocols on folders of many persons share: grouping by person, starts, fits, statistics, tables, figures.
+
+A protocol declares its tasks, how a task is fitted, and the columns that tell its conditions apart
+(:func:`fits_experiment`).
+"""
 
 import re
 import time
 import warnings
-import zlib
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments import spot
-from experiments.measures import roc_area
-from experiments.runner import Row, markdown_table
-from experiments.solvers import check_request, get_solver, make_fitters
-from experiments.spot import CONVERGED, EYES
+from experiments.charts import figure_of_bars, figure_of_errors
+from experiments.measures import or_dash, percent, roc_area
+from experiments.runner import Experiment, Row, markdown_table
+from experiments.solvers import Request, get_solver, make_fitters
 from liaam.datasets import Sample, load_folder
 from liaam.errors import LiaamError
 from liaam.evaluation import (
@@ -33,15 +36,24 @@ from liaam.evaluation import (
 )
 from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
-from liaam.model.shape import diagonal_of
+from liaam.model.shape import diagonal_of, rotation
 from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 METHODS = ("rgb", "grey", "li", "igo", "soft-li")
 """Methods that are compared by default."""
 
 VARIANCE = 0.98
 """Fraction of the variance of shape and of appearance that models keep."""
+
+EYES = (slice(13, 21), slice(21, 29))
+"""Landmarks of the two eyes of 58, counting from 0."""
+
+CONVERGED = 0.08
+"""NME below which a fit counts as converged."""
 
 EYES_BY_COUNT = {58: EYES, 68: (slice(36, 42), slice(42, 48)), 73: (slice(16, 24), slice(24, 32))}
 """Landmarks of the two eyes by the number of landmarks (IMM, 300-W, and IMM frontal), counting from 0."""
@@ -63,97 +75,23 @@ CONTOURS_BY_COUNT = {
 """First and last landmark of each contour, counting from 0, and whether it is closed, by the number of landmarks (IMM,
 300-W), whose files have no contours."""
 
+ALL = "all"
+"""Name of the only condition, and of all images together."""
+
 FACE = 0.3
 """Substitute for the inter-ocular distance if the eye landmarks are unknown, in diagonals of the landmarks' box."""
-
-RESULTS = {
-    "nme": ".6f",
-    "bound": ".6f",
-    "iterations": "",
-    "status": "",
-    "quality": ".4f",
-    "held_95": ".6f",
-    "seconds": ".4f",
-}
-"""Columns of results.csv that every fit has. ``nme``: mean distance to the landmarks in the protocol's unit.
-``bound``: the same for the true shape projected on the shape model. ``held_95``: fraction of the landmarks inside their
-95 % ellipse. ``seconds``: time of the fit, which varies between runs."""
 
 FEWEST = 30
 """Fewest fits in a tenth of the quality for which it is compared with the share of right ones."""
 
-OUTLINE = dict.fromkeys(("outline", "along", "across", "along_95", "across_95"), ".6f")
-"""More columns. ``outline``: as ``nme``, with the distances of landmarks on contours from the true contours. ``along``
-and ``across``: median errors along and across contours; ``along_95``, ``across_95``: fractions inside the 95 %
-intervals of that direction. NaN without contours."""
-
-STARTS, TRAINED = spot.CHOICES
-"""Descriptions of the starts and models."""
+STARTS = (
+    "Starts: the mean shape at the true centroid and size, then turned by N(0, 4°), scaled by N(1, 0.05) and moved by "
+    "N(0, 0.08 IOD) per axis (IOD: inter-ocular distance)."
+)
+TRAINED = "Models keep 98 % of the variance of shape and of appearance, and are trained with θ = 122°."
 
 Header = list[str]
 Table = list[list[str]]
-
-
-@dataclass(frozen=True)
-class Request:
-    """What was asked for.
-
-    Attributes
-    ----------
-    data : Path
-        Folder of images with landmarks.
-    methods : tuple of str
-    trials : int
-        Starts per image.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    """
-
-    data: Path
-    methods: tuple[str, ...]
-    trials: int
-    seed: int
-    solver: str
-
-    def __post_init__(self) -> None:
-        """Raise, before any work, if the request is invalid."""
-        check_request(self.methods, self.solver, self.trials, self.has_lamps)
-
-    @property
-    def has_lamps(self) -> bool:
-        """Whether models are trained with lamps."""
-        return False
-
-    def settings(self) -> dict[str, Any]:
-        """Settings that determine the results, in addition to the images."""
-        return {
-            "methods": list(self.methods),
-            "trials": self.trials,
-            "seed": self.seed,
-            "solver": f"{self.solver}: {get_solver(self.solver).summary}",
-        }
-
-    def train(self, samples: Iterable[Sample], name: str, leave_out: bool = False, **options: Any) -> "Trained":
-        """Train a model on some images, with a fitter for each method.
-
-        Parameters
-        ----------
-        samples : iterable of Sample
-        name : str
-        leave_out : bool
-            Whether to calibrate the quality of fits, and restart those of low quality.
-        **options
-            Further options of :func:`liaam.train`.
-        """
-        samples = list(samples)
-        options = {"variance": VARIANCE, "leave_out": leave_out, "contours": contours_of(samples[0]), **options}
-        model = get_solver(self.solver).train(samples, name=name, **options)
-        return Trained(model, make_fitters(model, self.methods, self.solver))
-
-    def rng(self, *what: str | int) -> np.random.Generator:
-        """Return the generator of one draw. It depends on the seed and on `what`, so methods share it."""
-        return np.random.default_rng([self.seed, *(zlib.crc32(str(item).encode()) for item in what)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +101,17 @@ class Trained:
     model: AAM
     fitters: Mapping[str, Fitter]
 
+    @classmethod
+    def on(cls, request: Request, samples: Iterable[Sample], name: str, leave_out: bool = False, **options: Any):
+        """Train a model on some images, with a fitter for each method, and options of :func:`liaam.train`.
+
+        With ``leave_out``, the quality of fits is calibrated, and those of low quality are restarted.
+        """
+        samples = list(samples)
+        options = {"variance": VARIANCE, "leave_out": leave_out, "contours": contours_of(samples[0]), **options}
+        model = get_solver(request.solver).train(samples, name=name, **options)
+        return cls(model, make_fitters(model, request.methods, request.solver))
+
     @property
     def mean(self) -> np.ndarray:
         """Mean shape, (n, 2) float64, centred, model pixels."""
@@ -171,18 +120,11 @@ class Trained:
     def fit(
         self, image: np.ndarray, truth: np.ndarray, unit: float, start: np.ndarray | None, /, **labels: Any
     ) -> list[Row]:
-        """Fit an image with every method from one start.
+        """Fit an image (h, w, 3) uint8 with every method from a shape or a box, or search for the object.
 
-        Parameters
-        ----------
-        image : (h, w, 3) uint8
-        truth : (n, 2) float64
-        unit : float
-            Unit of errors, in pixels.
-        start : (n, 2) or (4,) float64, optional
-            A shape or a box. By default the object is searched for.
-        **labels
-            Further columns.
+        Errors are divided by ``unit``, in pixels; labels are further columns. ``bound`` is the error of the true shape
+        projected on the shape model, ``held_95`` the fraction of the landmarks inside their 95 % ellipse, and
+        ``seconds`` the time of the fit, which varies between runs.
         """
         bound = nme(self.model.shape_model.project(truth), truth, unit)
         rows = []
@@ -199,14 +141,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class Split:
-    """Training and test images of one person: one task.
-
-    Attributes
-    ----------
-    name : str
-        Name of the person.
-    training, tested : tuple of Sample
-    """
+    """Training and test images of one person: one task."""
 
     name: str
     training: tuple[Sample, ...]
@@ -219,25 +154,10 @@ class Split:
 
 
 def group_by_person(folder: Path, at_least: int) -> tuple[dict[str, tuple[Sample, ...]], tuple[str, ...]]:
-    """Group a folder whose images are named ``PERSON-…`` or ``PERSON_…``.
+    """Group a folder whose images are named ``PERSON-…`` or ``PERSON_…``, in natural order, by name.
 
-    Parameters
-    ----------
-    folder : Path
-    at_least : int
-        Minimum number of images of a person.
-
-    Returns
-    -------
-    persons : dict of str to tuple of Sample
-        By name, in order; images in natural order.
-    left_out : tuple of str
-        Unused images, with the reasons.
-
-    Raises
-    ------
-    LiaamError
-        If no person is left.
+    The unused images are returned with the reasons, among them those of persons with too few. Raises a LiaamError if no
+    person is left.
     """
     data = load_folder(folder)
     left_out = [f"{item.path.name}: {item.reason}" for item in data.left_out]
@@ -296,7 +216,12 @@ def contours_of(sample: Sample) -> list[list[int]] | None:
 
 
 def by_outline(result: FitResult, truth: np.ndarray, unit: float, contours: Contours) -> Row:
-    """Return the columns :data:`OUTLINE` of a fit."""
+    """Return columns of a fit by outline; NaN without contours.
+
+    ``outline`` is as ``nme``, with the distances of landmarks on contours from the true contours, ``along`` and
+    ``across`` are median errors along and across contours, and ``along_95`` and ``across_95`` the fractions inside the
+    95 % intervals of that direction.
+    """
     directions, errors = contour_directions(truth, contours), result.landmarks - truth
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # without contours all values are NaN
@@ -332,11 +257,6 @@ def qualities_of(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.array([quality for quality, right in known if right is wanted]) for wanted in (True, False))  # type: ignore[return-value]
 
 
-def columns_of(*labels: str) -> dict[str, str]:
-    """Columns of results.csv and their formats."""
-    return {"method": "", **dict.fromkeys(labels, ""), **RESULTS, **OUTLINE}
-
-
 def select(rows: Iterable[Row], **labels: Any) -> list[Row]:
     """Select rows with given values in some columns."""
     return [row for row in rows if all(row[name] == value for name, value in labels.items())]
@@ -358,11 +278,6 @@ def statistics(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def ratio(value: float | None, reference: float | None) -> float | None:
-    """Quotient of two medians; None if either is missing."""
-    return None if value is None or not reference else value / reference
-
-
 def median_bound(rows: Sequence[Row]) -> float | None:
     """Median of the shape model's bound over images. It is the same for all methods."""
     first = rows[0]["method"]
@@ -377,3 +292,81 @@ def in_percent(values: Mapping[str, float | None]) -> dict[str, float | None]:
 def tell(question: str, table: tuple[Header, Table]) -> str:
     """Write the body of a report: the question and a table."""
     return f"{question}\n\n{markdown_table(*table)}"
+
+
+def disturbed_start(mean: np.ndarray, truth: np.ndarray, iod: float, rng: np.random.Generator) -> np.ndarray:
+    """Place the mean shape at the true centroid and size, and disturb it.
+
+    Rotation N(0, 4 degrees), scale N(1, 0.05), translation N(0, 0.08 IOD) per axis, drawn in this order.
+    """
+    centred = mean - mean.mean(axis=0)
+    centre = truth.mean(axis=0)
+    size = np.linalg.norm(truth - centre) / np.linalg.norm(centred)
+    angle = np.deg2rad(rng.normal(0.0, 4.0))
+    size *= rng.normal(1.0, 0.05)
+    shift = rng.normal(0.0, 0.08 * iod, 2)
+    return size * centred @ rotation(angle).T + centre + shift
+
+
+def fits_experiment(
+    request: Request,
+    work: Callable[[Request, Any], list[Row]],
+    labels: tuple[str, ...] = (),
+    published: Mapping[str, Table] | None = None,
+    **options: Any,
+) -> Experiment:
+    """Make an experiment whose rows are fits, with a table of errors by method and condition.
+
+    ``work`` makes rows (:meth:`Trained.fit`) from the request and a task, the values of the columns ``labels`` tell
+    conditions apart, and ``published`` are further rows of the table by condition. The options are those of
+    :class:`Experiment`; its ``report`` is the question.
+    """
+    question = options.pop("report")
+    return Experiment(
+        settings={**options.pop("settings"), **request.settings()},
+        work=partial(work, request),
+        summarise=partial(summarise, request.methods, labels),
+        draw=draw,
+        report=lambda summary: tell(question, table(summary, published or {})),
+        skips_faults=True,
+        **options,
+    )
+
+
+def summarise(methods: Sequence[str], labels: tuple[str, ...], rows: list[Row]) -> dict[str, Any]:
+    """Statistics by method and condition, in the order of the rows."""
+    found = list(dict.fromkeys(tuple(row[label] for label in labels) for row in rows))
+    conditions = {", ".join(values) or ALL: dict(zip(labels, values, strict=True)) for values in found}
+    return {
+        "bound_median": median_bound(rows),
+        "methods": {
+            method: {name: statistics(select(rows, method=method, **own)) for name, own in conditions.items()}
+            for method in methods
+        },
+    }
+
+
+def table(summary: dict[str, Any], published: Mapping[str, Table]) -> tuple[Header, Table]:
+    """Errors by condition and method, and the bound of the shape model."""
+    rows = []
+    for condition in next(iter(summary["methods"].values())):
+        for method, cells in summary["methods"].items():
+            cell = cells[condition]
+            errors = (percent(cell["nme_median"]), percent(cell["nme_p90"]), percent(cell["beyond"], 0))
+            rows.append(
+                [condition, method, *errors, or_dash(cell["seconds_median"] and 1000 * cell["seconds_median"], ".0f")]
+            )
+        rows += [[condition, *row] for row in published.get(condition, ())]
+    rows.append([ALL, "bound", percent(summary["bound_median"]), *"–––"])
+    return ["pictures", "method", "median, %", "p90, %", "> 8 %", "ms"], rows
+
+
+def draw(rows: list[Row], summary: dict[str, Any]) -> "Figure":
+    """Median errors as bars, a panel for each condition; cumulative errors, and those of the bound, if there is one."""
+    methods = summary["methods"]
+    conditions = list(next(iter(methods.values())))
+    if conditions == [ALL]:
+        errors = {method: [row["nme"] for row in select(rows, method=method)] for method in methods}
+        return figure_of_errors(errors, {row["picture"]: row["bound"] for row in rows}.values(), CONVERGED)
+    medians = {name: in_percent({m: cells[name]["nme_median"] for m, cells in methods.items()}) for name in conditions}
+    return figure_of_bars(medians, "median error, %")

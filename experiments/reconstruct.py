@@ -4,7 +4,7 @@ There are three kinds of data, as in :mod:`experiments.convergence`: generated s
 light; one person's images with and without a simulated shadow; and persons under a real spot light, without truth.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,8 +14,9 @@ import numpy as np
 
 from experiments import simulated, spot
 from experiments.measures import or_dash
-from experiments.runner import Experiment, Row, markdown_table
-from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.protocol import Split
+from experiments.runner import Experiment, Row, Trial, markdown_table
+from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import SCENE_HEAD, get_subject, subject_facts
 from liaam.errors import MethodError
 from liaam.evaluation import error_statistics, point_error, root_mean_square
@@ -59,41 +60,11 @@ CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Settings shared by all trials."""
-
-    data: Path | None
-    methods: tuple[str, ...]
-    solver: str
-    seed: int
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One task: a kind of image and the index of a draw, or a person."""
-
-    kind: str
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.kind}, trial {self.number}"
-
-
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An image whose shading is to be removed.
+    """An image whose shading is to be removed, and if known the same image under the training light.
 
-    Attributes
-    ----------
-    name : str
-    image : (h, w, 3) array
-    start, shape : (n, 2)
-        Start of the fit, and true landmarks.
-    canonical : (h, w, 3) array, optional
-        The same image under the training light, if known.
+    ``start`` and ``shape`` (n, 2) are the start of the fit and the true landmarks.
     """
 
     name: str
@@ -103,18 +74,18 @@ class Case:
     canonical: np.ndarray | None
 
 
-def get_case(setup: Setup, task: Any) -> tuple[dict[str, Fitter], Case]:
+def get_case(setup: Request, task: Any) -> tuple[Mapping[str, Fitter], Case]:
     """Fitters and image of a task."""
-    if isinstance(task, spot.Person):
-        study = spot.study_of(task, setup.methods, setup.solver)
+    if isinstance(task, Split):
+        study = spot.study_of(task, setup)
         return study.fitters, Case(task.key, study.image, study.start(setup.seed, 0), study.truth, None)
-    if task.kind == "shadow":
+    if task.condition == "shadow":
         case = simulated.make_case(get_subject(setup.data), setup.seed, task.number, GAMMA, sigma_n=0.0)
         fitters = simulated.get_fitters(setup.data, setup.methods, setup.solver)
         canonical = get_subject(setup.data).images[case.picture]
         return fitters, Case(f"picture {case.picture + 1}", case.image, case.start, case.truth, canonical)
-    fitters = _scene_fitters(task.kind, setup.methods, setup.solver)
-    return fitters, _scene_case(task.kind, setup.seed, task.number)
+    fitters = _scene_fitters(task.condition, setup.methods, setup.solver)
+    return fitters, _scene_case(task.condition, setup.seed, task.number)
 
 
 def _camera(kind: str):
@@ -150,7 +121,7 @@ def _scene_case(kind: str, seed: int, number: int) -> Case:
     return Case(f"{kind}-band camera", lit.image, start, lit.landmarks, canonical.image)
 
 
-def run_trial(setup: Setup, task: Any) -> list[Row]:
+def run_trial(setup: Request, task: Any) -> list[Row]:
     """Fit, reconstruct the appearance, and measure its error if the truth is known."""
     fitters, case = get_case(setup, task)
     rows = []
@@ -158,7 +129,7 @@ def run_trial(setup: Setup, task: Any) -> list[Row]:
         result = fitter.fit(case.image, case.start)
         rows.append(
             {
-                "kind": getattr(task, "kind", "spot"),
+                "kind": getattr(task, "condition", "spot"),
                 "method": method,
                 "picture": case.name,
                 "trial": getattr(task, "number", 0),
@@ -208,33 +179,18 @@ def reconstruct_experiment(
             raise MethodError(
                 f"method {method} does not fit log-RGB, so it rebuilds nothing; give li, li-pc, li-pcs or chroma"
             )
-    check_request(tuple(methods), solver, trials)
-    setup = Setup(data, tuple(methods), solver, seed)
+    setup = Request(data, tuple(methods), trials, seed, solver)
     facts, tasks, left_out = _plan(data, trials)
     return Experiment(
         name="reconstruct",
         title="The object without its shadows",
         settings={
             **facts,
-            "methods": list(methods),
-            "trials": trials,
-            "seed": seed,
             "gamma": GAMMA,
-            "solver": f"{solver}: {get_solver(solver).summary}",
+            **setup.settings(),
         },
         tasks=tasks,
         work=partial(run_trial, setup),
-        columns={
-            "kind": "",
-            "method": "",
-            "picture": "",
-            "trial": "",
-            "error_px": ".6f",
-            "input_rms": ".5f",
-            "rebuilt_rms": ".5f",
-            "model_rms": ".5f",
-            "status": "",
-        },
         summarise=partial(summarise, setup.methods),
         draw=partial(draw, setup, tasks),
         report=report,
@@ -274,13 +230,13 @@ def _is(row: Row, kind: str, method: str) -> bool:
     return (row["kind"], row["method"]) == (kind, method)
 
 
-def draw(setup: Setup, tasks: Sequence[Any], _rows: list[Row], _summary: dict[str, Any]) -> "Figure":
+def draw(setup: Request, tasks: Sequence[Any], _rows: list[Row], _summary: dict[str, Any]) -> "Figure":
     """Draw the input, the reconstruction by the first method, the truth if known, and the shading."""
     shown = [tasks[i] for i in np.unique(np.linspace(0, len(tasks) - 1, SHOWN).astype(int))]
     return figure_of_pictures([_pictures(setup, task) for task in shown])
 
 
-def _pictures(setup: Setup, task: Any) -> dict[str, np.ndarray | None]:
+def _pictures(setup: Request, task: Any) -> dict[str, np.ndarray | None]:
     fitters, case = get_case(setup, task)
     method, fitter = next(iter(fitters.items()))
     result = fitter.fit(case.image, case.start)

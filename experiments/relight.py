@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import figure_of_bars
-from experiments.generic import GenericRequest, HeldOut, get_folds, get_trained, request_of_folders
+from experiments.generic import GenericRequest, get_folds, get_trained, request_of_folders
 from experiments.measures import or_dash
 from experiments.protocol import Header, Table, eight_bit, face_size, tell
 from experiments.relit import GRAIN, mesh_mask
-from experiments.runner import Experiment, Row
+from experiments.runner import Experiment, Named, Row
 from liaam.errors import LiaamError
 from liaam.evaluation import finite_or_none
 from liaam.photometry.response import srgb_to_linear
@@ -120,11 +120,11 @@ def hue_distance(lab: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
     return float(np.linalg.norm((lab[one].mean(axis=0) - lab[other].mean(axis=0))[1:]))
 
 
-def relight_object(request: GenericRequest, task: HeldOut) -> list[Row]:
+def relight_object(request: GenericRequest, task: Named) -> list[Row]:
     """Bring all images of one object to the training light, by all methods."""
     from scipy.ndimage import gaussian_filter
 
-    trained, shown = get_trained(request, task.fold), get_folds(request)[0][task.fold].tested[task.name]
+    trained, shown = get_trained(request, task.group), get_folds(request)[0][task.group].tested[task.name]
     fitter = trained.fitters["soft-li"]
     images = {each.light: eight_bit(each.sample) for each in shown}
     base = next((each for each in shown if each.light == request.training_lamp), None)
@@ -158,9 +158,8 @@ def relight_experiment(
         name="relight",
         title="Unseen objects, brought to the training light",
         settings=settings,
-        tasks=tuple(HeldOut(0, name) for name in get_folds(request)[0][0].tested),
+        tasks=tuple(Named(0, name) for name in get_folds(request)[0][0].tested),
         work=partial(relight_object, request),
-        columns={"method": "", "object": "", "light": "", **dict.fromkeys(MEASURES, ".6f"), "status": ""},
         summarise=summarise,
         draw=lambda _, summary: draw(summary),
         report=lambda summary: tell(str(__doc__).strip(), table(summary)),

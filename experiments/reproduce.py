@@ -27,16 +27,7 @@ from liaam.progress import Progress
 
 @dataclass(frozen=True)
 class Size:
-    """Size of a run.
-
-    Attributes
-    ----------
-    trials, variant_trials, spot_trials, pictures : int
-        Number of draws in the main experiments, of draws in experiments that change one choice, of starts per person of
-        the spot protocol, and of images of each kind to reconstruct.
-    gammas, sigmas : tuple of float
-        Swept values of displacement and noise.
-    """
+    """Size of a run: swept values, numbers of draws, of starts per person and of images of each kind to reconstruct."""
 
     trials: int
     variant_trials: int
@@ -55,16 +46,7 @@ SIZES = {
 
 @dataclass(frozen=True)
 class Variant:
-    """Another value for one choice that the paper leaves open.
-
-    Attributes
-    ----------
-    folder, what : str
-        Name of the subfolder, and description.
-    solver : str
-    strength : float
-        Strength of the simulated shadow.
-    """
+    """Another value for one choice that the paper leaves open: its subfolder, its description, solver and shadow."""
 
     folder: str
     what: str
@@ -92,19 +74,9 @@ VARIANCE_READING = "γ and σn read as variances"
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One experiment of a run.
+    """One experiment of a run, its subfolder, its heading in the report and its column of the claims table.
 
-    Attributes
-    ----------
-    folder : str
-        Subfolder of the output folder.
-    heading : str
-        Heading in the report.
-    column : str
-        Column of the claims table that uses its results.
-    experiment : Experiment
-    shown : bool
-        Whether the report has a section for it.
+    The report has a section for it if it is ``shown``.
     """
 
     folder: str
@@ -115,17 +87,7 @@ class Part:
 
 
 def plan(person: Path | None, persons: Path | None, size: str, seed: int) -> list[Part]:
-    """Return all parts in the order of execution.
-
-    Parameters
-    ----------
-    person : Path, optional
-        Folder of one person's landmarked images under homogeneous light.
-    persons : Path, optional
-        Folder of many persons, as in the spot protocol.
-    size : {"quick", "full"}
-    seed : int
-    """
+    """Return all parts in the order of execution; the parameters are those of :func:`reproduce`."""
     if size not in SIZES:
         raise LiaamError(f"unknown size {size!r}; choose from {', '.join(SIZES)}")
     amount = SIZES[size]
@@ -182,27 +144,11 @@ def reproduce(
     jobs: int | None = 1,
     progress: Progress | None = None,
 ) -> dict[str, dict[str, Verdict]]:
-    """Run all experiments and write ``report.html``.
+    """Run all experiments in subfolders of ``out`` and write ``report.html``; finished experiments are not repeated.
 
-    An interrupted run resumes: finished experiments are not repeated.
-
-    Parameters
-    ----------
-    out : Path
-        Folder with a subfolder for each experiment.
-    person, persons : Path, optional
-        Real images: see :func:`plan`. Generated scenes are always used.
-    size : {"quick", "full"}
-    seed : int
-    jobs : int or None
-        Number of worker processes; None for one per core.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    dict of str to dict of str to Verdict
-        Verdicts by column of the claims table and name of the claim.
+    Generated scenes are always used. ``person`` is a folder of one person's landmarked images under homogeneous light,
+    ``persons`` one of many persons, as in the spot protocol, and ``size`` one of :data:`SIZES`. Returns verdicts by
+    column of the claims table and name of the claim.
     """
     parts = plan(person, persons, size, seed)
     make_folder(out)

@@ -17,7 +17,7 @@ import hashlib
 import io
 import json
 import multiprocessing
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
@@ -53,15 +53,29 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True)
-class NumberedTrial:
-    """A task identified by the index of its draw."""
+class Trial:
+    """A task identified by a condition, such as a swept value or a kind of image, and by the index of its draw."""
 
+    condition: Any
     number: int
 
     @property
     def key(self) -> str:
         """Key of the task in the journal."""
-        return f"trial {self.number}"
+        return f"{self.condition}, trial {self.number}"
+
+
+@dataclass(frozen=True)
+class Named:
+    """A task identified by a group, such as the model that fits it, and by a name in it."""
+
+    group: Any
+    name: str
+
+    @property
+    def key(self) -> str:
+        """Key of the task in the journal."""
+        return f"group {self.group}, {self.name}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +93,7 @@ class Experiment:
         and train it in a function with an ``lru_cache``.
     work : callable
         From a task to its rows: a function at the top level of a module, or a ``functools.partial`` of one, so that it
-        can be pickled. It must not depend on other tasks.
-    columns : mapping of str to str
-        Columns of results.csv and their formats, such as ``{"error_px": ".6f", "status": ""}``.
+        can be pickled. It must not depend on other tasks. All rows have the same keys, the columns of results.csv.
     summarise : callable
         From all rows to the summary, as JSON types.
     draw : callable
@@ -103,7 +115,6 @@ class Experiment:
     settings: dict[str, Any]
     tasks: tuple[Task, ...]
     work: Callable[[Any], list[Row]]
-    columns: Mapping[str, str]
     summarise: Callable[[list[Row]], dict[str, Any]]
     draw: Callable[[list[Row], dict[str, Any]], "Figure"]
     report: Callable[[dict[str, Any]], str]
@@ -137,13 +148,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a task: rows, or the reason why there are none, as JSON types.
-
-    Attributes
-    ----------
-    rows : list of dict
-    fault : str, optional
-    """
+    """Result of a task: rows, or the reason why there are none, as JSON types."""
 
     rows: list[Row]
     fault: str | None = None
@@ -219,13 +224,7 @@ def finished(experiment: Experiment, out: Path) -> dict[str, Any] | None:
 
 
 class Journal:
-    """Finished tasks on disk, one line each.
-
-    Attributes
-    ----------
-    outcomes : dict of str to Outcome
-        Outcomes by the task's key.
-    """
+    """Finished tasks on disk, one line each; ``outcomes`` has them by the task's key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -361,7 +360,7 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
         "left_out": left_out,
         **experiment.summarise(rows),
     }
-    write_text_atomically(out / "results.csv", as_csv(rows, experiment.columns))
+    write_text_atomically(out / "results.csv", as_csv(rows))
     save_figure(experiment.draw(rows, summary), out / "figure.png", out / "figure.svg")
     if experiment.pictures:
         save_figure(experiment.pictures(), out / PICTURES)
@@ -370,12 +369,14 @@ def _write_results(experiment: Experiment, outcomes: list[Outcome], out: Path) -
     return summary
 
 
-def as_csv(rows: list[Row], columns: Mapping[str, str]) -> str:
-    """Format rows as CSV text with a header, each column in its format."""
+def as_csv(rows: list[Row]) -> str:
+    """Format rows as CSV text with a header, and numbers with at most six decimals."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([format(row[column], style) for column, style in columns.items()] for row in rows)
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {key: round(value, 6) if isinstance(value, float) else value for key, value in row.items()} for row in rows
+    )
     return text.getvalue()
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
 from experiments.cramer_rao import Bound, cramer_rao_bound
-from experiments.runner import Experiment, Row, markdown_table
-from experiments.solvers import check_request, get_solver, make_fitters
+from experiments.runner import Experiment, Row, Trial, markdown_table
+from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import (
     PAPER_THETA,
     PENUMBRA,
@@ -94,21 +94,10 @@ Curves = dict[str, list[tuple[float, float | None]]]
 
 @dataclass(frozen=True)
 class Sweep:
-    """The swept condition and its description.
+    """The swept condition: its column in results.csv, its label with unit, and the others at their values.
 
-    Attributes
-    ----------
-    name, title, question : str
-    column : {"gamma", "sigma_n"}
-        The swept condition, and its column in results.csv.
-    label : str
-        Axis label with unit.
-    gamma : float
-        Displacement of the start in pixels, if not swept.
-    sigma_n : float
-        Noise in 8-bit units, if not swept.
-    shows_angle : bool
-        Whether the figure has a panel for the angle.
+    ``gamma`` is the displacement of the start in pixels, ``sigma_n`` the noise in 8-bit units. The figure has a panel
+    for the angle if it ``shows_angle``.
     """
 
     name: str
@@ -126,54 +115,16 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class Setup:
-    """Settings shared by all trials.
-
-    Attributes
-    ----------
-    sweep : Sweep
-    data : Path, optional
-        Folder of one person's images; generated images if None.
-    methods : tuple of str
-    solver : str
-    seed : int
-    strength : float
-        Change of log light in the shadow.
-    """
+class Setup(Request):
+    """What was asked for, with the swept condition and the change of log light in the shadow."""
 
     sweep: Sweep
-    data: Path | None
-    methods: tuple[str, ...]
-    solver: str
-    seed: int
     strength: float = STRENGTH
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One task: a swept value and the index of a draw."""
-
-    value: float
-    number: int
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.value:g}, trial {self.number}"
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An image to fit.
-
-    Attributes
-    ----------
-    image : (h, w, 3) float32
-        Stored sRGB values in [0, 1].
-    truth, start : (n, 2) float64
-    picture : int
-        Index of the image among the subject's.
-    """
+    """An image to fit, (h, w, 3) float32 in [0, 1], truth and start (n, 2), and the image's index."""
 
     image: np.ndarray
     truth: np.ndarray
@@ -220,7 +171,7 @@ def sharp_model(data: Path | None) -> AAM:
 def run_trial(setup: Setup, trial: Trial) -> list[Row]:
     """Fit one case with every method."""
     fitters = get_fitters(setup.data, setup.methods, setup.solver)
-    conditions = setup.sweep.conditions(trial.value)
+    conditions = setup.sweep.conditions(trial.condition)
     case = make_case(get_subject(setup.data), setup.seed, trial.number, **conditions, strength=setup.strength)
     rows = []
     for method, fitter in fitters.items():
@@ -228,7 +179,7 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
         rows.append(
             {
                 "method": method,
-                setup.sweep.column: trial.value,
+                setup.sweep.column: trial.condition,
                 "trial": trial.number,
                 "image": case.picture,
                 "start_px": point_error(result.start, case.truth),
@@ -244,13 +195,13 @@ def run_trial(setup: Setup, trial: Trial) -> list[Row]:
 
 def _bound_rows(setup: Setup, trial: Trial) -> list[Row]:
     """Return the bound of the invariant for the same image without noise, in a row like that of a fit."""
-    conditions = setup.sweep.conditions(trial.value)
+    conditions = setup.sweep.conditions(trial.condition)
     if not conditions["sigma_n"] > 0:
         return []
     sigma, (picture, unit) = conditions["sigma_n"], _unit_bound(setup.data, setup.seed, trial.number, setup.strength)
     row: Row = {
         "method": BOUND,
-        setup.sweep.column: trial.value,
+        setup.sweep.column: trial.condition,
         "trial": trial.number,
         "image": picture,
         "start_px": np.nan,
@@ -289,56 +240,26 @@ def simulated_experiment(
     solver: str = "paper",
     strength: float = STRENGTH,
 ) -> Experiment:
-    """Make the experiment of a sweep.
+    """Make the experiment of a sweep over some values; :data:`experiments.cli.HELP` describes the other parameters.
 
-    Parameters
-    ----------
-    sweep : Sweep
-    values : sequence of float
-        Values of the swept condition.
-    data : Path, optional
-        Folder of one person's images. By default generated images.
-    methods : sequence of str
-    trials : int
-        Number of draws of shadow, start and noise. Trial i uses image i modulo 6.
-    seed : int
-    solver : str
-        One of :data:`experiments.solvers.SOLVERS`.
-    strength : float
-        Change of log light in the shadow.
+    Trial i uses image i modulo 6.
     """
-    check_request(tuple(methods), solver, trials)
+    setup = Setup(data, tuple(methods), trials, seed, solver, sweep, strength)
     if not -5.0 <= strength <= 0.0:
         raise LiaamError(f"strength {strength:g}: give the shadow's change of log light, -5 (black) to 0 (none)")
-    setup = Setup(sweep, data, tuple(methods), solver, seed, strength)
     conditions = sweep.conditions(0.0)
     return Experiment(
         name=sweep.name,
         title=sweep.title,
         settings={
             **subject_facts(data),
-            "methods": list(methods),
-            "trials": trials,
-            "seed": seed,
-            "solver": f"{solver}: {get_solver(solver).summary}",
+            **setup.settings(),
             "strength": float(strength),
             **{key: value for key, value in conditions.items() if key != sweep.column},
             sweep.column: [float(value) for value in values],
         },
         tasks=tuple(Trial(float(value), number) for value in values for number in range(trials)),
         work=partial(run_trial, setup),
-        columns={
-            "method": "",
-            sweep.column: "g",
-            "trial": "",
-            "image": "",
-            "start_px": ".6f",
-            "error_px": ".6f",
-            "rms_px": ".6f",
-            "theta_error_deg": ".5f",
-            "iterations": "",
-            "status": "",
-        },
         summarise=partial(summarise, sweep.column, setup.methods),
         draw=partial(draw, sweep),
         report=partial(report, sweep),

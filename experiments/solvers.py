@@ -1,8 +1,12 @@
 """The solvers that the experiments compare: liaam's own and the paper's."""
 
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import Fitter, SolverOptions, get_method
@@ -15,22 +19,11 @@ MAX_ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Solver:
-    """Options of training and of the solver.
+    """Options of training and of the solver, and their description.
 
-    Attributes
-    ----------
-    summary : str
-        Description.
-    options : SolverOptions
-    blurs : mapping of views to tuples of float, optional
-        Levels of the model. By default as in ``liaam train``.
-    variance : float
-        Fraction of the variance kept in person-specific models of the simulated experiments.
-    diagonal : float
-        Diagonal of the reference frame in pixels.
-    prior : str, optional
-        Estimator of the shape covariance, for all views. By default as in ``liaam train``. If all modes are kept, it is
-        ``sample``.
+    ``blurs`` are the levels of the model and ``prior`` the estimator of the shape covariance, by default those of
+    ``liaam train``; if all modes are kept, the prior is ``sample``. ``variance`` is the fraction kept in
+    person-specific models of the simulated experiments, ``diagonal`` that of the reference frame in pixels.
     """
 
     summary: str
@@ -84,13 +77,7 @@ SOLVERS = {
 
 
 def get_solver(name: str) -> Solver:
-    """Get a solver by name.
-
-    Raises
-    ------
-    MethodError
-        If there is none of that name.
-    """
+    """Get a solver by name. Raises a MethodError if there is none of that name."""
     if name not in SOLVERS:
         raise MethodError(f"unknown solver {name!r}; choose from {', '.join(SOLVERS)}")
     return SOLVERS[name]
@@ -101,24 +88,43 @@ def make_fitters(model: AAM, methods: Sequence[str], solver: str) -> dict[str, F
     return {method: Fitter(model, method, get_solver(solver).options) for method in methods}
 
 
-def check_trials(solver: str, trials: int) -> None:
-    """Raise, before any work, if the solver does not exist or there are no trials."""
-    get_solver(solver)
-    if trials < 1:
-        raise MethodError("trials must be at least 1")
+@dataclass(frozen=True)
+class Request:
+    """What was asked for; :data:`experiments.cli.HELP` describes the fields."""
 
+    data: Path | None
+    methods: tuple[str, ...]
+    trials: int
+    seed: int
+    solver: str
 
-def check_request(methods: Sequence[str], solver: str, trials: int, lamps: bool = False) -> None:
-    """Raise, before any work, if a method or the solver does not exist, lamps are missing, or there are no trials."""
-    for method in methods:
-        row = get_method(method)
-        if not lamps and (row.illumination or row.appearance == "varied"):
-            raise MethodError(
-                f"method {method} needs a model that has been trained with lamps; "
-                "'python -m experiments generic --lamps' and 'python -m experiments baselines' compare it"
-            )
-    if not methods:
-        raise MethodError("no method is given; see 'liaam fit --help' for those that exist")
-    if len(set(methods)) < len(methods):
-        raise MethodError(f"a method is given twice: {', '.join(methods)}")
-    check_trials(solver, trials)
+    def __post_init__(self) -> None:
+        """Raise, before any work, if the request is invalid."""
+        for method in self.methods:
+            row = get_method(method)
+            if not self.has_lamps and (row.illumination or row.appearance == "varied"):
+                raise MethodError(
+                    f"method {method} needs a model that has been trained with lamps; "
+                    "'python -m experiments generic --lamps' and 'python -m experiments baselines' compare it"
+                )
+        if not self.methods:
+            raise MethodError("no method is given; see 'liaam fit --help' for those that exist")
+        if len(set(self.methods)) < len(self.methods):
+            raise MethodError(f"a method is given twice: {', '.join(self.methods)}")
+        get_solver(self.solver)
+        if self.trials < 1:
+            raise MethodError("trials must be at least 1")
+
+    @property
+    def has_lamps(self) -> bool:
+        """Whether models are trained with lamps."""
+        return False
+
+    def settings(self) -> dict[str, Any]:
+        """Settings that determine the results, in addition to the images."""
+        solver = f"{self.solver}: {get_solver(self.solver).summary}"
+        return {"methods": list(self.methods), "trials": self.trials, "seed": self.seed, "solver": solver}
+
+    def rng(self, *what: str | int) -> np.random.Generator:
+        """Return the generator of one draw. It depends on the seed and on `what`, so methods share it."""
+        return np.random.default_rng([self.seed, *(zlib.crc32(str(item).encode()) for item in what)])

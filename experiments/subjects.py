@@ -31,16 +31,7 @@ SCENE_HEAD = 5
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """Images of one person.
-
-    Attributes
-    ----------
-    name : str
-    images : tuple of (h, w, 3) float32
-        Stored sRGB values in [0, 1].
-    shapes : tuple of (n, 2) float64
-        Landmarks in pixels of these images.
-    """
+    """Images of one person, stored sRGB values (h, w, 3) float32 in [0, 1], and their landmarks (n, 2) float64."""
 
     name: str
     images: tuple[np.ndarray, ...]
@@ -59,20 +50,10 @@ def get_subject(folder: Path | None, n_images: int = N_IMAGES) -> Subject:
 
 
 def folder_subject(folder: Path, n_images: int = N_IMAGES, halve: bool = True) -> Subject:
-    """Read images of one person, evenly spread over a folder.
+    """Read images of one person in colour, evenly spread over a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Colour images of one person with landmarks beside them.
-    n_images : int
-    halve : bool
-        Whether to average blocks of 2 by 2 pixels, in linear light.
-
-    Raises
-    ------
-    LiaamError
-        If there are too few images, or grey ones.
+    By default blocks of 2 by 2 pixels are averaged, in linear light. Raises a LiaamError if there are too few images,
+    or grey ones.
     """
     chosen = _spread(folder, n_images)
     reduce = 2 if halve else 1
@@ -94,10 +75,7 @@ def _spread(folder: Path, n_images: int) -> list[Sample]:
 def subject_facts(folder: Path | None, n_images: int = N_IMAGES) -> dict[str, Any]:
     """Describe a subject's images, for an experiment's settings, without decoding or generating them.
 
-    Raises
-    ------
-    LiaamError
-        If there are too few images.
+    Raises a LiaamError if there are too few.
     """
     if folder is None:
         return {"data": f"generated scenes of head {SCENE_HEAD}", "pictures": n_images}
@@ -144,10 +122,7 @@ def head_scenes(lights, n_images: int = N_IMAGES) -> list:
 def random_side(rng: np.random.Generator) -> float:
     """Draw the side of a shadow: left or right of the face, with an edge tilted by up to 20 degrees.
 
-    Returns
-    -------
-    float
-        Direction from the light into the shadow, radians from the image's x axis towards its y axis.
+    Returns the direction from the light into the shadow, radians from the image's x axis towards its y axis.
     """
     side = np.pi * rng.integers(2)
     return float(side + rng.uniform(-TILT, TILT))
@@ -163,34 +138,13 @@ def simulated_shadow(
     penumbra: float = PENUMBRA,
     theta: float = PAPER_THETA,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Apply a shadow of another colour to half of a face (paper Fig 2a).
+    """Apply a shadow of another colour to half of a face in an image (h, w, 3) of stored sRGB values (paper Fig 2a).
 
     In linear light, log rho += mask (strength 1 + temperature d(theta)). This is a change of light in the paper's
-    model, so it does not change the invariant of a camera of angle theta.
-
-    Parameters
-    ----------
-    image : (h, w, 3) float
-        Stored sRGB values in [0, 1].
-    shape : (n, 2) float
-        Landmarks of the face. The shadow's edge passes through the centre of their bounding box.
-    side : float
-        Direction into the shadow, radians; see :func:`random_side`.
-    strength : float
-        Change of log light in full shadow.
-    temperature : float
-        Change along the unit direction d(theta) of colour temperature.
-    penumbra : float
-        Width of the soft edge in pixels, over which the shadow goes from 12 to 88 %.
-    theta : float
-        Angle of the camera, radians.
-
-    Returns
-    -------
-    shadowed : (h, w, 3) float32
-        Stored sRGB values in [0, 1].
-    mask : (h, w) float64
-        Fraction of the full shadow at each pixel.
+    model, so it does not change the invariant of a camera of angle theta. The edge passes through the centre of the
+    landmarks' bounding box, ``side`` is the direction into the shadow (:func:`random_side`), and over ``penumbra``
+    pixels the shadow goes from 12 to 88 %. Returns the shadowed values, float32, and the fraction of the full shadow
+    (h, w).
     """
     height, width = image.shape[:2]
     middle = 0.5 * (shape.min(axis=0) + shape.max(axis=0))

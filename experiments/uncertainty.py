@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.charts import Panel, figure_of_curves
-from experiments.measures import or_dash
+from experiments.measures import or_dash, percent
 from experiments.protocol import (
+    CONVERGED,
     STARTS,
     VARIANCE,
     Header,
-    Request,
+    Split,
     Table,
+    disturbed_start,
     eight_bit,
     face_size,
     held,
@@ -30,9 +32,9 @@ from experiments.protocol import (
     select,
     tell,
 )
-from experiments.runner import Experiment, Row
-from experiments.solvers import get_solver
-from experiments.spot import CONVERGED, Person, disturbed_start, facts_of, find_persons, percent
+from experiments.runner import Experiment, Named, Row
+from experiments.solvers import Request, get_solver
+from experiments.spot import facts_of, find_persons
 from liaam.datasets import Sample
 from liaam.evaluation import finite_or_none, nme
 from liaam.fitting import Fitter
@@ -60,22 +62,6 @@ LEFT_OUT = (0, 2, 4)
 
 STARTED = ("near", "far")
 
-COLUMNS = {
-    "group": "",
-    "subject": "",
-    "picture": "",
-    "light": "",
-    "noise": "g",
-    "start": "",
-    "nme": ".6f",
-    **{f"held_{level}": ".6f" for level in LEVELS},
-    "deviation": ".6f",
-    "quality": ".6f",
-    "status": "",
-}
-"""Columns of results.csv. ``held_L``: fraction of the landmarks inside their L % ellipse. ``deviation``: root mean
-square of the reported standard deviations. It and ``nme`` are divided by the face's size."""
-
 CHOICES = (
     f"Right is a fit whose error is below {CONVERGED:.0%} of the inter-ocular distance. Ellipses are those of right "
     "fits from near starts; the quality has to tell right from wrong among all fits; where it is not known it counts "
@@ -92,42 +78,9 @@ CHOICES = (
 )
 
 
-@dataclass(frozen=True)
-class Subject:
-    """A head or person to fit: one task.
-
-    Attributes
-    ----------
-    group : str
-        One of :data:`GROUPS`.
-    name : str
-        Number of a head, or name of a person.
-    """
-
-    group: str
-    name: str
-
-    @property
-    def key(self) -> str:
-        """Key of the task in the journal."""
-        return f"{self.group}, {self.name}"
-
-
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """An image to fit, with its landmarks.
-
-    Attributes
-    ----------
-    name : str
-    image : (h, w, 3) uint8 or float32
-    truth : (n, 2) float64
-    light : str
-    noise : float
-        Standard deviation of the added noise, of 255.
-    starts : tuple of str
-        One of :data:`STARTED`.
-    """
+    """An image to fit, with its landmarks, light and starts, and the standard deviation of added noise, of 255."""
 
     name: str
     image: np.ndarray
@@ -159,7 +112,7 @@ def generated(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]
 def spot_lit(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
     """Yield the model of a person's diffuse images, and the spot-lit image."""
     person = get_person(request.data, name)
-    yield trained(request, person.training, person.key), [_real(person.spot, "spot")]
+    yield trained(request, person.training, person.key), [_real(person.tested[0], "spot")]
 
 
 def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
@@ -173,7 +126,7 @@ def left_out(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]
 def strangers(request: Request, name: str) -> Iterator[tuple[AAM, list[Picture]]]:
     """Yield the model of every second person, and the images of a person not among them."""
     person = get_person(request.data, name)
-    pictures = [_real(person.spot, "spot"), *(_real(sample, "training") for sample in person.training[::2])]
+    pictures = [_real(person.tested[0], "spot"), *(_real(sample, "training") for sample in person.training[::2])]
     yield get_half(request, get_persons(request.data).index(person) % 2), pictures
 
 
@@ -191,12 +144,12 @@ def _real(sample: Sample, light: str) -> Picture:
 
 
 @lru_cache(maxsize=1)
-def get_persons(folder: Path) -> tuple[Person, ...]:
+def get_persons(folder: Path | None) -> tuple[Split, ...]:
     """Find a folder's persons; once per process."""
-    return find_persons(folder)[0]
+    return find_persons(folder or Path())[0]
 
 
-def get_person(folder: Path, name: str) -> Person:
+def get_person(folder: Path | None, name: str) -> Split:
     """Get a person by name."""
     return next(person for person in get_persons(folder) if person.name == name)
 
@@ -220,7 +173,7 @@ def lost(start: np.ndarray, unit: float, size: tuple[int, int], rng: np.random.G
     return shifted_into(moved, size)
 
 
-def fit_subject(request: Request, subject: Subject) -> list[Row]:
+def fit_subject(request: Request, subject: Named) -> list[Row]:
     """Fit all images of a subject from near and far."""
     rows = []
     for model, pictures in MAKERS[subject.group](request, subject.name):
@@ -234,7 +187,11 @@ def fit_subject(request: Request, subject: Subject) -> list[Row]:
 
 
 def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[Row]:
-    """Fit an image from each of its starts."""
+    """Fit an image from each of its starts.
+
+    ``held_L`` is the fraction of the landmarks inside their L % ellipse, ``deviation`` the root mean square of the
+    reported standard deviations. It and ``nme`` are divided by the face's size.
+    """
     unit, rng = face_size(picture.truth), request.rng(fitter.model.name, picture.name, "start")
     near = disturbed_start(fitter.model.shape_model.mean, picture.truth, unit, rng)
     size = (picture.image.shape[1], picture.image.shape[0])
@@ -259,10 +216,10 @@ def uncertainty_experiment(
     """Make the experiment; :data:`experiments.cli.HELP` describes the parameters."""
     request = Request(data or Path(), (DEFAULT_METHOD,), heads, seed, solver)
     persons, missing = find_persons(data) if data else ((), ())
-    subjects = [Subject("generated", str(i)) for i in range(heads)]
-    subjects += [Subject(group, person.name) for group in ("left out", "spot") for person in persons]
+    subjects = [Named("generated", str(i)) for i in range(heads)]
+    subjects += [Named(group, person.name) for group in ("left out", "spot") for person in persons]
     halves = [*persons[0::2], *persons[1::2]] if len(persons) > 2 else []
-    subjects += [Subject("strangers", person.name) for person in halves]
+    subjects += [Named("strangers", person.name) for person in halves]
     facts = facts_of(data, persons) if data else {}
     return Experiment(
         name="uncertainty",
@@ -270,7 +227,6 @@ def uncertainty_experiment(
         settings={**facts, "heads": heads, "seed": seed, "solver": request.settings()["solver"]},
         tasks=tuple(subjects),
         work=partial(fit_subject, request),
-        columns=COLUMNS,
         summarise=summarise,
         draw=draw,
         report=report,

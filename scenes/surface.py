@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial.distance import cdist
 
 from scenes.anatomy import (
     LOWER_EDGE,
@@ -122,9 +123,14 @@ def _mesh_grid(profile: Profile) -> tuple[np.ndarray, np.ndarray]:
 
 def _basis(points: np.ndarray, centres: np.ndarray) -> np.ndarray:
     """Wendland's compactly supported C2 function of the distances, (n_points, n_centres)."""
-    dx, dy = (np.subtract.outer(points[:, k], centres[:, k]) for k in range(2))
-    r = np.sqrt(dx * dx + dy * dy) / RBF_SUPPORT
-    return np.maximum(1 - r, 0) ** 4 * (4 * r + 1)
+    r = cdist(points, centres) / RBF_SUPPORT
+    near = np.maximum(1 - r, 0)
+    for _ in range(2):
+        np.square(near, out=near)  # many numbers: a power takes ten times as long
+    r *= 4
+    r += 1
+    near *= r
+    return near
 
 
 # The relief: height over the base shape of the head, in head units, as a function of the chart.

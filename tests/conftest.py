@@ -1,7 +1,9 @@
 """Fixtures shared by all tests: seeds from test names, a simulated world with known truth, and real data."""
 
 import fcntl
+import hashlib
 import os
+import pickle
 import sys
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,6 +20,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+import setups
 from experiments import cli as experiments_cli
 from liaam.cli.main import main as liaam_main
 from liaam.datasets import Sample
@@ -69,6 +72,31 @@ def no_lamps_by_default() -> Iterator[Callable]:
 def lamps_for_faces(no_lamps_by_default: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     """Train with lamps for faces, as users do."""
     monkeypatch.setattr(faces, "face_lamps", no_lamps_by_default)
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory) -> Path:
+    """Give a folder that all workers share."""
+    folder = tmp_path_factory.getbasetemp()
+    return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+
+
+@pytest.fixture(autouse=True, scope="session")
+def rendered_once(shared_folder) -> Iterator[None]:
+    """Render each picture of a set, a clip or a person once for all tests and workers: many are of the same head."""
+
+    def once(*arguments, **options) -> Scene:
+        path = shared_folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.scene"
+        if not path.exists():
+            new = path.with_suffix(f".{os.getpid()}")
+            new.write_bytes(pickle.dumps(render(*arguments, **options)))
+            new.rename(path)
+        return pickle.loads(path.read_bytes())
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (sys.modules["scenes.render"], setups):
+            patch.setattr(module, "render", once)
+        yield
 
 
 @pytest.fixture
@@ -126,13 +154,11 @@ def lamps() -> Lamps:
 
 
 @pytest.fixture(scope="session")
-def trained_once(tmp_path_factory) -> Callable[[str, Callable[[], AAM]], AAM]:
+def trained_once(shared_folder) -> Callable[[str, Callable[[], AAM]], AAM]:
     """Train a model once for all workers: the first that needs it trains, the others wait and read its file."""
-    folder = tmp_path_factory.getbasetemp()
-    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
     def model_of(name: str, make: Callable[[], AAM]) -> AAM:
-        path = folder / f"{name}.liaam"
+        path = shared_folder / f"{name}.liaam"
         with open(path.with_suffix(".lock"), "w") as lock:  # noqa: PTH123 (held while training)
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():

@@ -1,6 +1,8 @@
 """The scene simulator obeys the image formation that it claims, and its ground truth is true."""
 
 import itertools
+import sys
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -24,6 +26,18 @@ from scenes.chart import CONTOURS
 from scenes.render import landmarks_of
 
 SMALL = (160, 120)
+
+
+@pytest.fixture(autouse=True)
+def rendered_anew(monkeypatch):
+    """Render the pictures of sets here, too, instead of taking those of another test."""
+    monkeypatch.setattr(sys.modules["scenes.render"], "render", render)
+
+
+@lru_cache
+def small_scene(lights=DIFFUSE):
+    """One head under some lights."""
+    return render(Head(1), lights=lights, size=SMALL)
 
 
 def invariant(rgb: np.ndarray, theta: float) -> np.ndarray:
@@ -96,20 +110,22 @@ def test_wien_and_planck_agree_in_warm_light():
 
 
 def test_the_reflectance_does_not_depend_on_the_light():
-    scenes = [render(Head(1), lights=light, size=SMALL) for light in LIGHTS[:3]]
+    scenes = [small_scene(light) for light in LIGHTS[:3]]
     for scene in scenes[1:]:
         np.testing.assert_array_equal(scene.reflectance, scenes[0].reflectance)
 
 
 def test_white_light_shows_reflectance_times_shading():
     camera = Camera(exposure=1.0, vignetting=0.0)
-    scene = render(Head(1), lights=(Ambient(camera.white_K, 0.7), PointLight((1, 1, 1), camera.white_K)), camera=camera)
+    scene = render(
+        Head(1), lights=(Ambient(camera.white_K, 0.7), PointLight((1, 1, 1), camera.white_K)), camera=camera, size=SMALL
+    )
     np.testing.assert_allclose(scene.linear, scene.reflectance * scene.shading[..., None], rtol=1e-4)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_lateral_light_casts_a_shadow_on_the_far_side(side):
-    scene = render(Head(1), lights=lateral(side), size=SMALL)
+    scene = small_scene(lateral(side))
     x = np.arange(SMALL[1])[None] - scene.landmarks[:, 0].mean()
     far = scene.mask & ((x > 5) if side == "left" else (x < -5))
     near = scene.mask & ((x < -5) if side == "left" else (x > 5))
@@ -127,7 +143,7 @@ def test_the_nose_casts_its_shadow_on_a_surface_that_faces_the_lamp():
 
 
 def test_diffuse_light_has_no_hard_shadow_on_the_cheeks():
-    scene = render(Head(1), size=SMALL)
+    scene = small_scene()
     assert scene.shading[scene.mask].min() > 0.15
     assert np.percentile(scene.shading[scene.mask], 10) > 0.5
 
@@ -172,7 +188,7 @@ def test_yaw_and_pitch_move_the_tip_of_the_nose_most():
 )
 def test_landmarks_stay_on_the_same_points_of_the_skin(pose, expression):
     """Patches of reflectance warped by the landmarks themselves agree between two pictures."""
-    first, second = render(Head(1)), render(Head(1), pose, expression)
+    first, second = render_large(), render_large(pose, expression)
     inner = [0, 1, 2, 14, 18, 22, 26, 31, 36, 39, 43, 52]
     colours = [np.log(_sample(s.reflectance, s.landmarks[inner])) for s in (first, second)]
     change = np.abs(colours[0] - colours[1]).mean(axis=1)
@@ -180,6 +196,11 @@ def test_landmarks_stay_on_the_same_points_of_the_skin(pose, expression):
     # ... which chance would not do: the same places of the first picture's pixels disagree more.
     wrong = np.abs(colours[0] - np.log(_sample(second.reflectance, first.landmarks[inner]))).mean(axis=1)
     assert change.mean() < wrong.mean()
+
+
+@lru_cache
+def render_large(pose=Pose(), expression=Expression()):  # noqa: B008 (frozen)
+    return render(Head(1), pose, expression)
 
 
 def _sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -219,7 +240,7 @@ def test_contours_visit_every_landmark_once():
 
 
 def test_the_mask_is_the_hull_of_the_landmarks():
-    scene = render(Head(1))
+    scene = small_scene()
     np.testing.assert_array_equal(scene.landmarks, landmarks_of(Head(1), Pose(), Expression(), scene.image.shape[:2]))
     inside = np.round(scene.landmarks.mean(axis=0)).astype(int)
     assert scene.mask[inside[1], inside[0]]
@@ -277,7 +298,7 @@ def test_the_same_seeds_give_the_same_picture():
 
 def test_seeds_change_the_noise_and_identities_the_person():
     first, second, other = (
-        render(Head(1), size=SMALL),
+        small_scene(),
         render(Head(1), seed=1, size=SMALL),
         render(Head(6), size=SMALL),
     )
@@ -333,7 +354,7 @@ def test_a_lamp_alone_leaves_black_shadows_and_no_nan():
 
 @pytest.mark.parametrize("supersample", [1, 3])
 def test_supersampling_does_not_move_the_picture(supersample):
-    plain, other = render(Head(1), size=SMALL), render(Head(1), size=SMALL, supersample=supersample)
+    plain, other = small_scene(), render(Head(1), size=SMALL, supersample=supersample)
     np.testing.assert_array_equal(plain.landmarks, other.landmarks)
     a, b = (np.log(s.reflectance[s.mask]).ravel() for s in (plain, other))
     assert np.corrcoef(a, b)[0, 1] > 0.93

@@ -8,7 +8,6 @@ import pytest
 from experiments.baselines import (
     COVERED,
     SITUATIONS,
-    Setup,
     Trial,
     baselines_experiment,
     changed_picture,
@@ -16,6 +15,7 @@ from experiments.baselines import (
     run_trial,
 )
 from experiments.runner import run_experiment
+from experiments.solvers import Request
 from experiments.subjects import get_subject
 from liaam.errors import MethodError
 
@@ -56,7 +56,7 @@ def test_baselines_and_claims_are_among_the_methods():
 
 @pytest.mark.parametrize("number", [10, 17, 18, 21])
 def test_tukeys_loss_comes_free_of_a_patch(number):
-    rows = run_trial(Setup(None, "liaam", 0), Trial("occlusion", number))
+    rows = run_trial(Request(None, ("grey",), 1, 0, "liaam"), Trial("occlusion", number))
     (tukey,) = (row for row in rows if row["method"] == "grey+tukey")
     assert tukey["status"] == "converged"
     assert tukey["error_px"] < 0.1

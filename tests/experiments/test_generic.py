@@ -23,7 +23,7 @@ def test_a_generic_model_is_never_fitted_to_those_it_was_trained_on(folder):
         assert trained
         assert not any("-5" in name for name in trained)
         assert not any(shown.sample.name in trained for own in fold.tested.values() for shown in own)
-    assert [task.key for task in experiment.tasks] == ["fold 0, person 03", "fold 0, person 05", "fold 1, person 04"]
+    assert [task.key for task in experiment.tasks] == ["group 0, person 03", "group 0, person 05", "group 1, person 04"]
 
 
 def test_generic_summary_agrees_with_its_rows(done):
@@ -58,7 +58,7 @@ def test_folders_are_taken_as_they_come(folders, tmp_path, read_rows):
     train, test = folders
     options = {"test": test, "starts": ("near", "box", "none"), "diagonal": 80.0, "methods": ("soft-li",)}
     experiment = generic.generic_experiment(train, **options)
-    assert [task.key for task in experiment.tasks] == ["fold 0, 05"]
+    assert [task.key for task in experiment.tasks] == ["group 0, 05"]
     summary = run_experiment(experiment, tmp_path, jobs=1)
     rows = read_rows(tmp_path)
     assert len(rows) == 2 * 3
@@ -82,7 +82,7 @@ def test_the_first_pictures_train_and_the_others_are_fitted(folders):
 
 def test_lamps_reach_the_training(folder, folders, monkeypatch, tmp_path):
     asked = {}
-    monkeypatch.setattr(generic.GenericRequest, "train", lambda self, samples, name, **options: asked.update(options))
+    monkeypatch.setattr(generic.Trained, "on", lambda request, samples, name, **options: asked.update(options))
     lamps = copy_files(folder, tmp_path / "lamps", "03-1m*")
     for name in ("03-1m", "03-5m"):  # a person who has not moved, under two lamps
         for suffix in ("png", "pts"):

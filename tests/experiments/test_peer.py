@@ -27,14 +27,14 @@ def test_the_peers_folds(small, unseen):
 
 def test_the_peers_figures_are_told_beside_ours(done, small, tmp_path):
     _, rows, out = done("peer")
-    assert "| smooth | menpofit, orientations | 82 | 1.60 |" in (out / "report.md").read_text()
+    assert "| smooth | menpofit, orientations | 1.60 | – | 18 |" in (out / "report.md").read_text()
     starts = {(r["method"], r["picture"]): set() for r in rows}
     for row in rows:
         starts[row["method"], row["picture"]].add(row["light"])
     assert all(lights == set(peer.SHOWN) for lights in starts.values())
     summary = run_experiment(peer.peer_experiment(small, ["rgb"], unseen=True), tmp_path)
-    assert summary["unseen"]
-    assert "| shadow | menpofit, orientations | – | 4.10 |" in (tmp_path / "report.md").read_text()
+    assert summary["settings"]["persons"] == "unseen"
+    assert "| shadow | menpofit, orientations | 4.10 | – | – |" in (tmp_path / "report.md").read_text()
 
 
 def test_two_persons_are_too_few_to_leave_two_out(folder, tmp_path):

@@ -70,7 +70,6 @@ def counting(work, n=6, **settings) -> Experiment:
         settings={"n": n, "step": 0.5, **settings},
         tasks=tuple(Count(i) for i in range(n)),
         work=work,
-        columns={"number": "", "method": "", "value": ".6f", "fine": ""},
         summarise=summarise,
         draw=draw,
         report=report,

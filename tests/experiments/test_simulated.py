@@ -84,7 +84,7 @@ def test_both_angles_turned_by_half_a_turn_are_the_same_camera():
 
 
 def test_papers_solver_reaches_the_same_shape():
-    setups = [simulated.Setup(SWEEP, None, ("li",), solver, 0) for solver in ("liaam", "paper")]
+    setups = [simulated.Setup(None, ("li",), 1, 0, solver, SWEEP) for solver in ("liaam", "paper")]
     rows = [run_trial(setup, simulated.Trial(4.0, 0)) for setup in setups]
     assert all(row[0]["error_px"] < 0.3 for row in rows)
 

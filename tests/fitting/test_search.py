@@ -1,6 +1,7 @@
 """Finding the object without a start: by the model's own directions of gradients, in generated scenes."""
 
 import pickle
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -35,6 +36,7 @@ def finder(model) -> Finder:
     return Finder(model)
 
 
+@lru_cache
 def photograph(pose: Pose, lights=DIFFUSE, size=WIDE):
     return render(Head(7), pose, lights=lights, camera=narrow_band_camera(), size=size, mixing="planckian")
 

@@ -29,9 +29,6 @@ BLOCK_NOISE = 0.05  # Target standard deviation of a block's logarithm; its bias
 MOST_BLOCKS = 10_000  # Largest number of blocks of an image
 CLUSTERS = 6  # Number of regions along each axis for the jackknife, since errors of neighbouring blocks are correlated
 COLOURS = 20  # Number of bins of invariant values that group surfaces by colour
-# Difference of the light's colour between neighbouring blocks, in standard deviations, that indicates an edge. Noise
-# alone gives a range of 3 among nine blocks
-EDGE = 5.0
 # Mean square difference of the lights along the temperature direction, in units of its error variance, below which
 # the angle counts as unobservable; errors alone give 1
 WEAKEST_SIGNAL = 2.0
@@ -102,16 +99,7 @@ def theta_from_scene(
     surfaces = observe(pictures, regions, down * across, camera, full=block * block)
     y, x = np.divmod(np.arange(down * across), across)
     clusters = (y * CLUSTERS // down) * CLUSTERS + x * CLUSTERS // across
-    surfaces = replace(surfaces, clusters=clusters)
-    enough = surfaces.exposed.sum(axis=1) >= 2
-    if enough.sum() >= FEWEST:
-        # A subset of the blocks suffices for the direction in which the light changes.
-        _, rough = _estimated(surfaces.only(np.flatnonzero(enough)[:: int(np.ceil(enough.sum() / FEW))]), free_balance)
-        kept = replace(surfaces, exposed=surfaces.exposed & ~_light_edges(surfaces, across, rough)[:, None])
-        # If there are edges everywhere, keep all blocks.
-        if (kept.exposed.sum(axis=1) >= 2).sum() >= max(0.4 * enough.sum(), FEWEST):
-            surfaces = kept
-    return theta_of_least_scatter(surfaces, free_balance=free_balance)
+    return theta_of_least_scatter(replace(surfaces, clusters=clusters), free_balance=free_balance)
 
 
 def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple[int, int]]:
@@ -126,27 +114,6 @@ def block_labels(height: int, width: int, block: int) -> tuple[np.ndarray, tuple
     rows, columns = np.arange(height) // block, np.arange(width) // block
     across = int(columns[-1]) + 1
     return rows[:, None] * across + columns, (int(rows[-1]) + 1, across)
-
-
-def _light_edges(surfaces: Surfaces, across: int, theta: float) -> np.ndarray:
-    """Blocks next to an edge of the light's colour, (n,) bool.
-
-    Such a block averages two lights, and the logarithm of a mixture does not lie on the line between those of its
-    parts. The bias is small (0.003 degrees in scenes) but the same everywhere, so the standard error does not include
-    it.
-    """
-    from scipy.ndimage import maximum_filter, minimum_filter  # heavy: imported when first needed
-
-    direction = temperature_direction(theta)
-    along = _centred(surfaces.log_rgb @ direction, surfaces.exposed.astype(np.float64), free_balance=False)
-    noise = np.sqrt((surfaces.variance @ np.square(direction))[surfaces.exposed].mean())
-
-    def over_neighbours(extreme, outside: float) -> np.ndarray:
-        field = np.where(surfaces.exposed, along, outside).reshape(-1, across, along.shape[1])
-        return extreme(field, size=(3, 3, 1), mode="nearest").reshape(along.shape)
-
-    jump = over_neighbours(maximum_filter, -np.inf) - over_neighbours(minimum_filter, np.inf)
-    return (surfaces.exposed & (jump > EDGE * noise)).any(axis=1)
 
 
 def observe(

@@ -93,15 +93,22 @@ class FilterLearner:
 @lru_cache(maxsize=4)
 def _covariances(blur: float, reach: int) -> np.ndarray:
     """Return the covariances (2, 2, 2 reach, 2 reach) of orientations by their distance along y and x, cyclic."""
-    rng, size = np.random.default_rng(41), SIDE + reach
+    size = SIDE + reach
     power: np.ndarray | float = 0.0
-    for _ in range(LEAVES):
-        field = soft_directions(_leaves(rng), blur)
+    for image in _random_images():
+        field = soft_directions(image, blur)
         spectrum = np.fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size))
         power = power + spectrum[:, None] * spectrum[None].conj()
     apart = np.minimum(np.arange(size), size - np.arange(size))
     pairs = np.maximum(SIDE - apart, 1)
     return np.fft.irfft2(power / LEAVES, (size, size)) / (pairs[:, None] * pairs)
+
+
+@lru_cache(maxsize=1)
+def _random_images() -> np.ndarray:
+    """Draw the random images, (LEAVES, SIDE, SIDE) float32, once for all models of a process."""
+    rng = np.random.default_rng(41)
+    return np.stack([_leaves(rng) for _ in range(LEAVES)])
 
 
 def _leaves(rng: np.random.Generator) -> np.ndarray:

@@ -16,6 +16,7 @@ def wait_for_theme(page, theme: str) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("system", ["light", "dark"])
 def test_the_page_follows_the_system_until_a_theme_is_chosen(page, serve, folder, system):
     other = "light" if system == "dark" else "dark"
