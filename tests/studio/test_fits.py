@@ -27,15 +27,13 @@ from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
 from liaam.studio.app import Studio, make_app
-from liaam.studio.export import FILES, file_of
-from liaam.studio.fits import Fits, error_of, example, numbers, truth_of
+from liaam.studio.fits import FILES, Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
 from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import Uploads
 from liaam.tracking.motion import rescaled
 from scenes import Scene
 from setups import moving_scene
@@ -73,7 +71,8 @@ def fits(folder, head_model) -> Fits:
 
 def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) -> Fits:
     pictures, models = Pictures(), ModelStore()
-    fits = Fits(Project(folder, settings), models, Uploads(pictures, settings), pictures)
+    fits = Fits(settings, models, pictures)
+    fits.project = Project(folder, settings)
     models.listeners.clear()  # tests do not wait for what is made ready beside them
     if model is not None:
         models.publish(model, {})
@@ -232,8 +231,8 @@ class TestFit:
         works = (
             lambda: fit(fits),
             lambda: fits.layer(made, "flat", 100),
-            lambda: fits.relit(made, FRONT, 0.3, 90),
-            lambda: file_of(fits, made, "overlay", (FRONT, 0.3)),
+            lambda: fits.relit(made, (FRONT, 0.3), 90),
+            lambda: fits.export(made, "overlay", (FRONT, 0.3)),
             lambda: fits.pictures.chroma(source, 60, "srgb"),
         )
         with ThreadPoolExecutor(len(works)) as pool:
@@ -381,18 +380,18 @@ class TestLight:
         fitted = fit(fits)
         for what in ("flat", "shading", "relit"):
             with pytest.raises(Refusal, match=r"face\.png has 120 x 160 pixels, .* use 'liaam relight'") as caught:
-                file_of(fits, fitted, what, (FRONT, 0.25))
+                fits.export(fitted, what, (FRONT, 0.25))
             assert caught.value.status == 422
-        assert file_of(fits, fitted, "overlay", (FRONT, 0.25))[2]
+        assert fits.export(fitted, "overlay", (FRONT, 0.25))[2]
         assert fits.draw(fitted, "flat", 100).shape == (100, 75, 3)  # to look at it is still there
 
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)
-        assert np.abs(fits.relit(fitted, FRONT, 0.3, 320) - flat).max() <= 1
+        assert np.abs(fits.relit(fitted, (FRONT, 0.3), 320) - flat).max() <= 1
 
     def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):
-        left = fits.relit(fitted, [Lamp((-1.0, 0.0, 0.5))], 0.2, 320).astype(int)
-        right = fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 320).astype(int)
+        left = fits.relit(fitted, ([Lamp((-1.0, 0.0, 0.5))], 0.2), 320).astype(int)
+        right = fits.relit(fitted, ([Lamp((1.0, 0.0, 0.5))], 0.2), 320).astype(int)
         x, y = np.rint(fitted.result.landmarks.mean(axis=0)).astype(int)
         reach = int(np.ptp(fitted.result.landmarks[:, 0]) / 3)
         change = (left - right).mean(axis=2)
@@ -402,11 +401,11 @@ class TestLight:
         assert np.array_equal(left[far], scene.image[far])
 
     def test_comes_in_the_size_asked_for(self, fits, fitted):
-        assert fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 80).shape == (80, 60, 3)
+        assert fits.relit(fitted, ([Lamp((1.0, 0.0, 0.5))], 0.2), 80).shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
         with pytest.raises(MethodError, match="method grey does not separate"):
-            fits.relit(fit(fits, method="grey"), FRONT, 0.3, 320)
+            fits.relit(fit(fits, method="grey"), (FRONT, 0.3), 320)
 
     def test_on_request(self, page):
         made = page.fit(picture="face.png").json()

@@ -154,7 +154,7 @@ def test_another_model_ends_all_videos(head_model):
     with pytest.raises(Refusal) as refusal:
         videos.get(video.id)
     assert refusal.value.status == 404
-    models.withdraw()
+    models.publish(None)
     with pytest.raises(Refusal, match="no model yet"):
         videos.open()
 

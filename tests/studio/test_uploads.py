@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from liaam.studio.pictures import Pictures
+from liaam.studio.folder import plain_name
+from liaam.studio.pictures import Pictures, Uploads
 from liaam.studio.routes import read_json
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import Uploads, plain_name
 
 
 def colours(height: int = 24, width: int = 32) -> np.ndarray:

@@ -31,24 +31,17 @@ from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import live
 from liaam.studio.background import Background
-from liaam.studio.export import export_of, file_of, measurements_of
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
-from liaam.studio.folder import checked_folder, status_of
+from liaam.studio.folder import checked_folder, plain_name, status_of
 from liaam.studio.live import LiveVideos
-from liaam.studio.model_store import (
-    ModelStore,
-    load_dropped_model,
-    load_studio_model,
-    model_json,
-)
-from liaam.studio.pictures import Pictures, Source, jpeg_bytes
+from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
+from liaam.studio.pictures import Pictures, Source, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
-from liaam.studio.uploads import Uploads, plain_name
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640
 """Default longest sides in pixels."""
@@ -91,8 +84,9 @@ class Studio:
             self.uploads = Uploads(self.pictures, self.settings)
             self.training = Trainer(self.project, self.models, self.events.publish)
             self.background = Background(self.project, self.models, self.training, self.events.publish)
-            self.fits = Fits(self.project, self.models, self.uploads, self.pictures)
+            self.fits = Fits(self.settings, self.models, self.pictures)
             self.live = LiveVideos(self.models, self.settings)
+            self.models.listeners.append(lambda _: self._changed())
             if model is None:
                 load_studio_model(self.project, self.models)
             else:
@@ -121,7 +115,7 @@ class Studio:
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
             route("POST", "/api/review", self._review, read_json),
-            route("GET", "/api/export/{kind}", lambda it: attachment(*export_of(project, it.path_params["kind"]))),
+            route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
             route("PUT", "/api/template", self._save_template, read_json),
             route("POST", "/api/template/file", self._read_template, data),
@@ -183,7 +177,7 @@ class Studio:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
         self.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
-        self.background.wake()
+        self.background.woken.set()
         return answer
 
     def _review(self, request: Request, data: Any) -> dict[str, Any]:
@@ -191,13 +185,13 @@ class Studio:
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.events.publish("landmarks", written)
-        self.background.wake()
+        self.background.woken.set()
         self._changed()
         return answer
 
     def _measurements(self, request: Request) -> Response:
         asked = request.query_params
-        return attachment(*measurements_of(self.project, asked.get("measures", ""), asked.get("scale", "")))
+        return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
 
     def _save_template(self, request: Request, data: Any) -> dict[str, Any]:
         try:
@@ -234,15 +228,13 @@ class Studio:
         model = load_dropped_model(data, name, self.settings.points)
         facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
         self.models.publish(model, facts, "guest")
-        self._changed()
 
     def _dismiss_guest(self, request: Request) -> None:
-        self.models.withdraw("guest")
-        self._changed()
+        self.models.publish(None, place="guest")
 
     def _take_in(self, request: Request, data: bytes) -> dict[str, Any]:
         answer = self.project.take_in(_name(request), data)
-        self.background.wake()
+        self.background.woken.set()
         return answer
 
     def _upload(self, request: Request, data: bytes) -> dict[str, Any]:
@@ -293,11 +285,11 @@ class Studio:
     def _relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        return Response(jpeg_bytes(self.fits.relit(fit, *light, size)), media_type="image/jpeg", headers=KEPT)
+        return Response(jpeg_bytes(self.fits.relit(fit, light, size)), media_type="image/jpeg", headers=KEPT)
 
     def _export_fit(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
-        name, kind, data = file_of(self.fits, fit, what, light_of(request.query_params))
+        name, kind, data = self.fits.export(fit, what, light_of(request.query_params))
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:
@@ -332,11 +324,7 @@ def make_app(studio: Studio) -> Starlette:
             Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
         ],
         middleware=[Middleware(Guard, settings=studio.settings)],
-        exception_handlers={
-            LiaamError: studio.on_fault,
-            HTTPException: _on_http_fault,
-            Exception: _on_bug,
-        },
+        exception_handlers={LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug},
     )
 
 

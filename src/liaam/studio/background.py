@@ -63,20 +63,19 @@ class Background:
         self.project = project
         self.models = models
         self.trainer = trainer
-        self.progress: dict[str, int] | None = None
-        """``done`` and ``total`` of the pictures that are being fitted."""
+        self.progress: dict[str, int] | None = None  # of the pictures that are being fitted
         self._publish = publish
-        self._woken = threading.Event()
+        self.woken = threading.Event()
+        """Set to have the folder looked at now."""
         self._stopped = False
         self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()
         self._checked: dict[str, str] | None = None  # revisions of the landmarks that were checked, by picture
         self.checks = 0
-        """Number of checks of the landmarks."""
         self._next_check = 0.0
         self._seen: object = None
         self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
-        models.listeners.append(lambda _: self.wake())
+        models.listeners.append(lambda _: self.woken.set())
 
     def start(self) -> None:
         """Start the thread, unless it was stopped before: the studio may end while it still reads its folder."""
@@ -86,13 +85,9 @@ class Background:
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""
         self._stopped = True
-        self._woken.set()
+        self.woken.set()
         if self._thread.ident is not None:  # compiled code that runs when the interpreter ends aborts the process
             self._thread.join(STOP_SECONDS)
-
-    def wake(self) -> None:
-        """Look at the folder now."""
-        self._woken.set()
 
     def _run(self) -> None:
         with suppress(OSError, AttributeError):  # a person who fits a picture comes first
@@ -108,16 +103,11 @@ class Background:
                 if now != self._seen:
                     self.fit_new()
                     self._seen = now if self.check_landmarks() else None
-            if self._woken.wait(LOOK_SECONDS):
-                self._rest()
-
-    def _rest(self) -> None:
-        """Wait until no more files arrive, but not for ever."""
-        until = time.monotonic() + LOOK_SECONDS
-        self._woken.clear()
-        while self._woken.wait(QUIET_SECONDS) and not self._stopped and time.monotonic() < until:
-            self._woken.clear()
-        self._woken.clear()
+            is_woken, until = self.woken.wait(LOOK_SECONDS), time.monotonic() + LOOK_SECONDS
+            while is_woken and not self._stopped:  # until no more files arrive, but not for ever
+                self.woken.clear()
+                is_woken = self.woken.wait(QUIET_SECONDS) and time.monotonic() < until
+            self.woken.clear()
 
     def fit_new(self) -> None:
         """Propose landmarks for all pictures without any that the model has not been fitted to."""
@@ -126,15 +116,13 @@ class Background:
         waiting = self.project.unfitted() if self.models.own is None else []
         self._lend()
         model = self._find_model(waiting)
-        if model is None:
-            return
-        waiting = self.project.unfitted(model.key)
-        if waiting:
+        if model is not None and (waiting := self.project.unfitted(model.key)):
             self._propose(model, waiting)
 
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
-        self.project.templates.decline()
+        self.project.store.put("declined", {"": True})
+        self.project.templates.offer(None)
         self._lend()
         self._publish("project", {})
 
@@ -144,7 +132,8 @@ class Background:
 
     def _may_use_face(self) -> bool:
         project = self.project
-        return project.settings.face and not project.templates.is_own and not project.templates.is_declined
+        may_lend = project.settings.face and not project.templates.is_own
+        return may_lend and project.store.get("declined") is None
 
     def _lend(self) -> None:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
@@ -154,7 +143,7 @@ class Background:
         if wanted:
             models.publish(self._face, FACE_FACTS, "spare")
         else:
-            models.withdraw("spare")
+            models.publish(None, place="spare")
             if self.project.templates.is_own:
                 self.project.templates.offer(None)
         self._publish("project", {})
@@ -165,24 +154,24 @@ class Background:
 
     def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
-        own, project = self.models.own, self.project
+        own, templates = self.models.own, self.project.templates
         if own is not None:
-            if project.templates.current is None:
-                project.templates.offer(template_of_model(own.model))
+            if templates.current is None:
+                templates.offer(template_of_model(own.model))
             return own
         if not waiting or not self._may_use_face():
             return None
-        if project.templates.current is None and not self._has_faces(self._face, waiting):
-            self._lend()
-            return None
-        self._without_faces.clear()
+        has_faces = templates.current is not None or self._has_faces(waiting)
+        if has_faces:
+            self._without_faces.clear()
         self._lend()
-        project.templates.offer(template_of_model(self._face), FACE)
+        if has_faces:
+            templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
 
-    def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
+    def _has_faces(self, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        fitter = self._fitter_of(face)
+        fitter = self._fitter_of(self._face)
         tagged = [(name, file_tag(path), path) for name, path in waiting]
         fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
         with ThreadPoolExecutor(THREADS) as pool:
@@ -217,10 +206,7 @@ class Background:
         self._publish("project", {})
 
     def check_landmarks(self) -> bool:
-        """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most.
-
-        Returns False if that has to wait.
-        """
+        """Look for slips in changed landmarks, for a tenth of the time at most; return False if that has to wait."""
         began = time.monotonic()
         if began < self._next_check:
             return False
@@ -263,15 +249,8 @@ def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
     return {**_NOTHING, "status": "not fitted", "message": message}
 
 
-_NOTHING: dict[str, Any] = {
-    "points": None,
-    "covariances": None,
-    "quality": None,
-    "ok": False,
-    "found": False,
-    "doubtful": True,
-    "uncertainty": None,
-}
+_NOTHING: dict[str, Any] = dict.fromkeys(("points", "covariances", "quality", "uncertainty"))
+_NOTHING |= {"ok": False, "found": False, "doubtful": True}
 
 
 def proposal_of(result: FitResult) -> dict[str, Any]:

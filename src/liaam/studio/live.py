@@ -150,9 +150,7 @@ class LiveVideos:
 
     def get(self, number: str) -> LiveVideo:
         """Return the video with an id."""
-        video = self._videos.peek(number)
-        if video is None:
-            raise Refusal(404, "this video is no longer tracked: start it again")
+        video = self._videos.found(number, "this video is no longer tracked: start it again")
         video.used = time.monotonic()
         return video
 

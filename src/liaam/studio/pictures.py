@@ -1,5 +1,5 @@
 """Pictures for the page: upright, 8-bit and scaled; thumbnails; and chroma, from which the page computes the invariant
-image for any angle.
+image for any angle. Those of the folder, and dropped ones, which are kept in memory only.
 
 Decoded and encoded pictures are cached up to a limit of bytes. Concurrent requests share one computation.
 """
@@ -7,6 +7,7 @@ Decoded and encoded pictures are cached up to a limit of bytes. Concurrent reque
 from __future__ import annotations
 
 import os
+import secrets
 import struct
 import threading
 from collections import OrderedDict
@@ -22,11 +23,12 @@ import numpy as np
 
 from liaam.drawing import as_picture
 from liaam.errors import ImageError
-from liaam.io import image_size, is_raw, read_image, read_preview
+from liaam.io import decode_image, image_size, is_raw, read_image, read_preview
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
-from liaam.studio.folder import disk_errors
-from liaam.studio.safety import Refusal
+from liaam.studio.folder import disk_errors, plain_name, size_in_header
+from liaam.studio.safety import Refusal, refusing
+from liaam.studio.settings import Settings
 
 JPEG_QUALITY = 92
 
@@ -77,6 +79,12 @@ class Kept(Generic[K, V]):
                 return None
             self._values.move_to_end(key)
             return self._values[key][0]
+
+    def found(self, key: K, why_not: str) -> V:
+        """Return the value of a key, or refuse the request."""
+        if (value := self.peek(key)) is None:
+            raise Refusal(404, why_not)
+        return value
 
     def get(self, key: K, make: Callable[[], V]) -> V:
         """Return the value of a key, computed if it is missing. All waiting threads get an error of ``make``."""
@@ -253,6 +261,68 @@ class Pictures:
                 return chroma_bytes(image, size, response, source.name)
 
         return self._encoded.get(key, make)
+
+
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """A dropped picture."""
+
+    id: str
+    name: str
+    """Name of the file without folders."""
+    data: bytes
+    """Contents of the file."""
+    width: int
+    """Width of the upright picture in pixels."""
+    height: int
+
+
+class Uploads:
+    """The last used dropped pictures, up to limits of number, bytes and pixels; thread-safe."""
+
+    def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
+        self._pictures = pictures
+        self._settings = settings or Settings()
+        most, self._least = self._settings.uploads_bytes, self._settings.uploads_bytes // self._settings.uploads_kept
+        self._uploads: Kept[str, Upload] = Kept(most, lambda upload: min(max(len(upload.data), self._least), most))
+
+    def __len__(self) -> int:
+        return len(self._uploads)
+
+    def add(self, data: bytes, name: str) -> Upload:
+        """Check, decode and keep a picture."""
+        name = plain_name(name)
+        most = self._settings.upload_bytes
+        if len(data) > most:
+            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {most:,}: make it smaller")
+        if data and is_raw(name):
+            raise Refusal(415, f"{name} is a RAW file, which can only be read from the folder: put it there")
+        upload = Upload(secrets.token_urlsafe(9), name, data, *size_in_header(data, name, self._settings.pixels))
+        source = self._source(upload, data)
+        with refusing():
+            self._pictures.pixels(source, source.has_copy)
+        self._uploads.put(upload.id, upload)
+        return upload
+
+    def get(self, number: str) -> Upload:
+        """Return the upload with an id."""
+        kept = f"only the {self._settings.uploads_kept} last used are kept"
+        return self._uploads.found(number, f"this picture is no longer in memory, where {kept}: drop it again")
+
+    def source(self, number: str) -> Source:
+        """Return an upload as a :class:`Source`, which can be read while the upload is in memory."""
+        return self._source(self.get(number))
+
+    def _source(self, upload: Upload, data: bytes | None = None) -> Source:
+        # A source may outlive the upload, so it must not hold its bytes, unless they are not kept yet.
+        number, name, pixels = upload.id, upload.name, self._settings.pixels
+        return Source(
+            name,
+            f"upload-{number}",
+            (upload.width, upload.height),
+            lambda: decode_image(data or self.get(number).data, name, pixels),
+            lambda size: read_preview(data or self.get(number).data, size, pixels, name),
+        )
 
 
 def fitted_size(width: int, height: int, size: int) -> tuple[int, int]:

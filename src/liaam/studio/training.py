@@ -39,19 +39,15 @@ OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
 
 @dataclass(frozen=True)
 class Job:
-    """Input of the training process."""
+    """Input of the training process: pictures, the template of their landmarks, and the file and name of the model."""
 
     done: list[Annotated]
-    """Pictures for training."""
     contours: tuple[Contour, ...]
     names: tuple[str, ...]
-    """Names of the landmarks."""
-    model: Path
-    """Output file of the model."""
     order: str
     """:attr:`Templates.order` of the points."""
+    model: Path
     name: str
-    """Name of the model."""
     held_out: tuple[str, ...] = ()
     """Pictures on which a model that is trained without them is measured."""
     slips: dict[str, str] = field(default_factory=dict)
@@ -80,7 +76,6 @@ class Trainer:
         self._publish = publish
         self._lock = threading.RLock()
         self.state = Training()
-        """The current state."""
         self.is_measuring = False
         """Whether the model of this training is in use already."""
         self._process: Any = None
@@ -93,7 +88,18 @@ class Trainer:
         with self._lock:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
-            job = self._job(slips)
+            order = self.project.templates.order  # read first, so that results for points that change are dropped
+            done, template = self.project.annotated(), self.project.templates.current
+            wrong = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not slips}
+            used = [item.name for item in done if item.name not in wrong]
+            if len(used) < LEAST or template is None:
+                text = f"only {len(used)} pictures have all their points"
+                raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
+            if len(template) < 3:
+                raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
+            path, name = self.project.store.path(MODEL_FILE), self.project.root.name
+            held_out = choose_held_out(used, self.versions.held_out(order))
+            job = Job(done, template.contours, template.names, order, path, name, held_out, wrong)
             self._order, self._stopped, self.is_measuring = job.order, False, False
             context = fresh_interpreters()
             pipe, there = context.Pipe(duplex=False)
@@ -126,7 +132,7 @@ class Trainer:
             self.stop()
         own = self.models.own
         if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != order:
-            self.models.withdraw()
+            self.models.publish(None)
             store.set_aside(MODEL_FILE)
             store.put("model", {MODEL_FILE: None})
 
@@ -135,20 +141,6 @@ class Trainer:
         if self._listener is not None:
             self._listener.join(timeout)
         return self.state
-
-    def _job(self, with_slips: bool) -> Job:
-        order = self.project.templates.order  # read before the points, so that results for changed points are dropped
-        done, template = self.project.annotated(), self.project.templates.current
-        slips = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not with_slips}
-        used = [item.name for item in done if item.name not in slips]
-        if len(used) < LEAST or template is None:
-            text = f"only {len(used)} pictures have all their points"
-            raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
-        if len(template) < 3:
-            raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-        path, name = self.project.store.path(MODEL_FILE), self.project.root.name
-        held_out = choose_held_out(used, self.versions.held_out(order))
-        return Job(done, template.contours, template.names, path, order, name, held_out, slips)
 
     def _listen(self, job: Job, pipe: Any, process: Any) -> None:
         """Handle the messages of a process until it ends."""
@@ -203,10 +195,9 @@ class Trainer:
 
 
 def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
-    """Choose the pictures to measure a model on: 1, 2, 4 or 8, at most a quarter of all.
+    """Choose 1, 2, 4 or 8 pictures to measure a model on, at most a quarter of all, where possible those of ``before``.
 
-    The pictures of the ``before`` model come first, then others in an order that does not depend on the set, so that
-    models are measured on the same pictures where possible.
+    The others are in an order that does not depend on the set, so that they stay the same when pictures are added.
     """
     count = next((n for n in (8, 4, 2, 1) if 4 * n <= len(names)), 0)
     order = sorted(names, key=lambda name: (name not in before, hashlib.sha256(name.encode()).digest()))
@@ -225,14 +216,14 @@ def _work(job: Job, pipe: Any) -> None:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
 
 
+@dataclass
 class _Picture:
     """A picture for :func:`liaam.training.train`; records its error."""
 
-    def __init__(self, item: Annotated, job: Job) -> None:
-        self.name = item.name
-        self.landmarks = Landmarks(item.points, job.contours, job.names)
-        self.path = item.path
-        self.fault: str | None = None
+    name: str
+    path: Path
+    landmarks: Landmarks
+    fault: str | None = None
 
     def read_image(self) -> np.ndarray:
         from liaam.io import read_image
@@ -275,7 +266,9 @@ class _Worker:
         def progress(done: int, total: int, doing: str) -> None:
             self.send(("progress", {"done": done, "total": total, "what": what or doing}))
 
-        items = [_Picture(item, self.job) for item in self.job.done if item.name not in {*self.left_out, *unused}]
+        used = [item for item in self.job.done if item.name not in {*self.left_out, *unused}]
+        contours, names = self.job.contours, self.job.names
+        items = [_Picture(item.name, item.path, Landmarks(item.points, contours, names)) for item in used]
         while True:
             try:
                 with warnings.catch_warnings(record=True) as caught:
@@ -291,10 +284,7 @@ class _Worker:
                 items = [item for item in items if item.name not in unfit]
 
     def _measure(self, model: AAM) -> dict[str, float]:
-        """Return the mean distance of the fitted points to the placed ones in the held-out pictures.
-
-        The unit is the diagonal of the box around the placed points. Pictures that cannot be fitted are missing.
-        """
+        """Return the mean error in held-out pictures that can be fitted, relative to the diagonal of the points."""
         from liaam.evaluation import point_error
         from liaam.fitting import Fitter
 
@@ -303,5 +293,5 @@ class _Worker:
             if item.name in self.job.held_out:
                 with suppress(LiaamError, MemoryError):
                     error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
-                    errors[item.name] = round(error, 5)
-        return {name: error for name, error in errors.items() if np.isfinite(error)}
+                    errors |= {item.name: round(error, 5)} if np.isfinite(error) else {}
+        return errors
