@@ -287,7 +287,7 @@ class TestLayers:
     @pytest.mark.parametrize("size", [320, 160, 80])
     def test_lie_over_the_picture_and_are_clear_outside_the_mesh(self, fits, fitted, what, size):
         fits._fits.put(fitted.id, fitted)
-        drawn = np.array(Image.open(io.BytesIO(fits.layer(fitted, what, size))))
+        drawn = np.array(Image.open(io.BytesIO(fits.layer(fitted, what, size)[0])))
         width, height = fitted_size(120, 160, size)
         assert drawn.shape == (height, width, 4)
         inside = mesh_mask(fitted, (width, height))
@@ -300,8 +300,8 @@ class TestLayers:
             assert not clear[mesh_mask(fitted, (width, height), grow=-5)].any()
 
     def test_normals_lie_on_the_object(self, fits, fitted):
-        drawn = decode_image(fits.layer(fitted, "normals", 320)).astype(float)
-        left, top, width, height = fits.scale(fitted, "normals", 320)["box"]
+        drawn = decode_image(fits.layer(fitted, "normals", 320)[0]).astype(float)
+        left, top, width, height = fits.layer(fitted, "normals", 320)[1]["box"]
         middle = (fitted.result.landmarks.mean(axis=0) / (120, 160) - (left, top)) / (width, height)
         x, y, share = drawn[tuple((middle[::-1] * drawn.shape[:2]).astype(int))]
         assert share == 255
@@ -311,14 +311,14 @@ class TestLayers:
         assert left_x < 118 < 138 < right_x
 
     def test_flat_is_the_whole_picture(self, fits, fitted, scene):
-        drawn = decode_image(fits.layer(fitted, "flat", 320))
+        drawn = decode_image(fits.layer(fitted, "flat", 320)[0])
         assert drawn.shape == scene.image.shape
         far = ~mesh_mask(fitted, (120, 160), grow=25)
         assert np.array_equal(drawn[far], scene.image[far])
 
     def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
         seen = fits._residual(fitted)
-        assert fits.scale(fitted, "residual", 100) == {"limit": seen.limit, "what": seen.what}
+        assert fits.layer(fitted, "residual", 100)[1] == {"limit": seen.limit, "what": seen.what}
         residual, _ = residual_at(fitted.fitter, fits.pictures.pixels(fitted.source), fitted.result)
         power = np.square(residual).sum(axis=0)
         assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
@@ -333,7 +333,8 @@ class TestLayers:
             assert values.limit > 0
 
     def test_colours_have_their_middle_at_nothing(self):
-        drawn = layers.coloured(np.array([[-5.0, -1.0, 0.0, 1.0, np.nan]]), layers.SHADING_COLOURS)
+        values, everywhere = np.array([[-5.0, -1.0, 0.0, 1.0, np.nan]]), np.ones((1, 5), bool)
+        drawn = layers.coloured(values, layers.SHADING_COLOURS, everywhere)[..., :3]
         low, middle, high = layers.SHADING_COLOURS
         assert [tuple(colour) for colour in drawn[0].tolist()] == [low, low, middle, high, middle]
 
@@ -364,9 +365,9 @@ class TestLayers:
         monkeypatch.setattr("liaam.studio.fits.LIGHT_SIZE", 80)
         fits._lights = Kept(2)
         for what, channels in (("flat", 3), ("shading", 4)):
-            assert fits.draw(fitted, what, 160).shape == (80, 60, channels)
-            assert fits.draw(fitted, what, 20).shape == (20, 15, channels)
-        assert fits.draw(fitted, "residual", 160).shape == (160, 120, 4)
+            assert fits.draw(fitted, what, 160)[0].shape == (80, 60, channels)
+            assert fits.draw(fitted, what, 20)[0].shape == (20, 15, channels)
+        assert fits.draw(fitted, "residual", 160)[0].shape == (160, 120, 4)
 
     def test_are_drawn_once(self, fits, fitted, monkeypatch):
         first = fits.layer(fitted, "shading", 90)
@@ -383,10 +384,10 @@ class TestLight:
                 fits.export(fitted, what, (FRONT, 0.25))
             assert caught.value.status == 422
         assert fits.export(fitted, "overlay", (FRONT, 0.25))[2]
-        assert fits.draw(fitted, "flat", 100).shape == (100, 75, 3)  # to look at it is still there
+        assert fits.draw(fitted, "flat", 100)[0].shape == (100, 75, 3)  # to look at it is still there
 
     def test_from_the_front_is_flat(self, fits, fitted):
-        flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)
+        flat = decode_image(fits.layer(fitted, "flat", 320)[0]).astype(int)
         assert np.abs(fits.relit(fitted, (FRONT, 0.3), 320) - flat).max() <= 1
 
     def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):

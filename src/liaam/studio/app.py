@@ -3,8 +3,6 @@
 Errors for the user have the form ``{"error": sentence}``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -43,17 +41,15 @@ from liaam.studio.settings import Settings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 
-IMAGE_SIZE, CHROMA_SIZE = 2048, 640
-"""Default longest sides in pixels."""
+IMAGE_SIZE, CHROMA_SIZE = 2048, 640  # default longest sides in pixels
 
 FORMATS = {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES}
 """Suffixes of the files that can be added."""
 
-KEPT = {"cache-control": "private, max-age=86400, immutable"}
-"""Headers of answers that never change."""
+SHOWN_OF_METHOD = ("name", "summary", "needs_colour")
 
-OVERVIEW_SECONDS = 0.2
-"""How long a request for the project may read files; the rest is read in the background."""
+KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
+OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
 
 class Studio:
@@ -86,7 +82,7 @@ class Studio:
             self.background = Background(self.project, self.models, self.training, self.events.publish)
             self.fits = Fits(self.settings, self.models, self.pictures)
             self.live = LiveVideos(self.models, self.settings)
-            self.models.listeners.append(lambda _: self._changed())
+            self.models.listeners.append(lambda _: self.events.publish("project", {}))
             if model is None:
                 load_studio_model(self.project, self.models)
             else:
@@ -118,7 +114,7 @@ class Studio:
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
             route("PUT", "/api/template", self._save_template, read_json),
-            route("POST", "/api/template/file", self._read_template, data),
+            route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
             route("DELETE", "/api/training", self._stop_training, maybe_json),
             Route("/api/events", self._events, methods=["GET"]),
@@ -129,23 +125,19 @@ class Studio:
             route("GET", UPLOADS + "/{id}/chroma", self._chroma, limiter=shown),
             route("GET", "/api/model/file", self._model_file),
             route("POST", GUEST, self._receive_guest, data, models),
-            route("DELETE", GUEST, self._dismiss_guest),
+            route("DELETE", GUEST, lambda _: self.models.publish(None, place="guest")),
             route("POST", FITS, self._fit, read_json, fits),
             route("GET", FITS + "/{id}/layers/{layer}", self._layer, limiter=fits),
             route("GET", FITS + "/{id}/relit", self._relit, limiter=fits),
             route("GET", FITS + "/{id}/export", self._export_fit, limiter=fits),
         ]
 
-    def _changed(self) -> None:
-        self.events.publish("project", {})
-
     def _overview(self, request: Request) -> dict[str, Any]:
         project, training, model = self.project, self.training, self.models.current
-        known = request.query_params.get("stamp")
+        known = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
         suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}"
-        of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
-        overview = project.overview(of_folder, OVERVIEW_SECONDS)
+        overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
         training.follow_template()
@@ -161,10 +153,7 @@ class Studio:
             "checked": self.background.has_checked(overview.done),
             "training": asdict(training.state),
             "versions": training.versions.as_json(project.templates.order),
-            "methods": [
-                {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
-                for method in METHODS.values()
-            ],
+            "methods": [{key: getattr(each, key) for key in SHOWN_OF_METHOD} for each in METHODS.values()],
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
@@ -186,7 +175,7 @@ class Studio:
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.events.publish("landmarks", written)
         self.background.woken.set()
-        self._changed()
+        self.events.publish("project", {})
         return answer
 
     def _measurements(self, request: Request) -> Response:
@@ -199,11 +188,8 @@ class Studio:
             template = self.project.templates.as_json() or {}
         finally:  # even if this change is refused, since an earlier one may have been finished
             self.training.follow_template()
-        self._changed()
+        self.events.publish("project", {})
         return template
-
-    def _read_template(self, request: Request, data: bytes) -> dict[str, Any]:
-        return self.project.read_template(_name(request), data).as_json()
 
     async def _events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -229,9 +215,6 @@ class Studio:
         facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
         self.models.publish(model, facts, "guest")
 
-    def _dismiss_guest(self, request: Request) -> None:
-        self.models.publish(None, place="guest")
-
     def _take_in(self, request: Request, data: bytes) -> dict[str, Any]:
         answer = self.project.take_in(_name(request), data)
         self.background.woken.set()
@@ -243,8 +226,7 @@ class Studio:
         upload = self.uploads.add(data, asked.get("name", ""))
         if "method" in asked:
             with suppress(LiaamError):
-                source = self.uploads.source(upload.id)
-                fit = self.fits.fit(source, ("upload", upload.id), asked["method"]).as_json()
+                fit = self.fits.fit(self.uploads.source(upload.id), ("upload", upload.id), asked["method"]).as_json()
         return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height, "fit": fit}
 
     def _image(self, request: Request) -> Response:
@@ -254,11 +236,11 @@ class Studio:
     def _chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.models.current
         camera = CameraModel() if current is None else current.model.camera
+        kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
 
         def make(picture: Source) -> bytes:
             return self.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
-        kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
         return self._cached(request, kind, make, "application/octet-stream")
 
     def _cached(self, request: Request, kind: str, make: Callable[[Source], bytes], media: str) -> Response:
@@ -279,8 +261,8 @@ class Studio:
     def _layer(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data, scale = self.fits.layer(fit, what, size), json.dumps(self.fits.scale(fit, what, size))
-        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": scale})
+        data, scale = self.fits.layer(fit, what, size)
+        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": json.dumps(scale)})
 
     def _relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
@@ -307,22 +289,19 @@ class Studio:
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""
-        text = self.project.folder.plain(fault)
+        answer, status, cause = {"error": self.project.folder.plain(fault)}, 422, fault.__cause__
         if isinstance(fault, Refusal):
-            return JSONResponse({"error": text, **fault.details}, fault.status)
-        writes = request.method not in ("GET", "HEAD") and request.url.path != FITS
-        refused_write = isinstance(fault.__cause__, OSError) and writes
-        return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
+            answer, status = answer | fault.details, fault.status
+        elif isinstance(cause, OSError) and request.method not in ("GET", "HEAD") and request.url.path != FITS:
+            status = status_of(cause)
+        return JSONResponse(answer, status)
 
 
 def make_app(studio: Studio) -> Starlette:
     """Create the web application of a studio."""
+    static = StaticFiles(directory=studio.settings.static, html=True)
     return Starlette(
-        routes=[
-            *studio.routes(),
-            *live.routes(studio.live),
-            Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
-        ],
+        routes=[*studio.routes(), *live.routes(studio.live), Mount("/", static)],
         middleware=[Middleware(Guard, settings=studio.settings)],
         exception_handlers={LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug},
     )

@@ -4,12 +4,10 @@ In a folder without points of its own, the face model that comes with liaam is t
 faces in them, the folder gets its points and its proposals, until a person defines other points or trains a model.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cached_property, lru_cache
@@ -30,19 +28,14 @@ from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Project
 from liaam.studio.template import Template, template_of
-from liaam.studio.training import Trainer
+from liaam.studio.training import Publish, Trainer
 
-LOOK_SECONDS = 3.0
-"""How often the folder is looked at for files that other programs add."""
-
-QUIET_SECONDS = 0.2
-"""Files that are added together arrive in shorter intervals."""
-
+LOOK_SECONDS = 3.0  # how often the folder is looked at for files that other programs add
+QUIET_SECONDS = 0.2  # files that are added together arrive in shorter intervals
 STOP_SECONDS = 60.0
 """How long the end of the thread is waited for. What it does at the moment takes seconds on a busy machine."""
 
-TRIED = 4
-"""Number of pictures in which faces are looked for before the points of the face model are offered."""
+TRIED = 4  # number of pictures in which faces are looked for before the points of the face model are offered
 
 THREADS = min(4, os.cpu_count() or 1)
 
@@ -57,17 +50,13 @@ Picture = tuple[str, Path]
 class Background:
     """Fits pictures with each new model, and checks landmarks, in a thread."""
 
-    def __init__(
-        self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]
-    ) -> None:
-        self.project = project
-        self.models = models
-        self.trainer = trainer
+    def __init__(self, project: Project, models: ModelStore, trainer: Trainer, publish: Publish) -> None:
+        self.project, self.models, self.trainer = project, models, trainer
         self.progress: dict[str, int] | None = None  # of the pictures that are being fitted
         self._publish = publish
         self.woken = threading.Event()
         """Set to have the folder looked at now."""
-        self._stopped = False
+        self._stopped = threading.Event()
         self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()
         self._checked: dict[str, str] | None = None  # revisions of the landmarks that were checked, by picture
@@ -78,25 +67,27 @@ class Background:
         models.listeners.append(lambda _: self.woken.set())
 
     def start(self) -> None:
-        """Start the thread, unless it was stopped before: the studio may end while it still reads its folder."""
-        if not self._stopped:
-            self._thread.start()
+        """Start the thread."""
+        self._thread.start()
 
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""
-        self._stopped = True
+        self._stopped.set()
         self.woken.set()
         if self._thread.ident is not None:  # compiled code that runs when the interpreter ends aborts the process
             self._thread.join(STOP_SECONDS)
 
     def _run(self) -> None:
+        with suppress(LiaamError):  # thousands of files take a while; errors are reported when the page asks
+            self.project.read_files(self._stopped)
+            self._publish("project", {})
         with suppress(OSError, AttributeError):  # a person who fits a picture comes first
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
         with suppress(LiaamError):  # the first photographs do not wait until the face model is ready
             if self.models.own is None and self._may_use_face():
                 self._lend()
                 self._fitter_of(self._face).fit(example(self._face, WARM_UP))
-        while not self._stopped:
+        while not self._stopped.is_set():
             with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
                 own = self.models.own
                 now = (self.project.stamp, self.trainer.state.state, own and own.number)
@@ -104,7 +95,7 @@ class Background:
                     self.fit_new()
                     self._seen = now if self.check_landmarks() else None
             is_woken, until = self.woken.wait(LOOK_SECONDS), time.monotonic() + LOOK_SECONDS
-            while is_woken and not self._stopped:  # until no more files arrive, but not for ever
+            while is_woken and not self._stopped.is_set():  # until no more files arrive, but not for ever
                 self.woken.clear()
                 is_woken = self.woken.wait(QUIET_SECONDS) and time.monotonic() < until
             self.woken.clear()
@@ -149,8 +140,7 @@ class Background:
         self._publish("project", {})
 
     def _is_paused(self) -> bool:
-        """Whether to wait for a better model."""
-        return self._stopped or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
+        return self._stopped.is_set() or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
 
     def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
@@ -182,7 +172,6 @@ class Background:
         return False
 
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
-        """Fit pictures in threads and save the proposals in batches."""
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()

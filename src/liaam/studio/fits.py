@@ -1,7 +1,5 @@
 """Fits for the page: computed with the current model, cached together with their layers, and exported as files."""
 
-from __future__ import annotations
-
 import secrets
 import threading
 import time
@@ -36,19 +34,13 @@ from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.template import text_of
 
-LAYER_SIZE = 1280
-"""Default longest side of a layer in pixels."""
-
+LAYER_SIZE = 1280  # default longest side of a layer in pixels
 LIGHT_SIZE = 2048
 """Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
 second per megapixel. Exported files have the full size."""
 
-LAYER_BYTES = 30_000_000
-"""Bytes of encoded layers in the cache."""
-
-LIGHT_BYTES = 200_000_000
-"""Maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048."""
-
+LAYER_BYTES = 30_000_000  # bytes of encoded layers in the cache
+LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2
 """Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
 
@@ -79,14 +71,11 @@ class Fit:
     result: FitResult
     search_seconds: float
     fit_seconds: float
-    no_flat: str | None
-    """Why its shading cannot be computed."""
+    no_flat: str | None  # why its shading cannot be computed
     error: tuple[float, float] | None
     """Distance from the picture's landmarks, in pixels and in percent of their diagonal."""
-    of: tuple[str, str]
-    """``picture`` or ``upload``, and its name or id."""
-    trained_on: bool = False
-    """Whether the picture is one of those that the model was trained on."""
+    of: tuple[str, str]  # ``picture`` or ``upload``, and its name or id
+    trained_on: bool = False  # whether the picture is one of those that the model was trained on
 
     @property
     def model(self) -> AAM:
@@ -146,13 +135,11 @@ class Fits:
     """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
     def __init__(self, settings: Settings, models: ModelStore, pictures: Pictures) -> None:
-        self.settings = settings
-        self.models = models
-        self.pictures = pictures
+        self.settings, self.models, self.pictures = settings, models, pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
-        self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
+        self._layers: Kept[tuple[str, str, int], tuple[bytes, Any]] = Kept(LAYER_BYTES, lambda layer: len(layer[0]))
         self._residuals: Kept[str, layers.Residual] = Kept(RESIDUALS_KEPT)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
@@ -230,9 +217,7 @@ class Fits:
                 break
             small = False
         facts, error = current.facts, error_of(result.landmarks, truth)
-        trained_on = (
-            of[0] == "picture" and of[1] in facts.get("pictures", {}) and of[1] not in facts.get("left_out", {})
-        )
+        trained_on = of[0] == "picture" and of[1] in facts.get("pictures", {}).keys() - facts.get("left_out", {})
         fit = Fit(secrets.token_urlsafe(9), source, fitter, result, *seconds, no_flat, error, of, trained_on)
         self._fits.put(fit.id, fit)
         return fit
@@ -241,20 +226,16 @@ class Fits:
         """Return the fit with an id."""
         return self._fits.found(number, "this fit is no longer kept: fit again")
 
-    def layer(self, fit: Fit, what: str, size: int) -> bytes:
-        """Return a layer of the whole picture as PNG, its longest side at most ``size``."""
+    def layer(self, fit: Fit, what: str, size: int) -> tuple[bytes, dict[str, Any] | None]:
+        """Return :meth:`draw` as PNG."""
         if what not in layers.LAYERS:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
-        return self._layers.get((fit.id, what, size), lambda: png_bytes(self.draw(fit, what, size)))
 
-    def scale(self, fit: Fit, what: str, size: int) -> dict[str, Any] | None:
-        """Return what the page needs to know of a layer: the limit of its colours and what they show, or its place."""
-        if what == "residual":
-            residual = self._residual(fit)
-            return {"limit": residual.limit, "what": residual.what}
-        if what == "normals":
-            return {"box": layers.box_of_normals(self._light(fit, size)[0])}
-        return {"limit": layers.SHADING_LIMIT, "what": "light"} if what == "shading" else None
+        def make() -> tuple[bytes, dict[str, Any] | None]:
+            image, facts = self.draw(fit, what, size)
+            return png_bytes(image), facts
+
+        return self._layers.get((fit.id, what, size), make)
 
     def _residual(self, fit: Fit) -> layers.Residual:
         def make() -> layers.Residual:
@@ -263,17 +244,23 @@ class Fits:
 
         return self._residuals.get(fit.id, make)
 
-    def draw(self, fit: Fit, what: str, size: int) -> np.ndarray:
-        """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
+    def draw(self, fit: Fit, what: str, size: int) -> tuple[np.ndarray, dict[str, Any] | None]:
+        """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
+
+        Also return the limit of its colours and what they show, or its place, as JSON for the page.
+        """
         if what == "residual":
-            to = fitted_size(*fit.source.size, size)
-            shape = layers.scaled(fit.result, fit.source.size, to).landmarks
-            part = fit.fitter.part_for(fit.result).model
-            return layers.residual_layer(part, shape, self._residual(fit), to)
+            residual, to = self._residual(fit), fitted_size(*fit.source.size, size)
+            shape, part = layers.scaled(fit.result, fit.source.size, to).landmarks, fit.fitter.part_for(fit.result)
+            facts = {"limit": residual.limit, "what": residual.what}
+            return layers.residual_layer(part.model, shape, residual, to), facts
         light, to = self._light(fit, size)
         if what == "normals":
-            return layers.normals_layer(light)
-        return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)
+            layer, box = layers.normals_layer(light)
+            return layer, {"box": box}
+        if what == "shading":
+            return layers.shading_layer(light, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
+        return averaged(light.flat(), to), None
 
     def relit(self, fit: Fit, light: Light, size: int) -> np.ndarray:
         """Return the picture with the object under lamps, (h, w, 3) uint8."""
@@ -295,7 +282,6 @@ class Fits:
         return f"{stem}.{what}", kind, text.encode()
 
     def _whole(self, fit: Fit, what: str, light: Light) -> np.ndarray:
-        """Return the picture to export, in full size."""
         if what == "overlay":
             from liaam.plotting import overlay
 
@@ -333,7 +319,6 @@ class Fits:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
-        """Return a fitter by any method of the model."""
         return self._fitter(current, (*methods_of(current.model), DEFAULT_METHOD)[0], raw)
 
     def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:

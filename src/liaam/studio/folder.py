@@ -4,8 +4,6 @@ Names of files are relative to the folder, with ``/`` between the parts. Names o
 listing and never joined to a path. The studio neither reads nor writes through a link that leads out of the folder.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import os
@@ -28,24 +26,18 @@ from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.photometry.encoding import as_colour
 from liaam.studio.safety import Refusal, refusing
 
-STATE = ".liaam-studio"
-"""Name of the subfolder for the studio's own files."""
+STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
 
 OWN_SUFFIXES = (".pts", ".ljson")
 """Suffixes of the landmark files that the studio writes, in the order in which they are read."""
 
-MOST_FOLDERS = 1000
-"""Maximum number of folders that are listed."""
-
-LONGEST_NAME = 120
-"""Maximum number of characters of a name."""
-
+MOST_FOLDERS = 1000  # maximum number of folders that are listed
+LONGEST_NAME = 120  # maximum number of characters of a name
 ADDED = "added"
 """Subfolder of added pictures if the folder has pictures in its subfolders only: with one of its own, it would no
 longer list these."""
 
-SOME_SIZE = (640, 480)
-"""Size of a picture that is assumed where a landmark file needs one."""
+SOME_SIZE = (640, 480)  # size of a picture that is assumed where a landmark file needs one
 
 Signature = tuple[int, int, int]
 
@@ -54,8 +46,7 @@ Signature = tuple[int, int, int]
 class Folder:
     """A folder of pictures."""
 
-    root: Path
-    """Path with links resolved."""
+    root: Path  # path with links resolved
 
     def leads_inside(self, path: Path) -> bool:
         """Whether a path stays in the folder and outside the studio's own subfolder."""
@@ -215,21 +206,18 @@ class Listing:
 
     def fault_of(self, picture: File) -> str | None:
         """Return why a picture cannot be used, or None if it can."""
-        winner = self.winners[picture.stem]
-        if winner != picture.name:
-            return f"{winner} has the same name except for its suffix, so both would share landmark files: rename one"
         size = self.size_of(picture)
         return size if isinstance(size, str) else None
 
     def usable_size(self, picture: File) -> tuple[int, int]:
         """Return the width and height of a picture."""
-        fault, size = self.fault_of(picture), self.size_of(picture)
-        if fault is not None or isinstance(size, str):
-            raise Refusal(409, f"{picture.name} cannot be used: {fault or size}")
+        size = self.size_of(picture)
+        if isinstance(size, str):
+            raise Refusal(409, f"{picture.name} cannot be used: {size}")
         return size
 
     def size_of(self, picture: File) -> tuple[int, int] | str:
-        """Return the width and height of a picture from its header, or an error message."""
+        """Return the width and height of a picture from its header, or why it cannot be used."""
         if not self.is_read(picture):
             size: tuple[int, int] | str
             try:
@@ -239,6 +227,9 @@ class Listing:
             except LiaamError as fault:
                 size = self.folder.plain(fault)
             self._sizes[picture.name] = (picture.signature, size)
+        winner = self.winners[picture.stem]
+        if winner != picture.name:
+            return f"{winner} has the same name except for its suffix, so both would share landmark files: rename one"
         return self._sizes[picture.name][1]
 
     def mark_unreadable(self, picture: File, fault: str) -> None:
@@ -353,21 +344,16 @@ class Intake:
                     parse_landmark_data(name, data, SOME_SIZE)
             elif not is_raw(name):  # RAW files can only be read from the disk
                 size_in_header(data, name, self.listing.most_pixels)
-            self._check_place(place.removesuffix(Path(place).suffix), place, is_picture)
+            stem = place.removesuffix(Path(place).suffix)
+            if is_picture and (other := self._stems.setdefault(stem, self.listing.winners.get(stem, place))) != place:
+                raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
+            others = [stem + own for own in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
+            there = [other for other in others if self.listing.folder.inside(other).exists()]
+            if there:
+                raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
             path.parent.mkdir(exist_ok=True)
             write_bytes_atomically(path, data)
         return {"name": place, "kind": "picture" if is_picture else "landmarks", "known": is_known}
-
-    def _check_place(self, stem: str, place: str, is_picture: bool) -> None:
-        """Refuse a second picture, or second landmarks, of the same name but for the suffix."""
-        if is_picture:
-            other = self._stems.setdefault(stem, self.listing.winners.get(stem, place))
-            if other != place:
-                raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
-        elif place.lower().endswith(OWN_SUFFIXES):
-            there = [stem + own for own in OWN_SUFFIXES if self.listing.folder.inside(stem + own).exists()]
-            if there:
-                raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
 
 
 def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:

@@ -7,8 +7,6 @@ The studio also keeps the invisible points, which a ``.pts`` cannot store, and i
 files that were replaced.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys
@@ -28,9 +26,7 @@ from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, Table
 from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 
-UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
-"""Units of length, in millimetres."""
-
+UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # units of length, in millimetres
 LONGEST = 1e9
 
 
@@ -69,10 +65,7 @@ _NO_MARKS = Marks()
 
 
 class LandmarkFiles:
-    """Landmark files of the listed pictures, of at most so many bytes, cached until they change.
-
-    ``problems`` are errors of files that cannot be read and belong to no picture.
-    """
+    """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
     def __init__(self, listing: Listing, store: Store, most_bytes: int) -> None:
         self._listing, self._store, self._folder, self._most_bytes = listing, store, listing.folder, most_bytes
@@ -90,7 +83,11 @@ class LandmarkFiles:
         if self._listing.winners[picture.stem] != picture.name:
             return _NO_MARKS
         own = self._listing.own(picture)
-        return self._foreign().get(picture.name, _NO_MARKS) if own is None else self._own(own)
+        if own is None:
+            return self._foreign().get(picture.name, _NO_MARKS)
+        if not self.is_read(picture):
+            self._read[own.name] = (own.signature, self._read_own(own))
+        return self._read[own.name][1]
 
     def fault_of(self, picture: File) -> str | None:
         """Return why the file of another format cannot be read for a picture without landmarks."""
@@ -107,11 +104,6 @@ class LandmarkFiles:
         """Whether the landmark file of a picture was read before, so that :meth:`of` is quick."""
         own = self._listing.own(picture)
         return own is None or self._read.get(own.name, (None,))[0] == own.signature
-
-    def _own(self, own: File) -> Marks:
-        if self._read.get(own.name, (None,))[0] != own.signature:
-            self._read[own.name] = (own.signature, self._read_own(own))
-        return self._read[own.name][1]
 
     def _read_own(self, own: File) -> Marks:
         revision = ""
@@ -208,8 +200,7 @@ class LandmarkFiles:
     ) -> None:
         """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed.
 
-        ``scale`` is written if the picture has none. A file that cannot be read, or that has another number of points,
-        is kept as a copy.
+        ``scale`` is written if the picture has none. One that cannot be read, or has other points, is kept as a copy.
         """
         target, before = self.target(picture), self.of(picture)
         name = self._folder.name_of(target)

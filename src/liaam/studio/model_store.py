@@ -1,7 +1,5 @@
 """The current model: its metadata, its files in the project's folder, and when it becomes invalid."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -18,11 +16,8 @@ from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
 
-MODEL_FILE = "model.liaam"
-"""File of the trained model; the facts about it are in the store."""
-
-SHOWN_VERSIONS = 30
-"""Number of versions that the page shows."""
+MODEL_FILE = "model.liaam"  # file of the trained model; the facts about it are in the store
+SHOWN_VERSIONS = 30  # number of versions that the page shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +25,7 @@ class ModelInUse:
     """A model and its metadata."""
 
     model: AAM
-    number: int
-    """Incremented with every published model."""
+    number: int  # incremented with every published model
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
     model of the studio also has ``order`` (:attr:`Templates.order`), a guest its ``name``."""

@@ -5,8 +5,6 @@ depends only on those before it: :mod:`~liaam.studio.folder`, :mod:`~liaam.studi
 :mod:`~liaam.studio.landmark_files`, :mod:`~liaam.studio.template` and :mod:`~liaam.studio.review`.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os
@@ -38,17 +36,10 @@ from liaam.studio.settings import Settings
 from liaam.studio.store import Store, Table
 from liaam.studio.template import Template, Templates, parse_indices, parse_points, parse_template, template_of, text_of
 
-PART_SECONDS = 0.02
-"""How long files are read at a time, while requests wait."""
-
-REST_SECONDS = 0.3
-"""Files are read more slowly until so long after a request, so that the page opens soon."""
-
-READ_AT_ONCE = 100
-"""Number of pictures whose files an overview reads in any case."""
-
-LONG = 2000
-"""Number of pictures above which an overview reads no more files than these."""
+PART_SECONDS = 0.02  # how long files are read at a time, while requests wait
+REST_SECONDS = 0.3  # files are read more slowly until so long after a request, so that the page opens soon
+READ_AT_ONCE = 100  # number of pictures whose files an overview reads in any case
+LONG = 2000  # number of pictures above which an overview reads no more files than these
 
 EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}
 """Kinds of files with the landmarks of all pictures, and the ends of their names."""
@@ -56,16 +47,13 @@ EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}
 
 @dataclass(frozen=True)
 class Annotated:
-    """A picture with all its landmarks, for training."""
+    """A picture with all its landmarks, for training, and what seems to be wrong with them."""
 
     name: str
     path: Path
     points: np.ndarray
-    """(n, 2) float64 in pixels."""
-    revision: str
-    """Changes with the points and the template, not with the scale (:meth:`PictureStates.version_of`)."""
+    revision: str  # :meth:`PictureStates.version_of` the landmarks
     slip: str | None = None
-    """What seems to be wrong with the landmarks."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +61,9 @@ class Overview:
     """All pictures of a project at one scan of the folder."""
 
     stamp: str
-    """:attr:`Project.stamp` at that scan."""
-    pictures: list[dict[str, Any]]
-    """The pictures as JSON for the page, in natural order."""
-    done: dict[str, str]
-    """Revision of the landmarks of each done picture that is not left out of training, by name."""
-    unread: list[str]
-    """Names of the pictures whose files have not been read yet."""
+    pictures: list[dict[str, Any]]  # the pictures as JSON for the page, in natural order
+    done: dict[str, str]  # revision of the landmarks of each done picture that is not left out of training, by name
+    unread: list[str]  # names of the pictures whose files have not been read yet
 
 
 class Project:
@@ -100,9 +84,8 @@ class Project:
         self._unchecked = Table(self.store, "unchecked")
         self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(
-            listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log
-        )
+        parts = (listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log)
+        self._states = PictureStates(*parts)
         self._intake = Intake(listing)
         self._rescan()
 
@@ -165,28 +148,23 @@ class Project:
             self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
             stamp, ranks = self._stamp(), states.ranks()
             read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
-            unread = {"state": "reading", "placed": 0, "doubtful": False}
-            pictures = [
-                states.as_json(file, ranks) if file.name in read else {"name": file.name, "tag": file.tag, **unread}
-                for file in files
-            ]
+            pictures = [states.as_json(file, ranks if file.name in read else None) for file in files]
             stamp += "" if len(read) == len(pictures) else "-reading"
             done = {item.name: item.revision for item in self._annotated(read)}
             return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
-    def read_files(self) -> None:
+    def read_files(self, until: threading.Event) -> None:
         """Read the files of all pictures in small parts, so that others can use the project meanwhile."""
         with self._lock:
             self._rescan()
             waiting = deque(self._listing.pictures)
-        while waiting:
+        while waiting and not until.is_set():
             with self._lock:
                 self._read_for(PART_SECONDS, waiting)
             is_busy = time.monotonic() < self._asked + REST_SECONDS
             time.sleep(PART_SECONDS * (5 if is_busy else 0.1))  # the lock is not fair
 
     def _read_for(self, seconds: float, waiting: deque[File], least: int = 1) -> None:
-        """Read the files of pictures for some seconds, and of at least so many."""
         until, last = time.monotonic() + seconds, len(waiting) - least
         while waiting and (len(waiting) > last or time.monotonic() < until):
             file = waiting.popleft()
@@ -201,10 +179,7 @@ class Project:
         return source_of(path, self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
-        """Remember that a picture cannot be decoded, unless the system could not read it, which may pass.
-
-        One with landmarks keeps its state: training leaves it out and says why.
-        """
+        """Remember that a picture without landmarks cannot be decoded, unless that may pass."""
         cause: BaseException | None = fault
         while cause is not None:
             if isinstance(cause, OSError) and cause.errno is not None:
@@ -264,9 +239,7 @@ class Project:
             template = self.templates.current
             for file in self._listing.pictures:
                 marks, size = self._landmarks.of(file), self._listing.size_of(file)
-                if template is None or marks.landmarks is None or self._listing.fault_of(file) or isinstance(size, str):
-                    continue
-                if marks.fits(template):
+                if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
                     own = replace(marks.landmarks, scale=self._landmarks.scale_of(file), names=template.names)
                     found.append((file, own, size))
         if not found:
@@ -274,10 +247,9 @@ class Project:
         return found
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
-        """Return the names and paths of the usable pictures without points that a model was not fitted to.
+        """Return the names and paths of the usable pictures without points to which a model, by key, was not fitted.
 
-        ``model`` is its :attr:`~liaam.studio.model_store.ModelInUse.key`. Pictures with the proposal of another model,
-        in the order of :func:`teaching_order`, take turns with the others.
+        Pictures with the proposal of another model, in the order of :func:`teaching_order`, take turns with the others.
         """
         with self._lock:
             self._rescan()
@@ -291,7 +263,7 @@ class Project:
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
-        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.uploads.Intake.add`)."""
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Intake.add`)."""
         with self._lock:
             return self._intake.add(name, data)
 

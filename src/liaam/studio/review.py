@@ -4,8 +4,6 @@ A picture is checked while its landmarks have the revision that was checked, so 
 other states hold until the opposite entry. An action is written to the log before anything else changes.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,15 +32,10 @@ ACTIONS = (*(done for done, _ in UNDONE.values()), *UNDONE, "accepted", "scaled"
 
 OPPOSITE = {done: undo for undo, (done, _) in UNDONE.items()}
 
-WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")
-"""Actions that write landmark files."""
-
+WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")  # actions that write landmark files
 LONGEST_NAME = 60
-SHOWN = 20
-"""Number of entries of a picture that the page shows."""
-
-SAME_WORK = timedelta(minutes=10)
-"""Changes of a picture by one person within this time are one entry."""
+SHOWN = 20  # number of entries of a picture that the page shows
+SAME_WORK = timedelta(minutes=10)  # changes of a picture by one person within this time are one entry
 
 
 class ReviewLog:
@@ -91,10 +84,8 @@ class Sharing:
     """A scale bar that several pictures share."""
 
     bar: dict[str, Any]
-    size: tuple[int, int]
-    """Size of the picture on which it was drawn."""
-    anyway: bool
-    """Whether pictures of another size, or with a scale of their own, get it as well."""
+    size: tuple[int, int]  # size of the picture on which it was drawn
+    anyway: bool  # whether pictures of another size, or with a scale of their own, get it as well
 
 
 @dataclass(eq=False)
@@ -117,9 +108,12 @@ class PictureStates:
         waiting = {file.name: proposal for file in unplaced if (proposal := self.proposal_of(file)) is not None}
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
-    def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
-        """Return one picture as JSON for the page."""
-        size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)
+    def as_json(self, file: File, ranks: Mapping[str, int] | None) -> dict[str, Any]:
+        """Return one picture as JSON for the page; without ``ranks``, one whose files have not been read yet."""
+        if ranks is None:
+            return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
+        size, marks = self.listing.size_of(file), self.landmarks.of(file)
+        fault, (width, height) = (size, (None, None)) if isinstance(size, str) else (None, size)
         proposal = None if marks.n_placed or fault is not None else self.proposal_of(file)
         if fault is not None:
             state = "broken"
@@ -129,7 +123,6 @@ class PictureStates:
             state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
         checked = self.log.who("checked", file.name, marks.placement) if state == "done" else None
         slip, wrong = self.slip_of(file) if state == "done" else (None, [])
-        width, height = (None, None) if isinstance(size, str) else size
         return {
             "name": file.name,
             "tag": file.tag,
@@ -200,7 +193,6 @@ class PictureStates:
         return is_complete and self._misplaced(file, marks) is None
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
-        """Return what is wrong with the landmarks of a usable picture."""
         template = self.templates.current
         if not marks.file:
             proposal = self.proposals.of(file) or {"points": ()}

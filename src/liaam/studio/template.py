@@ -6,8 +6,6 @@ stored before the first landmark file is rewritten. Until all files are written,
 saved, and every call tries to finish the change first.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import secrets
@@ -33,14 +31,11 @@ if TYPE_CHECKING:
     from liaam.studio.landmark_files import LandmarkFiles
 
 LONGEST_NAME = 100
-FARTHEST = 1e6
-"""Maximum absolute coordinate in pixels."""
-
+FARTHEST = 1e6  # maximum absolute coordinate in pixels
 _MOST = 10**6
 """Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
 
-_TILT = 45.0
-"""Maximum angle between the axis of symmetry and the vertical, in degrees."""
+_TILT = 45.0  # maximum angle between the axis of symmetry and the vertical, in degrees
 _ALIKE = 0.05
 """Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
 because the user sees the result and can correct it."""
@@ -53,13 +48,11 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 class Template:
     """The points that are placed on every picture of a project."""
 
-    names: tuple[str, ...]
-    """Unique name of each point."""
+    names: tuple[str, ...]  # unique name of each point
     contours: tuple[Contour, ...] = ()
     mirror: tuple[int, ...] | None = None
     """Index of each point's twin, its mirror image (itself on the axis); None without symmetry."""
-    points: tuple[tuple[float, float], ...] | None = None
-    """Typical layout, in any units."""
+    points: tuple[tuple[float, float], ...] | None = None  # typical layout, in any units
 
     def __len__(self) -> int:
         return len(self.names)
@@ -102,7 +95,15 @@ def parse_template(data: Any, most: int) -> Template:
     mirror = None if data.get("mirror") is None else tuple(parse_indices(data["mirror"], n, "mirror"))
     if mirror is not None and (len(mirror) != n or any(mirror[mirror[i]] != i for i in range(n))):
         raise Refusal(422, "mirror does not pair the points: if b is the twin of a, a must be the twin of b")
-    return Template(names, tuple(_contour(item, i, n) for i, item in enumerate(contours)), mirror, layout)  # type: ignore[arg-type]
+    lines = []
+    for i, item in enumerate(contours, 1):
+        if not isinstance(item, dict) or not isinstance(item.get("closed"), bool):
+            raise Refusal(422, f"contour {i} is not valid: send {{indices, closed}}")
+        indices = parse_indices(item.get("indices"), n, f"contour {i}")
+        if len(indices) < 2:
+            raise Refusal(422, f"contour {i} has fewer than 2 points: add one, or remove the contour")
+        lines.append(Contour(tuple(indices), item["closed"]))
+    return Template(names, tuple(lines), mirror, layout)  # type: ignore[arg-type]
 
 
 def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
@@ -110,7 +111,11 @@ def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
     if not isinstance(data, list) or len(data) != n:
         count = len(data) if isinstance(data, list) else "no"
         raise Refusal(422, f"there are {count} points where the template has {n}: send one [x, y] or null for each")
-    return tuple(None if point is None else _pair(point, i) for i, point in enumerate(data))
+    for i, point in enumerate(data, 1):
+        valid = isinstance(point, list) and len(point) == 2 and all(type(value) in (int, float) for value in point)
+        if point is not None and not (valid and all(abs(value) <= FARTHEST for value in point)):  # False for NaN
+            raise Refusal(422, f"point {i} is not valid: send [x, y] in pixels, or null if it is not placed")
+    return tuple(point and (round(float(point[0]), 3), round(float(point[1]), 3)) for point in data)
 
 
 def parse_indices(data: Any, n: int, what: str) -> list[int]:
@@ -119,22 +124,6 @@ def parse_indices(data: Any, n: int, what: str) -> list[int]:
     if not valid or len(set(data)) != len(data):
         raise Refusal(422, f"{what} is not valid: send a list of different whole numbers from 0 to {n - 1}")
     return data
-
-
-def _pair(point: Any, i: int) -> tuple[float, float]:
-    valid = isinstance(point, list) and len(point) == 2 and all(type(value) in (int, float) for value in point)
-    if not valid or not all(abs(value) <= FARTHEST for value in point):  # also False for NaN
-        raise Refusal(422, f"point {i + 1} is not valid: send [x, y] in pixels, or null if it is not placed")
-    return round(float(point[0]), 3), round(float(point[1]), 3)
-
-
-def _contour(item: Any, i: int, n: int) -> Contour:
-    if not isinstance(item, dict) or not isinstance(item.get("closed"), bool):
-        raise Refusal(422, f"contour {i + 1} is not valid: send {{indices, closed}}")
-    indices = parse_indices(item.get("indices"), n, f"contour {i + 1}")
-    if len(indices) < 2:
-        raise Refusal(422, f"contour {i + 1} has fewer than 2 points: add one, or remove the contour")
-    return Contour(tuple(indices), item["closed"])
 
 
 def template_of(landmarks: Landmarks) -> Template:
@@ -194,7 +183,7 @@ class Templates:
 
     _listing: Listing
     _store: Store
-    _landmarks: LandmarkFiles
+    _landmarks: "LandmarkFiles"
     _proposals: Table
     _lock: threading.RLock
     offered: Template | None = None
@@ -229,10 +218,7 @@ class Templates:
         return self.offered is not None and self.current is self.offered
 
     def offer(self, template: Template | None, source: str = "") -> None:
-        """Offer a template for a folder without one; ``source`` is the name of a model that comes with liaam.
-
-        None drops the template that was offered, and the proposals for its points.
-        """
+        """Offer a template of a model, ``source`` if it comes with liaam; None drops the offer, and its proposals."""
         with self._lock:
             if template is None:
                 self._proposals.forget()
@@ -273,10 +259,9 @@ class Templates:
 
     def _take(self, stored: Mapping[str, Any] | None) -> None:
         self.saved = None if stored is None else parse_template(stored, _MOST)
-        # The last is the model that offered the saved template.
-        self._revision, self.order, self._saved_of = (
-            (stored or {}).get(key, "") for key in ("revision", "order", "of")
-        )
+        facts = stored or {}
+        self._revision, self.order = facts.get("revision", ""), facts.get("order", "")
+        self._saved_of = facts.get("of", "")  # the model that offered the saved template
 
     def save(self, template: Template, data: dict[str, Any]) -> bool:
         """Save a template; return whether points were added, removed or reordered.
@@ -331,7 +316,6 @@ class Templates:
             raise Refusal(fault.status if isinstance(fault, Refusal) else status_of(cause), text) from fault
 
     def _rewritten(self, template: Template, n: int, mapping: Sequence[Any], moved: bool) -> list[dict[str, Any]]:
-        """Return the landmark files of ``n`` points for a changed template."""
         files = []
         for file in self._listing.pictures:
             known = self._landmarks.of(file)
@@ -350,7 +334,6 @@ class Templates:
         return files
 
     def _mapping(self, data: Any, n: int, old: Template | None) -> list[int | None]:
-        """Return the old index of each point, None for a new one."""
         if old is None:
             return [None] * n
         if data is None:
@@ -359,8 +342,6 @@ class Templates:
                 raise Refusal(422, f"{counts}: send a mapping with the old index of each point")
             return [i if i < len(old) else None for i in range(n)]
         if not isinstance(data, list) or len(data) != n:
-            raise Refusal(
-                422, f"the mapping is not valid: send the old index of each of the {n} points, or null if new"
-            )
+            raise Refusal(422, f"the mapping is not valid: send the old index of each of {n} points, or null if new")
         parse_indices([index for index in data if index is not None], len(old), "mapping")
         return data

@@ -5,8 +5,6 @@ error is measured. A stopped training keeps the earlier model. The process repor
 time, since all its writes are atomic. :mod:`liaam.studio.background` fits pictures with the model.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os
@@ -22,19 +20,26 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError, TrainingError
+from liaam.evaluation import point_error
+from liaam.fitting import Fitter
+from liaam.io import read_image
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.model import AAM, load_model
 from liaam.model.shape import diagonal_of
+from liaam.photometry.encoding import refuse_unscaled
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.project import Annotated, Project
 from liaam.studio.safety import Refusal
 from liaam.workers import fresh_interpreters, obey_parent
 
-LEAST = 3
-"""Minimum number of pictures for training."""
+LEAST = 3  # minimum number of pictures for training
 
 OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
 """Options of training. ``smooth`` shapes work best with few annotated pictures."""
+
+
+Publish = Callable[[str, Any], None]
+"""Sends an event of a kind to the pages."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +49,10 @@ class Job:
     done: list[Annotated]
     contours: tuple[Contour, ...]
     names: tuple[str, ...]
-    order: str
-    """:attr:`Templates.order` of the points."""
+    order: str  # :attr:`Templates.order` of the points
     model: Path
     name: str
-    held_out: tuple[str, ...] = ()
-    """Pictures on which a model that is trained without them is measured."""
+    held_out: tuple[str, ...] = ()  # pictures on which a model that is trained without them is measured
     slips: dict[str, str] = field(default_factory=dict)
     """Pictures that are left out because their landmarks may be wrong, and what they may have."""
 
@@ -58,8 +61,7 @@ class Job:
 class Training:
     """State of the training, for the page."""
 
-    state: str = "idle"
-    """``idle``, ``running``, ``failed`` or ``done``."""
+    state: str = "idle"  # ``idle``, ``running``, ``failed`` or ``done``
     done: int = 0
     total: int = 0
     what: str = ""
@@ -69,12 +71,9 @@ class Training:
 class Trainer:
     """Trains in a separate process, one training at a time, and publishes the model as soon as it is trained."""
 
-    def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
-        self.project = project
-        self.models = models
-        self.versions = Versions(project.store)
-        self._publish = publish
-        self._lock = threading.RLock()
+    def __init__(self, project: Project, models: ModelStore, publish: Publish) -> None:
+        self.project, self.models, self._publish = project, models, publish
+        self.versions, self._lock = Versions(project.store), threading.RLock()
         self.state = Training()
         self.is_measuring = False
         """Whether the model of this training is in use already."""
@@ -121,10 +120,7 @@ class Trainer:
         return self.wait()
 
     def follow_template(self) -> None:
-        """Stop the training and withdraw the studio's model if they are for an earlier set or order of points.
-
-        A copy of the model is kept. A given model stays.
-        """
+        """Stop the training and set the studio's model aside if they are for an earlier set or order of points."""
         store, order = self.project.store, self.project.templates.order
         with self._lock:
             is_stale = self.state.state == "running" and self._order != order
@@ -143,7 +139,6 @@ class Trainer:
         return self.state
 
     def _listen(self, job: Job, pipe: Any, process: Any) -> None:
-        """Handle the messages of a process until it ends."""
         end = Training("failed", error="the training ended unexpectedly, perhaps for lack of memory: start it again")
         try:
             with pipe, suppress(EOFError, OSError):
@@ -205,7 +200,6 @@ def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, .
 
 
 def _work(job: Job, pipe: Any) -> None:
-    """Run a job in the training process."""
     obey_parent()  # the server terminates this process
     with suppress(AttributeError, OSError):
         os.nice(5)  # requests of the user have priority
@@ -226,9 +220,6 @@ class _Picture:
     fault: str | None = None
 
     def read_image(self) -> np.ndarray:
-        from liaam.io import read_image
-        from liaam.photometry.encoding import refuse_unscaled
-
         try:
             image = read_image(self.path)
             refuse_unscaled(image, self.name, "srgb")
@@ -285,9 +276,6 @@ class _Worker:
 
     def _measure(self, model: AAM) -> dict[str, float]:
         """Return the mean error in held-out pictures that can be fitted, relative to the diagonal of the points."""
-        from liaam.evaluation import point_error
-        from liaam.fitting import Fitter
-
         fitter, errors = Fitter(model), {}
         for item in self.job.done:
             if item.name in self.job.held_out:
