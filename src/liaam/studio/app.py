@@ -204,8 +204,7 @@ class Studio:
         return asdict(self.training.stop())
 
     def _model_file(self, request: Request) -> Response:
-        current = self.models.current
-        if current is None:
+        if (current := self.models.current) is None:
             raise Refusal(404, "there is no model yet: train one")
         return attachment(f"{plain_name(current.model.name or 'model')}.liaam", current.model.to_bytes())
 

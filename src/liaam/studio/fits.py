@@ -191,8 +191,7 @@ class Fits:
         ``start`` is as for :meth:`Fitter.fit`; by default the object is searched for. ``truth`` are the
         picture's landmarks (n, 2), NaN where they are to be ignored.
         """
-        current = self.models.current
-        if current is None:
+        if (current := self.models.current) is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
         small = start is None and source.has_copy  # tried first: it will do for an object that is large on it

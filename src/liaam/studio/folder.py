@@ -250,7 +250,8 @@ class Listing:
         below = []
         for name in self.unlisted:
             with suppress(OSError), os.scandir(self.folder.root / name) as entries:
-                below += [name] * any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries)
+                if any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries):
+                    below.append(name)
         reason = "there are too many" if len(self._times) > 1 else "the folder itself has pictures"
         orphans = [file.name for file in files if file.suffix in OWN_SUFFIXES and file.stem not in self.winners]
         remedy = "if the picture was renamed, rename the landmark file too"

@@ -346,7 +346,8 @@ class Project:
         and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
         drawn, and ``anyway`` see :class:`liaam.studio.review.Sharing`.
         """
-        names = (data := self.checked(data, "pictures, a list of names, and did")).get("pictures")
+        data = self.checked(data, "pictures, a list of names, and did")
+        names = data.get("pictures")
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise Refusal(422, "send an object with pictures, a list of names, and did")
         who = parse_who(data.get("who"))

@@ -341,6 +341,7 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def parse_who(name: Any) -> str:
     """Check the name of the person who works in the page; "" if it is not known."""
-    if not isinstance(name or "", str) or len(name or "") > LONGEST_NAME or not (name or "").isprintable():
+    name = "" if name is None else name
+    if not isinstance(name, str) or len(name) > LONGEST_NAME or not name.isprintable():
         raise Refusal(422, f"your name is not valid: enter at most {LONGEST_NAME} printable characters")
-    return (name or "").strip()
+    return name.strip()

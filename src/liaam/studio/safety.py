@@ -214,7 +214,10 @@ class Crowd:
 
 
 def is_own_host(host: str, settings: Settings) -> bool:
-    """Whether a ``Host`` header names this server, which on all addresses has any, but only this machine's name."""
+    """Whether a ``Host`` header names this server.
+
+    On all addresses it may be any IP address, but only this machine's name: other names can be pointed at this machine.
+    """
     name, _, port = host.lower().rpartition(":")
     if port != str(settings.port):
         name, port = host.lower(), "80"  # browsers omit the default port

@@ -107,9 +107,8 @@ class Store:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
         with self._lock:
             try:
-                if not (
-                    _state_of(self.folder.root) / DATABASE
-                ).exists():  # a folder that is only looked at stays as it is
+                path = _state_of(self.folder.root) / DATABASE
+                if not path.exists():  # a folder that is only looked at stays as it is
                     self.note(DATABASE, None)
                     return []
                 rows = self._open().execute(query, arguments).fetchall()

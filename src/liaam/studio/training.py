@@ -174,7 +174,6 @@ class Trainer:
             self.project.store.put("model", {MODEL_FILE: facts})
             self.models.publish(load_model(job.model), facts)
             self.is_measuring = True
-            self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
             self.versions.add(self.models.own.facts, data)
             self._publish("project", {})
@@ -281,5 +280,6 @@ class _Worker:
             if item.name in self.job.held_out:
                 with suppress(LiaamError, MemoryError):
                     error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
-                    errors |= {item.name: round(error, 5)} if np.isfinite(error) else {}
+                    if np.isfinite(error):
+                        errors[item.name] = round(error, 5)
         return errors
