@@ -145,8 +145,9 @@ def test_a_scale_of_its_own_and_another_size_are_left_alone_unless_asked(small):
 
 @pytest.mark.parametrize(
     "bar",
-    [7, {}, {**BAR, "unit": "ell"}, {**BAR, "length": 0}, {**BAR, "length": float("nan")}, {**BAR, "length": True},
-     {**BAR, "ends": [[1, 1]]}, {**BAR, "ends": [[1, 1], None]}, {**BAR, "ends": [[1, 1], [1.5, 1]]}],
+    [7, {}, {**BAR, "unit": "ell"}, {**BAR, "unit": ["mm"]}, {**BAR, "length": 0}, {**BAR, "length": float("nan")},
+     {**BAR, "length": True}, {**BAR, "ends": [[1, 1]]}, {**BAR, "ends": [[1, 1], None]},
+     {**BAR, "ends": [[1, 1], [1.5, 1]]}],
 )  # fmt: skip
 def test_bars_that_make_no_sense_are_refused(small, bar):
     assert refused(small.save_marks, "p1.png", {"points": POINTS, "revision": None, "bar": bar}).status == 422

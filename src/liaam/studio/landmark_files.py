@@ -256,7 +256,7 @@ def parse_bar(data: Any) -> dict[str, Any] | None:
     """Parse and check a scale bar from JSON: ``ends``, ``length`` and ``unit``, or null."""
     if data is None:
         return None
-    if not isinstance(data, dict) or data.get("unit") not in UNITS:
+    if not isinstance(data, dict) or data.get("unit") not in [*UNITS]:  # it may have no hash
         raise Refusal(422, f"the scale bar is not valid: send ends, length and unit, one of {', '.join(UNITS)}")
     ends, length = parse_points(data.get("ends"), 2), data.get("length")
     if isinstance(length, bool) or not isinstance(length, int | float) or not 0 < length < LONGEST:
