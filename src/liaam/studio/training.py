@@ -174,6 +174,7 @@ class Trainer:
             self.project.store.put("model", {MODEL_FILE: facts})
             self.models.publish(load_model(job.model), facts)
             self.is_measuring = True
+            self._publish("project", {})
         elif kind == "measured" and self.is_measuring and self.models.own is not None:
             self.versions.add(self.models.own.facts, data)
             self._publish("project", {})
