@@ -27,15 +27,13 @@ from liaam.relighting import Lamp
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import layers
 from liaam.studio.app import Studio, make_app
-from liaam.studio.export import FILES, file_of
-from liaam.studio.fits import Fits, error_of, example, numbers, truth_of
+from liaam.studio.fits import FILES, Fits, error_of, example, numbers, truth_of
 from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import Kept, Pictures, averaged, fitted_size, source_of
 from liaam.studio.project import Project
 from liaam.studio.routes import attachment, light_of, parse_start
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import Uploads
 from liaam.tracking.motion import rescaled
 from scenes import Scene
 from setups import moving_scene
@@ -73,7 +71,8 @@ def fits(folder, head_model) -> Fits:
 
 def make_fits(folder: Path, model: AAM | None, settings: Settings = SETTINGS) -> Fits:
     pictures, models = Pictures(), ModelStore()
-    fits = Fits(Project(folder, settings), models, Uploads(pictures, settings), pictures)
+    fits = Fits(settings, models, pictures)
+    fits.project = Project(folder, settings)
     models.listeners.clear()  # tests do not wait for what is made ready beside them
     if model is not None:
         models.publish(model, {})
@@ -232,8 +231,8 @@ class TestFit:
         works = (
             lambda: fit(fits),
             lambda: fits.layer(made, "flat", 100),
-            lambda: fits.relit(made, FRONT, 0.3, 90),
-            lambda: file_of(fits, made, "overlay", (FRONT, 0.3)),
+            lambda: fits.relit(made, (FRONT, 0.3), 90),
+            lambda: fits.export(made, "overlay", (FRONT, 0.3)),
             lambda: fits.pictures.chroma(source, 60, "srgb"),
         )
         with ThreadPoolExecutor(len(works)) as pool:
@@ -288,7 +287,7 @@ class TestLayers:
     @pytest.mark.parametrize("size", [320, 160, 80])
     def test_lie_over_the_picture_and_are_clear_outside_the_mesh(self, fits, fitted, what, size):
         fits._fits.put(fitted.id, fitted)
-        drawn = np.array(Image.open(io.BytesIO(fits.layer(fitted, what, size))))
+        drawn = np.array(Image.open(io.BytesIO(fits.layer(fitted, what, size)[0])))
         width, height = fitted_size(120, 160, size)
         assert drawn.shape == (height, width, 4)
         inside = mesh_mask(fitted, (width, height))
@@ -301,8 +300,8 @@ class TestLayers:
             assert not clear[mesh_mask(fitted, (width, height), grow=-5)].any()
 
     def test_normals_lie_on_the_object(self, fits, fitted):
-        drawn = decode_image(fits.layer(fitted, "normals", 320)).astype(float)
-        left, top, width, height = fits.scale(fitted, "normals", 320)["box"]
+        drawn = decode_image(fits.layer(fitted, "normals", 320)[0]).astype(float)
+        left, top, width, height = fits.layer(fitted, "normals", 320)[1]["box"]
         middle = (fitted.result.landmarks.mean(axis=0) / (120, 160) - (left, top)) / (width, height)
         x, y, share = drawn[tuple((middle[::-1] * drawn.shape[:2]).astype(int))]
         assert share == 255
@@ -312,14 +311,14 @@ class TestLayers:
         assert left_x < 118 < 138 < right_x
 
     def test_flat_is_the_whole_picture(self, fits, fitted, scene):
-        drawn = decode_image(fits.layer(fitted, "flat", 320))
+        drawn = decode_image(fits.layer(fitted, "flat", 320)[0])
         assert drawn.shape == scene.image.shape
         far = ~mesh_mask(fitted, (120, 160), grow=25)
         assert np.array_equal(drawn[far], scene.image[far])
 
     def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
         seen = fits._residual(fitted)
-        assert fits.scale(fitted, "residual", 100) == {"limit": seen.limit, "what": seen.what}
+        assert fits.layer(fitted, "residual", 100)[1] == {"limit": seen.limit, "what": seen.what}
         residual, _ = residual_at(fitted.fitter, fits.pictures.pixels(fitted.source), fitted.result)
         power = np.square(residual).sum(axis=0)
         assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
@@ -334,7 +333,8 @@ class TestLayers:
             assert values.limit > 0
 
     def test_colours_have_their_middle_at_nothing(self):
-        drawn = layers.coloured(np.array([[-5.0, -1.0, 0.0, 1.0, np.nan]]), layers.SHADING_COLOURS)
+        values, everywhere = np.array([[-5.0, -1.0, 0.0, 1.0, np.nan]]), np.ones((1, 5), bool)
+        drawn = layers.coloured(values, layers.SHADING_COLOURS, everywhere)[..., :3]
         low, middle, high = layers.SHADING_COLOURS
         assert [tuple(colour) for colour in drawn[0].tolist()] == [low, low, middle, high, middle]
 
@@ -365,9 +365,9 @@ class TestLayers:
         monkeypatch.setattr("liaam.studio.fits.LIGHT_SIZE", 80)
         fits._lights = Kept(2)
         for what, channels in (("flat", 3), ("shading", 4)):
-            assert fits.draw(fitted, what, 160).shape == (80, 60, channels)
-            assert fits.draw(fitted, what, 20).shape == (20, 15, channels)
-        assert fits.draw(fitted, "residual", 160).shape == (160, 120, 4)
+            assert fits.draw(fitted, what, 160)[0].shape == (80, 60, channels)
+            assert fits.draw(fitted, what, 20)[0].shape == (20, 15, channels)
+        assert fits.draw(fitted, "residual", 160)[0].shape == (160, 120, 4)
 
     def test_are_drawn_once(self, fits, fitted, monkeypatch):
         first = fits.layer(fitted, "shading", 90)
@@ -381,18 +381,18 @@ class TestLight:
         fitted = fit(fits)
         for what in ("flat", "shading", "relit"):
             with pytest.raises(Refusal, match=r"face\.png has 120 x 160 pixels, .* use 'liaam relight'") as caught:
-                file_of(fits, fitted, what, (FRONT, 0.25))
+                fits.export(fitted, what, (FRONT, 0.25))
             assert caught.value.status == 422
-        assert file_of(fits, fitted, "overlay", (FRONT, 0.25))[2]
-        assert fits.draw(fitted, "flat", 100).shape == (100, 75, 3)  # to look at it is still there
+        assert fits.export(fitted, "overlay", (FRONT, 0.25))[2]
+        assert fits.draw(fitted, "flat", 100)[0].shape == (100, 75, 3)  # to look at it is still there
 
     def test_from_the_front_is_flat(self, fits, fitted):
-        flat = decode_image(fits.layer(fitted, "flat", 320)).astype(int)
-        assert np.abs(fits.relit(fitted, FRONT, 0.3, 320) - flat).max() <= 1
+        flat = decode_image(fits.layer(fitted, "flat", 320)[0]).astype(int)
+        assert np.abs(fits.relit(fitted, (FRONT, 0.3), 320) - flat).max() <= 1
 
     def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):
-        left = fits.relit(fitted, [Lamp((-1.0, 0.0, 0.5))], 0.2, 320).astype(int)
-        right = fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 320).astype(int)
+        left = fits.relit(fitted, ([Lamp((-1.0, 0.0, 0.5))], 0.2), 320).astype(int)
+        right = fits.relit(fitted, ([Lamp((1.0, 0.0, 0.5))], 0.2), 320).astype(int)
         x, y = np.rint(fitted.result.landmarks.mean(axis=0)).astype(int)
         reach = int(np.ptp(fitted.result.landmarks[:, 0]) / 3)
         change = (left - right).mean(axis=2)
@@ -402,11 +402,11 @@ class TestLight:
         assert np.array_equal(left[far], scene.image[far])
 
     def test_comes_in_the_size_asked_for(self, fits, fitted):
-        assert fits.relit(fitted, [Lamp((1.0, 0.0, 0.5))], 0.2, 80).shape == (80, 60, 3)
+        assert fits.relit(fitted, ([Lamp((1.0, 0.0, 0.5))], 0.2), 80).shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
         with pytest.raises(MethodError, match="method grey does not separate"):
-            fits.relit(fit(fits, method="grey"), FRONT, 0.3, 320)
+            fits.relit(fit(fits, method="grey"), (FRONT, 0.3), 320)
 
     def test_on_request(self, page):
         made = page.fit(picture="face.png").json()

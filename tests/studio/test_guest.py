@@ -70,7 +70,7 @@ def test_a_training_that_ends_does_not_replace_a_guest(head_model):
     guest = models.publish(head_model, {"source": "guest", "trained": None, "pictures": {}, "name": "kate"}, "guest")
     own = models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}})
     assert (models.current, models.own) == (guest, own)
-    models.withdraw("guest")
+    models.publish(None, place="guest")
     assert models.current is own
     assert told == [guest, guest, own]
     assert model_json(guest, {"p1.png": "1"})["source"] == "guest"
@@ -82,7 +82,7 @@ def test_a_spare_model_is_used_while_there_is_no_other(head_model):
     spare = models.current
     assert (spare.facts["source"], models.own) == ("face", None)
     assert models.publish(head_model, {"source": "studio", "trained": None, "pictures": {}}) is models.current
-    models.withdraw()
+    models.publish(None)
     assert models.current is spare
-    models.withdraw("spare")
+    models.publish(None, place="spare")
     assert models.current is None

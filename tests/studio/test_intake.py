@@ -69,7 +69,7 @@ def test_paths_do_not_lead_out(small):
 
 
 def test_a_picture_that_is_too_large_is_left_out(small):
-    small._intake.__dict__["most_pixels"] = 1000
+    small._listing.most_pixels = 1000
     assert "more than 1,000: make" in str(refused(small.take_in, "new.png", png()))
 
 

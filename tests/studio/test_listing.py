@@ -1,6 +1,7 @@
 """Which pictures a project has, and which of them can be used."""
 
 import os
+import threading
 
 import numpy as np
 import pytest
@@ -162,7 +163,7 @@ def test_an_overview_does_not_wait_for_files_that_were_not_read(small, monkeypat
     assert {picture["state"] for picture in first.pictures} == {"reading"}
     assert [picture["name"] for picture in first.pictures] == ["p1.png", "p2.png", "p10.png", "q.jpg"]
     assert first.done == {}
-    project.read_files()
+    project.read_files(threading.Event())
     then = project.overview(first.stamp, seconds=0.0)
     assert [picture["state"] for picture in then.pictures] == ["done", "new", "new", "new"]
     assert list(then.done) == ["p1.png"]

@@ -137,13 +137,13 @@ def test_the_number_of_videos_is_bounded_and_idle_ones_end(head_model, monkeypat
     third = videos.open()
     with pytest.raises(Refusal, match="no longer tracked"):
         videos.get(second.id)
-    assert videos.get(first.id) is first and len(videos) == 2
+    assert videos.get(first.id) is first and len(videos._videos) == 2
     videos.close(third.id)
     videos.close("unknown")
-    assert len(videos) == 1
+    assert len(videos._videos) == 1
     monkeypatch.setattr(live, "IDLE_SECONDS", -1.0)
     videos.open()
-    assert len(videos) == 1, "an idle video is kept"
+    assert len(videos._videos) == 1, "an idle video is kept"
 
 
 def test_another_model_ends_all_videos(head_model):
@@ -154,7 +154,7 @@ def test_another_model_ends_all_videos(head_model):
     with pytest.raises(Refusal) as refusal:
         videos.get(video.id)
     assert refusal.value.status == 404
-    models.withdraw()
+    models.publish(None)
     with pytest.raises(Refusal, match="no model yet"):
         videos.open()
 

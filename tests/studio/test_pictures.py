@@ -19,6 +19,7 @@ from liaam.studio.pictures import (
     Kept,
     Pictures,
     Room,
+    Uploads,
     block_size,
     chroma,
     chroma_bytes,
@@ -30,7 +31,6 @@ from liaam.studio.pictures import (
 )
 from liaam.studio.routes import checked_size
 from liaam.studio.safety import Refusal
-from liaam.studio.uploads import Uploads
 
 LIMIT = 50_000_000
 

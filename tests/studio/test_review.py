@@ -9,9 +9,9 @@ import pytest
 from small_projects import POINTS, TRIANGLE, by_name, proposal, put, refused, states
 
 from liaam.io import Landmarks, read_collection, read_landmarks, write_landmarks
-from liaam.studio.export import export_of
 from liaam.studio.model_store import ModelStore, Versions, model_json
 from liaam.studio.project import Project
+from liaam.studio.store import Table
 from liaam.studio.training import choose_held_out
 
 MOVED = [[5.0, 6.0], *POINTS[1:]]
@@ -142,7 +142,7 @@ def test_deleted_landmarks_are_not_restored_once_gone_or_for_another_template(pl
     act(placed, "deleted", "p1.png")
     placed.save_template({**TRIANGLE, "names": ["a", "b"], "contours": [], "mirror": None, "mapping": [0, 1]})
     assert "earlier template" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
-    placed.store.clear("deleted")
+    Table(placed.store, "deleted").forget()
     assert "not kept any more" in act(placed, "undeleted", "p1.png")["refused"]["p1.png"]
 
 
@@ -161,14 +161,14 @@ def test_requests_that_are_not_valid_are_refused(placed, change, status):
 
 def test_all_landmarks_are_exported(placed, tmp_path):
     put(placed, "q.jpg", [POINTS[0], None, POINTS[2]])
-    name, data = export_of(placed, "pts")
+    name, data = placed.export("pts")
     assert name == f"{placed.root.name}-pts.zip"
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         assert archive.namelist() == ["p1.pts", "p2.pts", "q.pts"]
         archive.extract("q.pts", tmp_path)
     assert read_landmarks(tmp_path / "q.pts").missing.tolist() == [False, True, False]
     for kind in ("coco", "tps", "csv"):
-        name, data = export_of(placed, kind)
+        name, data = placed.export(kind)
         (placed.root / name).write_bytes(data)
         found = read_collection(placed.root / name)
         assert list(found) == ["p1.png", "p2.png", "q.jpg"]
@@ -177,8 +177,8 @@ def test_all_landmarks_are_exported(placed, tmp_path):
 
 
 def test_nothing_and_unknown_kinds_are_not_exported(small):
-    assert "no picture has landmarks" in str(refused(export_of, small, "coco"))
-    assert refused(export_of, small, "../x").status == 422
+    assert "no picture has landmarks" in str(refused(small.export, "coco"))
+    assert refused(small.export, "../x").status == 422
 
 
 # Versions of the model -------------------------------------------------------------------------------------------

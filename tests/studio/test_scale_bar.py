@@ -6,7 +6,6 @@ from small_projects import POINTS, TRIANGLE, by_name, proposal, refused
 
 from liaam.io import Landmarks, read_collection, read_landmarks, write_image, write_landmarks
 from liaam.morphometry import measure, read_specimens
-from liaam.studio.export import export_of, measurements_of
 from liaam.studio.project import Project
 
 BAR = {"ends": [[2.0, 5.0], [22.0, 5.0]], "length": 5, "unit": "mm"}  # 0.25 mm a pixel
@@ -22,7 +21,7 @@ def test_the_scale_is_saved_with_the_landmarks_exported_and_measured(small):
     put(small, "p2.png", bar=CM)
     assert read_landmarks(small.root / "p1.ljson").scale == pytest.approx(0.25)
     assert small.marks("p1.png")["bar"] == Project(small.root).marks("p1.png")["bar"] == BAR
-    _, tps = export_of(small, "tps")
+    _, tps = small.export("tps")
     (small.root / "all.tps").write_bytes(tps)
     scales = [landmarks.scale for landmarks in read_collection(small.root / "all.tps").values()]
     assert scales == pytest.approx([0.25, 0.5])
@@ -30,7 +29,7 @@ def test_the_scale_is_saved_with_the_landmarks_exported_and_measured(small):
     lengths = measure(specimens, ["distance:1-2"])
     (lengths,) = [values for name, values in lengths.items() if "distance" in name]
     assert lengths == pytest.approx(np.linalg.norm(np.subtract(*POINTS[:2])) * np.array([0.25, 0.5]))
-    assert "0.25" in measurements_of(small, "distance:1-2", "")[1].decode()
+    assert "0.25" in small.measurements("distance:1-2", "")[1].decode()
 
 
 def test_points_are_moved_and_the_bar_stays(small):
@@ -69,7 +68,7 @@ def test_the_scale_of_a_file_stays(small):
 def test_a_pts_file_has_no_room_for_it_but_the_studio_knows_it(small):
     write_landmarks(small.root / "p1.pts", Landmarks(np.array(POINTS)))
     put(small, "p1.png", bar=CM)
-    assert b"SCALE=0.5" in export_of(small, "tps")[1]
+    assert b"SCALE=0.5" in small.export("tps")[1]
 
 
 def test_a_picture_that_was_replaced_has_no_bar(small):
@@ -109,7 +108,7 @@ def test_one_bar_for_all_is_written_exported_and_taken_back(small):
     assert answer["revisions"]["p2.png"] == small.marks("p2.png")["revision"]
     assert read_landmarks(small.root / "p2.ljson").scale == pytest.approx(0.25)
     assert small.marks("q.jpg")["bar"] == BAR and small.marks("q.jpg")["source"] == "proposal"
-    assert export_of(small, "tps")[1].count(b"SCALE=0.25") == 3
+    assert small.export("tps")[1].count(b"SCALE=0.25") == 3
     assert by_name(small)["p2.png"]["checked"] == "Ada"  # its points are as before,
     assert [item.revision for item in small.annotated()] == [item.revision for item in done]  # for training, too
     small.review({"pictures": ["q.jpg"], "did": "accepted"})
@@ -146,8 +145,9 @@ def test_a_scale_of_its_own_and_another_size_are_left_alone_unless_asked(small):
 
 @pytest.mark.parametrize(
     "bar",
-    [7, {}, {**BAR, "unit": "ell"}, {**BAR, "length": 0}, {**BAR, "length": float("nan")}, {**BAR, "length": True},
-     {**BAR, "ends": [[1, 1]]}, {**BAR, "ends": [[1, 1], None]}, {**BAR, "ends": [[1, 1], [1.5, 1]]}],
+    [7, {}, {**BAR, "unit": "ell"}, {**BAR, "unit": ["mm"]}, {**BAR, "length": 0}, {**BAR, "length": float("nan")},
+     {**BAR, "length": True}, {**BAR, "ends": [[1, 1]]}, {**BAR, "ends": [[1, 1], None]},
+     {**BAR, "ends": [[1, 1], [1.5, 1]]}],
 )  # fmt: skip
 def test_bars_that_make_no_sense_are_refused(small, bar):
     assert refused(small.save_marks, "p1.png", {"points": POINTS, "revision": None, "bar": bar}).status == 422

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from liaam.studio.pictures import Pictures
+from liaam.studio.folder import plain_name
+from liaam.studio.pictures import Pictures, Uploads
 from liaam.studio.routes import read_json
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
-from liaam.studio.uploads import Uploads, plain_name
 
 
 def colours(height: int = 24, width: int = 32) -> np.ndarray:
@@ -88,7 +88,7 @@ class TestTaken:
     def test_the_newest_few_are_kept(self):
         uploads = Uploads(Pictures(), Settings(uploads_kept=3))
         added = [uploads.add(PNG, f"{i}.png") for i in range(5)]
-        assert len(uploads) == 3
+        assert len(uploads._uploads) == 3
         assert [uploads.get(upload.id).name for upload in added[2:]] == ["2.png", "3.png", "4.png"]
         for upload in added[:2]:
             with pytest.raises(Refusal, match="only the 3 last used are kept: drop it again") as refused:
@@ -98,15 +98,15 @@ class TestTaken:
     def test_so_many_bytes_are_kept_and_the_newest_in_any_case(self):
         uploads = Uploads(Pictures(), Settings(uploads_bytes=2 * len(PNG)))
         added = [uploads.add(PNG, f"{i}.png") for i in range(2)]
-        assert len(uploads) == 2
+        assert len(uploads._uploads) == 2
         uploads.add(PNG, "2.png")
-        assert len(uploads) == 2
+        assert len(uploads._uploads) == 2
         with pytest.raises(Refusal):
             uploads.get(added[0].id)
         small = Uploads(Pictures(), Settings(uploads_bytes=1))
         assert small.get(small.add(PNG, "a.png").id).data == PNG
         last = small.add(PNG, "b.png")
-        assert len(small) == 1 and small.get(last.id).name == "b.png"
+        assert len(small._uploads) == 1 and small.get(last.id).name == "b.png"
 
     def test_pictures_at_the_limits(self):
         uploads = Uploads(Pictures(), Settings(pixels=24 * 32, upload_bytes=len(PNG)))
@@ -137,7 +137,7 @@ class TestTaken:
         uploads = Uploads(Pictures(), Settings(uploads_kept=6))
         with ThreadPoolExecutor(10) as pool:
             added = list(pool.map(lambda i: uploads.add(PNG, f"{i}.png"), range(40)))
-        assert len(uploads) == 6
+        assert len(uploads._uploads) == 6
         assert len({upload.id for upload in added}) == 40
 
     def test_nothing_is_written_to_disk(self, uploads, tmp_path, monkeypatch):
@@ -188,7 +188,7 @@ class TestRefused:
         with pytest.raises(Refusal, match=text) as refused:
             uploads.add(data, name)
         assert refused.value.status == status
-        assert len(uploads) == 0
+        assert len(uploads._uploads) == 0
 
     def test_what_has_more_pixels_than_allowed(self):
         uploads = Uploads(Pictures(), Settings(pixels=24 * 32 - 1))

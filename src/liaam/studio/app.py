@@ -3,8 +3,6 @@
 Errors for the user have the form ``{"error": sentence}``.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -31,36 +29,27 @@ from liaam.photometry import CameraModel
 from liaam.relighting.lamp import AMBIENT
 from liaam.studio import live
 from liaam.studio.background import Background
-from liaam.studio.export import export_of, file_of, measurements_of
 from liaam.studio.fits import LAYER_SIZE, Fits, truth_of
-from liaam.studio.folder import checked_folder, status_of
+from liaam.studio.folder import checked_folder, plain_name, status_of
 from liaam.studio.live import LiveVideos
-from liaam.studio.model_store import (
-    ModelStore,
-    load_dropped_model,
-    load_studio_model,
-    model_json,
-)
-from liaam.studio.pictures import Pictures, Source, jpeg_bytes
+from liaam.studio.model_store import ModelStore, load_dropped_model, load_studio_model, model_json
+from liaam.studio.pictures import Pictures, Source, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
-from liaam.studio.uploads import Uploads, plain_name
 
-IMAGE_SIZE, CHROMA_SIZE = 2048, 640
-"""Default longest sides in pixels."""
+IMAGE_SIZE, CHROMA_SIZE = 2048, 640  # default longest sides in pixels
 
 FORMATS = {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES}
 """Suffixes of the files that can be added."""
 
-KEPT = {"cache-control": "private, max-age=86400, immutable"}
-"""Headers of answers that never change."""
+SHOWN_OF_METHOD = ("name", "summary", "needs_colour")
 
-OVERVIEW_SECONDS = 0.2
-"""How long a request for the project may read files; the rest is read in the background."""
+KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
+OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
 
 class Studio:
@@ -91,8 +80,9 @@ class Studio:
             self.uploads = Uploads(self.pictures, self.settings)
             self.training = Trainer(self.project, self.models, self.events.publish)
             self.background = Background(self.project, self.models, self.training, self.events.publish)
-            self.fits = Fits(self.project, self.models, self.uploads, self.pictures)
+            self.fits = Fits(self.settings, self.models, self.pictures)
             self.live = LiveVideos(self.models, self.settings)
+            self.models.listeners.append(lambda _: self.events.publish("project", {}))
             if model is None:
                 load_studio_model(self.project, self.models)
             else:
@@ -121,10 +111,10 @@ class Studio:
             route("PUT", of_picture + "landmarks", self._save_landmarks, read_json),
             route("GET", of_picture + "history", lambda asked: project.history(asked.path_params["name"])),
             route("POST", "/api/review", self._review, read_json),
-            route("GET", "/api/export/{kind}", lambda it: attachment(*export_of(project, it.path_params["kind"]))),
+            route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
             route("PUT", "/api/template", self._save_template, read_json),
-            route("POST", "/api/template/file", self._read_template, data),
+            route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
             route("DELETE", "/api/training", self._stop_training, maybe_json),
             Route("/api/events", self._events, methods=["GET"]),
@@ -135,23 +125,19 @@ class Studio:
             route("GET", UPLOADS + "/{id}/chroma", self._chroma, limiter=shown),
             route("GET", "/api/model/file", self._model_file),
             route("POST", GUEST, self._receive_guest, data, models),
-            route("DELETE", GUEST, self._dismiss_guest),
+            route("DELETE", GUEST, lambda _: self.models.publish(None, place="guest")),
             route("POST", FITS, self._fit, read_json, fits),
             route("GET", FITS + "/{id}/layers/{layer}", self._layer, limiter=fits),
             route("GET", FITS + "/{id}/relit", self._relit, limiter=fits),
             route("GET", FITS + "/{id}/export", self._export_fit, limiter=fits),
         ]
 
-    def _changed(self) -> None:
-        self.events.publish("project", {})
-
     def _overview(self, request: Request) -> dict[str, Any]:
         project, training, model = self.project, self.training, self.models.current
-        known = request.query_params.get("stamp")
+        known = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
         suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}"
-        of_folder = known.removesuffix(suffix) if known is not None and known.endswith(suffix) else None
-        overview = project.overview(of_folder, OVERVIEW_SECONDS)
+        overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
         training.follow_template()
@@ -167,10 +153,7 @@ class Studio:
             "checked": self.background.has_checked(overview.done),
             "training": asdict(training.state),
             "versions": training.versions.as_json(project.templates.order),
-            "methods": [
-                {"name": method.name, "summary": method.summary, "needs_colour": method.needs_colour}
-                for method in METHODS.values()
-            ],
+            "methods": [{key: getattr(each, key) for key in SHOWN_OF_METHOD} for each in METHODS.values()],
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
@@ -183,7 +166,7 @@ class Studio:
         name = request.path_params["name"]
         answer = self.project.save_marks(name, data)
         self.events.publish("landmarks", {"name": name, "revision": answer["revision"]})
-        self.background.wake()
+        self.background.woken.set()
         return answer
 
     def _review(self, request: Request, data: Any) -> dict[str, Any]:
@@ -191,13 +174,13 @@ class Studio:
         # One event, because a page that falls behind is disconnected. "" means that there is no file any more.
         written = [{"name": name, "revision": now or ""} for name, now in answer.pop("revisions").items()]
         self.events.publish("landmarks", written)
-        self.background.wake()
-        self._changed()
+        self.background.woken.set()
+        self.events.publish("project", {})
         return answer
 
     def _measurements(self, request: Request) -> Response:
         asked = request.query_params
-        return attachment(*measurements_of(self.project, asked.get("measures", ""), asked.get("scale", "")))
+        return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
 
     def _save_template(self, request: Request, data: Any) -> dict[str, Any]:
         try:
@@ -205,11 +188,8 @@ class Studio:
             template = self.project.templates.as_json() or {}
         finally:  # even if this change is refused, since an earlier one may have been finished
             self.training.follow_template()
-        self._changed()
+        self.events.publish("project", {})
         return template
-
-    def _read_template(self, request: Request, data: bytes) -> dict[str, Any]:
-        return self.project.read_template(_name(request), data).as_json()
 
     async def _events(self, request: Request) -> Response:
         headers = {"cache-control": "no-store", "x-accel-buffering": "no"}
@@ -224,8 +204,7 @@ class Studio:
         return asdict(self.training.stop())
 
     def _model_file(self, request: Request) -> Response:
-        current = self.models.current
-        if current is None:
+        if (current := self.models.current) is None:
             raise Refusal(404, "there is no model yet: train one")
         return attachment(f"{plain_name(current.model.name or 'model')}.liaam", current.model.to_bytes())
 
@@ -234,15 +213,10 @@ class Studio:
         model = load_dropped_model(data, name, self.settings.points)
         facts = {"source": "guest", "trained": None, "pictures": {}, "name": name.removesuffix(".liaam")}
         self.models.publish(model, facts, "guest")
-        self._changed()
-
-    def _dismiss_guest(self, request: Request) -> None:
-        self.models.withdraw("guest")
-        self._changed()
 
     def _take_in(self, request: Request, data: bytes) -> dict[str, Any]:
         answer = self.project.take_in(_name(request), data)
-        self.background.wake()
+        self.background.woken.set()
         return answer
 
     def _upload(self, request: Request, data: bytes) -> dict[str, Any]:
@@ -251,8 +225,7 @@ class Studio:
         upload = self.uploads.add(data, asked.get("name", ""))
         if "method" in asked:
             with suppress(LiaamError):
-                source = self.uploads.source(upload.id)
-                fit = self.fits.fit(source, ("upload", upload.id), asked["method"]).as_json()
+                fit = self.fits.fit(self.uploads.source(upload.id), ("upload", upload.id), asked["method"]).as_json()
         return {"id": upload.id, "name": upload.name, "width": upload.width, "height": upload.height, "fit": fit}
 
     def _image(self, request: Request) -> Response:
@@ -262,11 +235,11 @@ class Studio:
     def _chroma(self, request: Request) -> Response:
         size, current = checked_size(request.query_params.get("size"), CHROMA_SIZE), self.models.current
         camera = CameraModel() if current is None else current.model.camera
+        kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
 
         def make(picture: Source) -> bytes:
             return self.pictures.chroma(picture, size, camera.suited_to(raw=picture.raw).response)
 
-        kind = f"chroma-{size}-{hash(camera.response) & 0xFFFFFFFF:x}"
         return self._cached(request, kind, make, "application/octet-stream")
 
     def _cached(self, request: Request, kind: str, make: Callable[[Source], bytes], media: str) -> Response:
@@ -287,17 +260,17 @@ class Studio:
     def _layer(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.path_params["layer"]
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        data, scale = self.fits.layer(fit, what, size), json.dumps(self.fits.scale(fit, what, size))
-        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": scale})
+        data, scale = self.fits.layer(fit, what, size)
+        return Response(data, media_type="image/png", headers={**KEPT, "x-scale": json.dumps(scale)})
 
     def _relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        return Response(jpeg_bytes(self.fits.relit(fit, *light, size)), media_type="image/jpeg", headers=KEPT)
+        return Response(jpeg_bytes(self.fits.relit(fit, light, size)), media_type="image/jpeg", headers=KEPT)
 
     def _export_fit(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")
-        name, kind, data = file_of(self.fits, fit, what, light_of(request.query_params))
+        name, kind, data = self.fits.export(fit, what, light_of(request.query_params))
         return attachment(name, data, kind)
 
     def _fit(self, request: Request, body: Any) -> dict[str, Any]:
@@ -315,28 +288,21 @@ class Studio:
 
     async def on_fault(self, request: Request, fault: Exception) -> Response:
         """Return the error message; if the disk refused to write, use a status that makes the page retry."""
-        text = self.project.folder.plain(fault)
+        answer, status, cause = {"error": self.project.folder.plain(fault)}, 422, fault.__cause__
         if isinstance(fault, Refusal):
-            return JSONResponse({"error": text, **fault.details}, fault.status)
-        writes = request.method not in ("GET", "HEAD") and request.url.path != FITS
-        refused_write = isinstance(fault.__cause__, OSError) and writes
-        return JSONResponse({"error": text}, status_of(fault.__cause__) if refused_write else 422)
+            answer, status = answer | fault.details, fault.status
+        elif isinstance(cause, OSError) and request.method not in ("GET", "HEAD") and request.url.path != FITS:
+            status = status_of(cause)
+        return JSONResponse(answer, status)
 
 
 def make_app(studio: Studio) -> Starlette:
     """Create the web application of a studio."""
+    static = StaticFiles(directory=studio.settings.static, html=True)
     return Starlette(
-        routes=[
-            *studio.routes(),
-            *live.routes(studio.live),
-            Mount("/", StaticFiles(directory=studio.settings.static, html=True)),
-        ],
+        routes=[*studio.routes(), *live.routes(studio.live), Mount("/", static)],
         middleware=[Middleware(Guard, settings=studio.settings)],
-        exception_handlers={
-            LiaamError: studio.on_fault,
-            HTTPException: _on_http_fault,
-            Exception: _on_bug,
-        },
+        exception_handlers={LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug},
     )
 
 

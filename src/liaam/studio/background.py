@@ -4,12 +4,10 @@ In a folder without points of its own, the face model that comes with liaam is t
 faces in them, the folder gets its points and its proposals, until a person defines other points or trains a model.
 """
 
-from __future__ import annotations
-
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cached_property, lru_cache
@@ -30,19 +28,14 @@ from liaam.studio.model_store import ModelInUse, ModelStore
 from liaam.studio.pictures import file_tag
 from liaam.studio.project import Project
 from liaam.studio.template import Template, template_of
-from liaam.studio.training import Trainer
+from liaam.studio.training import Publish, Trainer
 
-LOOK_SECONDS = 3.0
-"""How often the folder is looked at for files that other programs add."""
-
-QUIET_SECONDS = 0.2
-"""Files that are added together arrive in shorter intervals."""
-
+LOOK_SECONDS = 3.0  # how often the folder is looked at for files that other programs add
+QUIET_SECONDS = 0.2  # files that are added together arrive in shorter intervals
 STOP_SECONDS = 60.0
 """How long the end of the thread is waited for. What it does at the moment takes seconds on a busy machine."""
 
-TRIED = 4
-"""Number of pictures in which faces are looked for before the points of the face model are offered."""
+TRIED = 4  # number of pictures in which faces are looked for before the points of the face model are offered
 
 THREADS = min(4, os.cpu_count() or 1)
 
@@ -57,67 +50,55 @@ Picture = tuple[str, Path]
 class Background:
     """Fits pictures with each new model, and checks landmarks, in a thread."""
 
-    def __init__(
-        self, project: Project, models: ModelStore, trainer: Trainer, publish: Callable[[str, Any], None]
-    ) -> None:
-        self.project = project
-        self.models = models
-        self.trainer = trainer
-        self.progress: dict[str, int] | None = None
-        """``done`` and ``total`` of the pictures that are being fitted."""
+    def __init__(self, project: Project, models: ModelStore, trainer: Trainer, publish: Publish) -> None:
+        self.project, self.models, self.trainer = project, models, trainer
+        self.progress: dict[str, int] | None = None  # of the pictures that are being fitted
         self._publish = publish
-        self._woken = threading.Event()
-        self._stopped = False
+        self.woken = threading.Event()
+        """Set to have the folder looked at now."""
+        self._stopped = threading.Event()
         self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()
         self._checked: dict[str, str] | None = None  # revisions of the landmarks that were checked, by picture
         self.checks = 0
-        """Number of checks of the landmarks."""
         self._next_check = 0.0
         self._seen: object = None
         self._thread = threading.Thread(target=self._run, name="studio-background", daemon=True)
-        models.listeners.append(lambda _: self.wake())
+        models.listeners.append(lambda _: self.woken.set())
 
     def start(self) -> None:
-        """Start the thread, unless it was stopped before: the studio may end while it still reads its folder."""
-        if not self._stopped:
-            self._thread.start()
+        """Start the thread."""
+        self._thread.start()
 
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""
-        self._stopped = True
-        self._woken.set()
+        self._stopped.set()
+        self.woken.set()
         if self._thread.ident is not None:  # compiled code that runs when the interpreter ends aborts the process
             self._thread.join(STOP_SECONDS)
 
-    def wake(self) -> None:
-        """Look at the folder now."""
-        self._woken.set()
-
     def _run(self) -> None:
+        with suppress(LiaamError):  # thousands of files take a while; errors are reported when the page asks
+            self.project.read_files(self._stopped)
+            self._publish("project", {})
         with suppress(OSError, AttributeError):  # a person who fits a picture comes first
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 5)
         with suppress(LiaamError):  # the first photographs do not wait until the face model is ready
             if self.models.own is None and self._may_use_face():
                 self._lend()
                 self._fitter_of(self._face).fit(example(self._face, WARM_UP))
-        while not self._stopped:
+        while not self._stopped.is_set():
             with suppress(LiaamError, OSError):  # such as a folder that is gone for a while; the page says so
                 own = self.models.own
                 now = (self.project.stamp, self.trainer.state.state, own and own.number)
                 if now != self._seen:
                     self.fit_new()
                     self._seen = now if self.check_landmarks() else None
-            if self._woken.wait(LOOK_SECONDS):
-                self._rest()
-
-    def _rest(self) -> None:
-        """Wait until no more files arrive, but not for ever."""
-        until = time.monotonic() + LOOK_SECONDS
-        self._woken.clear()
-        while self._woken.wait(QUIET_SECONDS) and not self._stopped and time.monotonic() < until:
-            self._woken.clear()
-        self._woken.clear()
+            is_woken, until = self.woken.wait(LOOK_SECONDS), time.monotonic() + LOOK_SECONDS
+            while is_woken and not self._stopped.is_set():  # until no more files arrive, but not for ever
+                self.woken.clear()
+                is_woken = self.woken.wait(QUIET_SECONDS) and time.monotonic() < until
+            self.woken.clear()
 
     def fit_new(self) -> None:
         """Propose landmarks for all pictures without any that the model has not been fitted to."""
@@ -126,15 +107,13 @@ class Background:
         waiting = self.project.unfitted() if self.models.own is None else []
         self._lend()
         model = self._find_model(waiting)
-        if model is None:
-            return
-        waiting = self.project.unfitted(model.key)
-        if waiting:
+        if model is not None and (waiting := self.project.unfitted(model.key)):
             self._propose(model, waiting)
 
     def decline(self) -> None:
         """Do without the points of the face model in this folder."""
-        self.project.templates.decline()
+        self.project.store.put("declined", {"": True})
+        self.project.templates.offer(None)
         self._lend()
         self._publish("project", {})
 
@@ -144,7 +123,8 @@ class Background:
 
     def _may_use_face(self) -> bool:
         project = self.project
-        return project.settings.face and not project.templates.is_own and not project.templates.is_declined
+        may_lend = project.settings.face and not project.templates.is_own
+        return may_lend and project.store.get("declined") is None
 
     def _lend(self) -> None:
         """Let pictures be fitted with the face model, unless the folder has points or pictures without faces."""
@@ -154,35 +134,34 @@ class Background:
         if wanted:
             models.publish(self._face, FACE_FACTS, "spare")
         else:
-            models.withdraw("spare")
+            models.publish(None, place="spare")
             if self.project.templates.is_own:
                 self.project.templates.offer(None)
         self._publish("project", {})
 
     def _is_paused(self) -> bool:
-        """Whether to wait for a better model."""
-        return self._stopped or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
+        return self._stopped.is_set() or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
 
     def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
-        own, project = self.models.own, self.project
+        own, templates = self.models.own, self.project.templates
         if own is not None:
-            if project.templates.current is None:
-                project.templates.offer(template_of_model(own.model))
+            if templates.current is None:
+                templates.offer(template_of_model(own.model))
             return own
         if not waiting or not self._may_use_face():
             return None
-        if project.templates.current is None and not self._has_faces(self._face, waiting):
-            self._lend()
-            return None
-        self._without_faces.clear()
+        has_faces = templates.current is not None or self._has_faces(waiting)
+        if has_faces:
+            self._without_faces.clear()
         self._lend()
-        project.templates.offer(template_of_model(self._face), FACE)
+        if has_faces:
+            templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
 
-    def _has_faces(self, face: AAM, waiting: list[Picture]) -> bool:
+    def _has_faces(self, waiting: list[Picture]) -> bool:
         """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        fitter = self._fitter_of(face)
+        fitter = self._fitter_of(self._face)
         tagged = [(name, file_tag(path), path) for name, path in waiting]
         fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
         with ThreadPoolExecutor(THREADS) as pool:
@@ -193,7 +172,6 @@ class Background:
         return False
 
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
-        """Fit pictures in threads and save the proposals in batches."""
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
@@ -217,10 +195,7 @@ class Background:
         self._publish("project", {})
 
     def check_landmarks(self) -> bool:
-        """Look for slips as ``liaam check`` does, if landmarks have changed since; for a tenth of the time at most.
-
-        Returns False if that has to wait.
-        """
+        """Look for slips in changed landmarks, for a tenth of the time at most; return False if that has to wait."""
         began = time.monotonic()
         if began < self._next_check:
             return False
@@ -263,15 +238,8 @@ def propose(fitter: Fitter, path: Path) -> dict[str, Any]:
     return {**_NOTHING, "status": "not fitted", "message": message}
 
 
-_NOTHING: dict[str, Any] = {
-    "points": None,
-    "covariances": None,
-    "quality": None,
-    "ok": False,
-    "found": False,
-    "doubtful": True,
-    "uncertainty": None,
-}
+_NOTHING: dict[str, Any] = dict.fromkeys(("points", "covariances", "quality", "uncertainty"))
+_NOTHING |= {"ok": False, "found": False, "doubtful": True}
 
 
 def proposal_of(result: FitResult) -> dict[str, Any]:

@@ -1,9 +1,4 @@
-"""Fits for the page: computed with the current model and cached together with their layers.
-
-HTTP is in :mod:`liaam.studio.app`, the export of files in :mod:`liaam.studio.export`.
-"""
-
-from __future__ import annotations
+"""Fits for the page: computed with the current model, cached together with their layers, and exported as files."""
 
 import secrets
 import threading
@@ -19,44 +14,47 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError, MethodError
-from liaam.evaluation import finite_or_none, point_error
+from liaam.evaluation import finite_list, finite_or_none, point_error
 from liaam.fitting.detection import Detection
+from liaam.fitting.files import fit_text
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
 from liaam.fitting.result import FitResult
-from liaam.io import Landmarks
+from liaam.io import Contour, Landmarks
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb
 from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
+from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
-from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes
-from liaam.studio.project import Project
+from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes, shown
 from liaam.studio.safety import Refusal
-from liaam.studio.uploads import Uploads
+from liaam.studio.settings import Settings
+from liaam.studio.template import text_of
 
-LAYER_SIZE = 1280
-"""Default longest side of a layer in pixels."""
-
+LAYER_SIZE = 1280  # default longest side of a layer in pixels
 LIGHT_SIZE = 2048
 """Longest side in pixels of a relit picture on the page. Splitting a picture into appearance and shading takes about a
 second per megapixel. Exported files have the full size."""
 
-LAYER_BYTES = 30_000_000
-"""Bytes of encoded layers in the cache."""
-
-LIGHT_BYTES = 200_000_000
-"""Maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048."""
-
+LAYER_BYTES = 30_000_000  # bytes of encoded layers in the cache
+LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2
 """Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
 
 FITTERS_KEPT, RESIDUALS_KEPT = 16, 4
 
+Light = tuple[Sequence[Lamp], float]
+"""Lamps, and the fraction of ambient light."""
+
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
 finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
+
+FILES = {"pts": "text/plain", "ljson": "application/json", "csv": "text/csv", "json": "application/json"}
+FILES |= dict.fromkeys(("overlay", "flat", "shading", "relit"), "image/png")
+"""Kinds of files of a fit, and their media types."""
 
 WARM_UP = (480, 640)
 """Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""
@@ -68,36 +66,27 @@ class Fit:
 
     id: str
     source: Source
-    """The picture."""
     fitter: Fitter
-    """Holds the model of this fit."""
     result: FitResult
     search_seconds: float
     fit_seconds: float
-    no_flat: str | None
-    """Why its shading cannot be computed."""
+    no_flat: str | None  # why its shading cannot be computed
     error: tuple[float, float] | None
     """Distance from the picture's landmarks, in pixels and in percent of their diagonal."""
-    of: tuple[str, str]
-    """``picture`` or ``upload``, and its name or id."""
-    trained_on: bool = False
-    """Whether the picture is one of those that the model was trained on."""
+    of: tuple[str, str]  # ``picture`` or ``upload``, and its name or id
+    trained_on: bool = False  # whether the picture is one of those that the model was trained on
 
     @property
     def model(self) -> AAM:
         """The model of this fit."""
         return self.fitter.model
 
-    @property
-    def layers(self) -> list[str]:
-        """Names of the layers that this fit can show."""
-        if not np.isfinite(self.result.landmarks).all():
-            return []
-        return ["residual"] if self.no_flat else list(layers.LAYERS)
-
     def as_json(self) -> dict[str, Any]:
-        """Return the fit as JSON for the page."""
+        """Return the fit as JSON for the page. ``objects`` are boxes (left, top, right, bottom), its own first."""
         result, model, found = self.result, self.model, self.result.found
+        is_finite = bool(np.isfinite(result.landmarks).all())
+        shapes = [result.landmarks, *(each.landmarks for each in result.beside)] if result.beside and is_finite else []
+        boxes = [np.concatenate([shape.min(axis=0), shape.max(axis=0)]) for shape in shapes]
         return {
             "id": self.id,
             "method": result.method.name,
@@ -114,7 +103,7 @@ class Fit:
             "cost": finite_or_none(result.cost),
             "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},
             "n_found": result.n_found,
-            "objects": boxes_of(result),
+            "objects": [numbers(box, 1) for box in boxes],
             "iterations": [
                 {
                     "shape": numbers(step.landmarks, 2),
@@ -130,41 +119,26 @@ class Fit:
             "contours": [{"indices": list(indices), "closed": closed} for indices, closed in model.contours],
             "width": self.source.size[0],
             "height": self.source.size[1],
-            "layers": self.layers,
+            "layers": [] if not is_finite else ["residual"] if self.no_flat else layers.LAYERS,
             "no_flat": self.no_flat,
             self.of[0]: self.of[1],
         }
 
 
-def boxes_of(result: FitResult) -> list[list[float]]:
-    """Return the boxes (left, top, right, bottom) of several objects that a search has found, that of the fit first."""
-    if not result.beside or not np.isfinite(result.landmarks).all():
-        return []
-    shapes = [result.landmarks, *(each.landmarks for each in result.beside)]
-    return [numbers(np.concatenate([shape.min(axis=0), shape.max(axis=0)]), 1) for shape in shapes]
-
-
 def numbers(values: np.ndarray, digits: int) -> list:
-    """Return an array as nested lists for JSON, with None for values that are not finite."""
-    rounded = np.round(values, digits)
-    if np.isfinite(rounded).all():
-        return rounded.tolist()
-    return np.where(np.isfinite(rounded), rounded, None).tolist()  # type: ignore[arg-type]
+    """Return rounded values as nested lists for JSON, with None for those that are not finite."""
+    return finite_list(np.round(values, digits))
 
 
 class Fits:
     """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
-    def __init__(self, project: Project, models: ModelStore, uploads: Uploads, pictures: Pictures) -> None:
-        self.settings = settings = project.settings
-        self.project = project
-        self.models = models
-        self.uploads = uploads
-        self.pictures = pictures
+    def __init__(self, settings: Settings, models: ModelStore, pictures: Pictures) -> None:
+        self.settings, self.models, self.pictures = settings, models, pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
-        self._layers: Kept[tuple[str, str, int], bytes] = Kept(LAYER_BYTES, len)
+        self._layers: Kept[tuple[str, str, int], tuple[bytes, Any]] = Kept(LAYER_BYTES, lambda layer: len(layer[0]))
         self._residuals: Kept[str, layers.Residual] = Kept(RESIDUALS_KEPT)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
@@ -185,26 +159,20 @@ class Fits:
         self._fits.keep_only(lambda _, fit: id(fit.model) in models)
         self._lights.keep_only(lambda key, _: self._fits.peek(key[0]) is not None)
 
-    def warm_up(self, current: ModelInUse | None) -> None:
-        """Fit an example, unless the model has fitted, so that the first real fit does not wait for set-up work."""
-        if current is None or self._fitters.peek((id(current.model), DEFAULT_METHOD, False)) is not None:
-            return
-        image = example(current.model, WARM_UP)
-        searcher, fitter = self._searcher(current, False), self._fitter(current, DEFAULT_METHOD, False)
-        result = fitter.fit(image, searcher.find(image)[0])
-        if layers.why_not_flat(fitter, image, result) is None:
-            layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
-
     def warm_up_soon(self, current: ModelInUse | None) -> threading.Thread:
-        """Call :meth:`warm_up` in a thread; a listener of :class:`ModelStore`.
-
-        It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
-        """
+        """Fit an example in a thread, unless the model has fitted, so that the first real fit does no set-up work."""
 
         def warm_up() -> None:
+            if current is None or self._fitters.peek((id(current.model), DEFAULT_METHOD, False)) is not None:
+                return
             with suppress(LiaamError):  # the request that needs the result will report it
-                self.warm_up(current)
+                image = example(current.model, WARM_UP)
+                searcher, fitter = self._searcher(current, False), self._fitter(current, DEFAULT_METHOD, False)
+                result = fitter.fit(image, searcher.find(image)[0])
+                if layers.why_not_flat(fitter, image, result) is None:
+                    layers.taken_apart(fitter, image, result, (image.shape[1], image.shape[0]))
 
+        # It is no daemon: one that is in compiled code when the interpreter ends aborts the process.
         thread = threading.Thread(target=warm_up, name="warm-up")
         thread.start()
         return thread
@@ -222,8 +190,7 @@ class Fits:
         ``start`` is as for :meth:`Fitter.fit`; by default the object is searched for. ``truth`` are the
         picture's landmarks (n, 2), NaN where they are to be ignored.
         """
-        current = self.models.current
-        if current is None:
+        if (current := self.models.current) is None:
             raise Refusal(409, "there is no model yet: train one first, or drop a model file on the page")
         fitter = self._fitter(current, method, source.raw)
         small = start is None and source.has_copy  # tried first: it will do for an object that is large on it
@@ -247,33 +214,26 @@ class Fits:
             if not small or (result.status.ok and diagonal_of(result.landmarks) >= least):
                 break
             small = False
-        trained_on = of[0] == "picture" and current.is_trained_on(of[1])
-        error = error_of(result.landmarks, truth)
+        facts, error = current.facts, error_of(result.landmarks, truth)
+        trained_on = of[0] == "picture" and of[1] in facts.get("pictures", {}).keys() - facts.get("left_out", {})
         fit = Fit(secrets.token_urlsafe(9), source, fitter, result, *seconds, no_flat, error, of, trained_on)
         self._fits.put(fit.id, fit)
         return fit
 
     def get(self, number: str) -> Fit:
         """Return the fit with an id."""
-        fit = self._fits.peek(number)
-        if fit is None:
-            raise Refusal(404, "this fit is no longer kept: fit again")
-        return fit
+        return self._fits.found(number, "this fit is no longer kept: fit again")
 
-    def layer(self, fit: Fit, what: str, size: int) -> bytes:
-        """Return a layer of the whole picture as PNG, its longest side at most ``size``."""
+    def layer(self, fit: Fit, what: str, size: int) -> tuple[bytes, dict[str, Any] | None]:
+        """Return :meth:`draw` as PNG."""
         if what not in layers.LAYERS:
             raise Refusal(404, f"there is no layer '{what[:40]}': choose one of {', '.join(layers.LAYERS)}")
-        return self._layers.get((fit.id, what, size), lambda: png_bytes(self.draw(fit, what, size)))
 
-    def scale(self, fit: Fit, what: str, size: int) -> dict[str, Any] | None:
-        """Return what the page needs to know of a layer: the limit of its colours and what they show, or its place."""
-        if what == "residual":
-            residual = self._residual(fit)
-            return {"limit": residual.limit, "what": residual.what}
-        if what == "normals":
-            return {"box": layers.box_of_normals(self._light(fit, size)[0])}
-        return {"limit": layers.SHADING_LIMIT, "what": "light"} if what == "shading" else None
+        def make() -> tuple[bytes, dict[str, Any] | None]:
+            image, facts = self.draw(fit, what, size)
+            return png_bytes(image), facts
+
+        return self._layers.get((fit.id, what, size), make)
 
     def _residual(self, fit: Fit) -> layers.Residual:
         def make() -> layers.Residual:
@@ -282,22 +242,54 @@ class Fits:
 
         return self._residuals.get(fit.id, make)
 
-    def draw(self, fit: Fit, what: str, size: int) -> np.ndarray:
-        """Draw a layer as (h, w, 4) or (h, w, 3) uint8."""
+    def draw(self, fit: Fit, what: str, size: int) -> tuple[np.ndarray, dict[str, Any] | None]:
+        """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
+
+        Also return the limit of its colours and what they show, or its place, as JSON for the page.
+        """
         if what == "residual":
-            to = fitted_size(*fit.source.size, size)
-            shape = layers.scaled(fit.result, fit.source.size, to).landmarks
-            part = fit.fitter.part_for(fit.result).model
-            return layers.residual_layer(part, shape, self._residual(fit), to)
+            residual, to = self._residual(fit), fitted_size(*fit.source.size, size)
+            shape, part = layers.scaled(fit.result, fit.source.size, to).landmarks, fit.fitter.part_for(fit.result)
+            facts = {"limit": residual.limit, "what": residual.what}
+            return layers.residual_layer(part.model, shape, residual, to), facts
         light, to = self._light(fit, size)
         if what == "normals":
-            return layers.normals_layer(light)
-        return averaged(light.flat(), to) if what == "flat" else layers.shading_layer(light, to)
+            layer, box = layers.normals_layer(light)
+            return layer, {"box": box}
+        if what == "shading":
+            return layers.shading_layer(light, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
+        return averaged(light.flat(), to), None
 
-    def relit(self, fit: Fit, lamps: Sequence[Lamp], ambient: float, size: int) -> np.ndarray:
+    def relit(self, fit: Fit, light: Light, size: int) -> np.ndarray:
         """Return the picture with the object under lamps, (h, w, 3) uint8."""
-        light, to = self._light(fit, size)
-        return averaged(light.under_lamps(lamps, ambient), to)
+        relighter, to = self._light(fit, size)
+        return averaged(relighter.under_lamps(*light), to)
+
+    def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
+        """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
+        if what not in FILES:
+            raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
+        stem, kind = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name), FILES[what]
+        if kind == "image/png":
+            return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, png_bytes(self._whole(fit, what, light))
+        landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours), fit.model.landmark_names)
+        if what == "json":
+            text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name, "image_size": fit.source.size})
+        else:
+            text = text_of(landmarks, f".{what}")
+        return f"{stem}.{what}", kind, text.encode()
+
+    def _whole(self, fit: Fit, what: str, light: Light) -> np.ndarray:
+        if what == "overlay":
+            from liaam.plotting import overlay
+
+            with self.pictures.at_work(fit.source) as pixels:
+                image = shown(pixels, fit.source.size, fit.source.raw)
+            return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances)
+        relighter = self._whole_light(fit)
+        if what == "shading":
+            return layers.shading_layer(relighter, fit.source.size)
+        return relighter.flat() if what == "flat" else relighter.under_lamps(*light)
 
     def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
         """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
@@ -306,7 +298,7 @@ class Fits:
         light = self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to))
         return light, fitted_size(*fit.source.size, size)
 
-    def whole_light(self, fit: Fit) -> Relighter:
+    def _whole_light(self, fit: Fit) -> Relighter:
         """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
         whole = fit.source.size
         if prod(whole) > self.settings.whole_pixels:
@@ -325,7 +317,6 @@ class Fits:
             return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
-        """Return a fitter by any method of the model."""
         return self._fitter(current, (*methods_of(current.model), DEFAULT_METHOD)[0], raw)
 
     def _fitter(self, current: ModelInUse, method: str, raw: bool) -> Fitter:

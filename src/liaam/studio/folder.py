@@ -1,10 +1,8 @@
-"""A project's folder: checks of its paths, its listing of pictures and landmark files, and whether each can be used.
+"""A project's folder: its listing of pictures and landmark files, whether each can be used, and files that are added.
 
 Names of files are relative to the folder, with ``/`` between the parts. Names of pictures are looked up in the folder's
 listing and never joined to a path. The studio neither reads nor writes through a link that leads out of the folder.
 """
-
-from __future__ import annotations
 
 import errno
 import hashlib
@@ -12,27 +10,34 @@ import os
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError
+from liaam.io import image_kind, is_raw
+from liaam.io.atomic import write_bytes_atomically
 from liaam.io.files import count_of, may_write_in, natural_key, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, image_size
-from liaam.io.landmarks import LANDMARK_SUFFIXES
+from liaam.io.landmarks import LANDMARK_SUFFIXES, parse_landmark_data
 from liaam.photometry.encoding import as_colour
-from liaam.studio.safety import Refusal
+from liaam.studio.safety import Refusal, refusing
 
-STATE = ".liaam-studio"
-"""Name of the subfolder for the studio's own files."""
+STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
 
 OWN_SUFFIXES = (".pts", ".ljson")
 """Suffixes of the landmark files that the studio writes, in the order in which they are read."""
 
-MOST_FOLDERS = 1000
-"""Maximum number of folders that are listed."""
+MOST_FOLDERS = 1000  # maximum number of folders that are listed
+LONGEST_NAME = 120  # maximum number of characters of a name
+ADDED = "added"
+"""Subfolder of added pictures if the folder has pictures in its subfolders only: with one of its own, it would no
+longer list these."""
+
+SOME_SIZE = (640, 480)  # size of a picture that is assumed where a landmark file needs one
 
 Signature = tuple[int, int, int]
 
@@ -41,8 +46,7 @@ Signature = tuple[int, int, int]
 class Folder:
     """A folder of pictures."""
 
-    root: Path
-    """Path with links resolved."""
+    root: Path  # path with links resolved
 
     def leads_inside(self, path: Path) -> bool:
         """Whether a path stays in the folder and outside the studio's own subfolder."""
@@ -60,8 +64,8 @@ class Folder:
         """Return the name of a file in the folder."""
         return path.relative_to(self.root).as_posix()
 
-    def time(self, subfolder: str = "") -> int:
-        """Return the time of the last added or removed entry of the folder, or of a subfolder, in nanoseconds."""
+    def time(self, subfolder: str) -> int:
+        """Return the time of the last added or removed entry of a subfolder, in nanoseconds."""
         try:
             return (self.root / subfolder).stat().st_mtime_ns
         except OSError:
@@ -78,7 +82,6 @@ class File:
     """A file of the folder, with a signature that changes with it: time, size and inode."""
 
     name: str
-    """Relative to the folder, with ``/`` between the parts."""
     signature: Signature
 
     @cached_property
@@ -107,12 +110,10 @@ class Listing:
     """
 
     def __init__(self, folder: Folder, most_pixels: int) -> None:
-        self.folder = folder
-        self.version = 0
+        self.folder, self.most_pixels, self.version = folder, most_pixels, 0
         self.files: dict[str, File] = {}
         self.stranded: list[str] = []
         self.unlisted: list[str] = []
-        self._most_pixels = most_pixels
         self._times: dict[str, int] = {}
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
         self._arrange()
@@ -205,34 +206,30 @@ class Listing:
 
     def fault_of(self, picture: File) -> str | None:
         """Return why a picture cannot be used, or None if it can."""
-        winner = self.winners[picture.stem]
-        if winner != picture.name:
-            return f"{winner} has the same name except for its suffix, so both would share landmark files: rename one"
         size = self.size_of(picture)
         return size if isinstance(size, str) else None
 
-    def usable(self) -> list[File]:
-        """Return the pictures that can be used."""
-        return [file for file in self.pictures if self.fault_of(file) is None]
-
     def usable_size(self, picture: File) -> tuple[int, int]:
         """Return the width and height of a picture."""
-        fault, size = self.fault_of(picture), self.size_of(picture)
-        if fault is not None or isinstance(size, str):
-            raise Refusal(409, f"{picture.name} cannot be used: {fault or size}")
+        size = self.size_of(picture)
+        if isinstance(size, str):
+            raise Refusal(409, f"{picture.name} cannot be used: {size}")
         return size
 
     def size_of(self, picture: File) -> tuple[int, int] | str:
-        """Return the width and height of a picture from its header, or an error message."""
+        """Return the width and height of a picture from its header, or why it cannot be used."""
         if not self.is_read(picture):
             size: tuple[int, int] | str
             try:
                 size = image_size(self.folder.inside(picture.name))
-                check_pixels(picture.name, size, self._most_pixels)
+                check_pixels(picture.name, size, self.most_pixels)
                 as_colour(np.broadcast_to(np.uint8(0), (*size[::-1], 3)), picture.name)
             except LiaamError as fault:
                 size = self.folder.plain(fault)
             self._sizes[picture.name] = (picture.signature, size)
+        winner = self.winners[picture.stem]
+        if winner != picture.name:
+            return f"{winner} has the same name except for its suffix, so both would share landmark files: rename one"
         return self._sizes[picture.name][1]
 
     def mark_unreadable(self, picture: File, fault: str) -> None:
@@ -250,7 +247,11 @@ class Listing:
         unread = [file.name for file in files if file.suffix in UNREAD_SUFFIXES]
         kinds = Counter(PurePosixPath(name).suffix.lower() for name in unread)
         endings = ", ".join(f"{count} {suffix}" for suffix, count in sorted(kinds.items()))
-        below = [name for name in self.unlisted if self._has_pictures(name)]
+        below = []
+        for name in self.unlisted:
+            with suppress(OSError), os.scandir(self.folder.root / name) as entries:
+                if any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries):
+                    below.append(name)
         reason = "there are too many" if len(self._times) > 1 else "the folder itself has pictures"
         orphans = [file.name for file in files if file.suffix in OWN_SUFFIXES and file.stem not in self.winners]
         remedy = "if the picture was renamed, rename the landmark file too"
@@ -261,13 +262,6 @@ class Listing:
             (orphans, "landmark file", f"without a picture of the same name: {remedy}"),
         )
         return [f"{count_of(len(names), what)} ({some_names(names, 3)}) {why}" for names, what, why in notices if names]
-
-    def _has_pictures(self, name: str) -> bool:
-        try:
-            with os.scandir(self.folder.root / name) as entries:
-                return any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries)
-        except OSError:
-            return False
 
 
 def _signature(facts: os.stat_result) -> Signature:
@@ -318,3 +312,65 @@ def status_of(fault: BaseException | None) -> int:
 def revision_of(data: bytes) -> str:
     """Return a hash of the contents of a file."""
     return hashlib.sha256(data).hexdigest()[:16]
+
+
+@dataclass(frozen=True, eq=False)
+class Intake:
+    """Writes files to the folder. It replaces none, and none of the landmarks that are there."""
+
+    listing: Listing
+    _stems: dict[str, str] = field(default_factory=dict)
+    """Name of each added picture by its stem, until the folder is listed again."""
+
+    def add(self, name: str, data: bytes) -> dict[str, Any]:
+        """Write a file; return its ``name`` in the folder, its ``kind``, and whether it was ``known`` before."""
+        name = plain_name(name)
+        suffix = Path(name).suffix.lower()
+        is_picture = suffix in PICTURE_SUFFIXES
+        if not is_picture and suffix not in LANDMARK_SUFFIXES:
+            raise Refusal(415, f"{name} is neither a picture nor a landmark file that liaam reads")
+        if not data:
+            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+        if not is_relative(name):
+            raise Refusal(422, f"{name} is the name of a hidden file: rename it")
+        pictures = self.listing.pictures
+        place = f"{ADDED}/{name}" if pictures and all("/" in each.name for each in pictures) else name
+        path = self.listing.folder.inside(place)
+        is_known = path.exists()
+        if is_known and path.read_bytes() != data:
+            raise Refusal(409, f"{name}: the folder has another file of this name; rename one of them")
+        if not is_known:
+            if not is_picture:
+                with refusing():
+                    parse_landmark_data(name, data, SOME_SIZE)
+            elif not is_raw(name):  # RAW files can only be read from the disk
+                size_in_header(data, name, self.listing.most_pixels)
+            stem = place.removesuffix(Path(place).suffix)
+            if is_picture and (other := self._stems.setdefault(stem, self.listing.winners.get(stem, place))) != place:
+                raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
+            others = [stem + own for own in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
+            there = [other for other in others if self.listing.folder.inside(other).exists()]
+            if there:
+                raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
+            path.parent.mkdir(exist_ok=True)
+            write_bytes_atomically(path, data)
+        return {"name": place, "kind": "picture" if is_picture else "landmarks", "known": is_known}
+
+
+def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:
+    """Return the width and height of an image file from its header; refuse other files and too large images."""
+    if not data:
+        raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+    if not image_kind(data):
+        raise Refusal(415, f"{name} is not a PNG, JPEG, TIFF, BMP, PPM or PGM image: save it as PNG in another program")
+    with refusing():
+        size = image_size(data, name)
+    check_pixels(name, size, most_pixels)
+    return size
+
+
+def plain_name(name: str) -> str:
+    """Return a file name without folders and unprintable characters, or "picture" if nothing is left."""
+    last = name.replace("\\", "/").rpartition("/")[2]
+    shown = "".join(letter if letter.isprintable() else " " for letter in last).strip()
+    return shown[-LONGEST_NAME:] or "picture"

@@ -7,8 +7,6 @@ The studio also keeps the invisible points, which a ``.pts`` cannot store, and i
 files that were replaced.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys
@@ -23,15 +21,12 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_bytes_atomically, write_text_atomically
 from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
-from liaam.io.landmarks.formats import writer_of
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, Table
-from liaam.studio.template import Template, landmarks_of, parse_points
+from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 
-UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
-"""Units of length, in millimetres."""
-
+UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # units of length, in millimetres
 LONGEST = 1e9
 
 
@@ -70,16 +65,10 @@ _NO_MARKS = Marks()
 
 
 class LandmarkFiles:
-    """Landmark files of the listed pictures, of at most so many bytes, cached until they change.
-
-    ``problems`` are errors of files that cannot be read and belong to no picture.
-    """
+    """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
     def __init__(self, listing: Listing, store: Store, most_bytes: int) -> None:
-        self._folder = listing.folder
-        self._listing = listing
-        self._store = store
-        self._most_bytes = most_bytes
+        self._listing, self._store, self._folder, self._most_bytes = listing, store, listing.folder, most_bytes
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
         self._faults: dict[str, str] = {}
@@ -94,7 +83,11 @@ class LandmarkFiles:
         if self._listing.winners[picture.stem] != picture.name:
             return _NO_MARKS
         own = self._listing.own(picture)
-        return self._foreign().get(picture.name, _NO_MARKS) if own is None else self._own(own)
+        if own is None:
+            return self._foreign().get(picture.name, _NO_MARKS)
+        if not self.is_read(picture):
+            self._read[own.name] = (own.signature, self._read_own(own))
+        return self._read[own.name][1]
 
     def fault_of(self, picture: File) -> str | None:
         """Return why the file of another format cannot be read for a picture without landmarks."""
@@ -105,19 +98,12 @@ class LandmarkFiles:
         """Whether the listing is current for a picture: no file was added or removed, and its files are unchanged."""
         foreign = self._foreign().get(picture.name, _NO_MARKS)
         others = [self._listing.own(picture), self._listing.files.get(foreign.file)]
-        return self._listing.is_current(picture, *(other for other in others if other is not None))
+        return self._listing.is_current(picture, *filter(None, others))
 
     def is_read(self, picture: File) -> bool:
         """Whether the landmark file of a picture was read before, so that :meth:`of` is quick."""
         own = self._listing.own(picture)
-        known = None if own is None else self._read.get(own.name)
-        return own is None or (known is not None and known[0] == own.signature)
-
-    def _own(self, own: File) -> Marks:
-        known = self._read.get(own.name)
-        if known is None or known[0] != own.signature:
-            known = self._read[own.name] = (own.signature, self._read_own(own))
-        return known[1]
+        return own is None or self._read.get(own.name, (None,))[0] == own.signature
 
     def _read_own(self, own: File) -> Marks:
         revision = ""
@@ -187,21 +173,13 @@ class LandmarkFiles:
         own = self._listing.own(picture)
         return self._folder.inside(own.name if own is not None else f"{picture.stem}.ljson")
 
-    def bar_of(self, picture: File) -> dict[str, Any] | None:
-        """Return the scale bar of a picture, unless the picture has been replaced since."""
-        return self._scale(picture)["bar"]
-
     def scale_of(self, picture: File) -> float | None:
         """Return the length of a pixel in millimetres: by the scale bar, or else by the landmark file."""
-        known = self._scale(picture)
+        known = self.scale_bar(picture)
         bar = known["bar"]
         return known["scale"] if bar is None else bar["length"] * UNITS[bar["unit"]] / math.dist(*bar["ends"])
 
-    def shares_scale(self, picture: File) -> bool:
-        """Whether the scale bar of a picture was drawn on another one."""
-        return "before" in self._scale(picture)
-
-    def _scale(self, picture: File) -> dict[str, Any]:
+    def scale_bar(self, picture: File) -> dict[str, Any]:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
         landmarks = self.of(picture).landmarks
         scale = None if landmarks is None else landmarks.scale
@@ -213,7 +191,7 @@ class LandmarkFiles:
 
     def share_bar(self, pictures: Sequence[File], bar: dict[str, Any] | None) -> None:
         """Set a scale bar that was drawn on another picture; None gives pictures the scale that they had before."""
-        before = {each: self._scale(each) for each in pictures}
+        before = {each: self.scale_bar(each) for each in pictures}
         shared = {each.name: {"tag": each.tag, "bar": bar, "scale": None, "before": before[each]} for each in pictures}
         self._bars.save({each.name: before[each]["before"] for each in pictures} if bar is None else shared)
 
@@ -222,13 +200,12 @@ class LandmarkFiles:
     ) -> None:
         """Write a picture's landmarks, or remove its ``.ljson`` if no point is placed.
 
-        ``scale`` is written if the picture has none. A file that cannot be read, or that has another number of points,
-        is kept as a copy.
+        ``scale`` is written if the picture has none. One that cannot be read, or has other points, is kept as a copy.
         """
         target, before = self.target(picture), self.of(picture)
         name = self._folder.name_of(target)
         if before.file == name and (before.landmarks is None or len(before.landmarks) != len(template)):
-            data = self._bytes(target, sys.maxsize)
+            data = read_bytes(target, LandmarkError, sys.maxsize)
             copy = self._store.path(f"kept/{target.stem}.{revision_of(data)}{target.suffix}")
             write_bytes_atomically(copy, data)
         # If the .ljson were removed, a file of another format would be read again.
@@ -260,20 +237,14 @@ class LandmarkFiles:
         if data != after:
             write_bytes_atomically(target, after, LandmarkError)
 
-    def _bytes(self, path: Path, most: int | None = None) -> bytes:
-        """Read a landmark file; raise LandmarkError if it cannot be read."""
-        return read_bytes(path, LandmarkError, most or self._most_bytes)
+    def _bytes(self, path: Path) -> bytes:
+        return read_bytes(path, LandmarkError, self._most_bytes)
 
     def _remember_invisible(self, name: str, data: bytes, invisible: Sequence[int]) -> None:
         """Save which points of a ``.pts`` are invisible, since the format cannot, before the file is written."""
         key = f"{name} {revision_of(data)}"
         if Path(name).suffix.lower() == ".pts" and list(invisible) != self._invisible.get(key, []):
             self._invisible.save({key: list(invisible) or None})
-
-
-def text_of(landmarks: Landmarks, suffix: str) -> str:
-    """Return the text of a landmark file in a format that can be written."""
-    return writer_of(Path(f"x{suffix}"))(landmarks)
 
 
 def revision_of_proposal(proposal: Mapping[str, Any]) -> str:
@@ -285,7 +256,7 @@ def parse_bar(data: Any) -> dict[str, Any] | None:
     """Parse and check a scale bar from JSON: ``ends``, ``length`` and ``unit``, or null."""
     if data is None:
         return None
-    if not isinstance(data, dict) or data.get("unit") not in UNITS:
+    if not isinstance(data, dict) or data.get("unit") not in [*UNITS]:  # it may have no hash
         raise Refusal(422, f"the scale bar is not valid: send ends, length and unit, one of {', '.join(UNITS)}")
     ends, length = parse_points(data.get("ends"), 2), data.get("length")
     if isinstance(length, bool) or not isinstance(length, int | float) or not 0 < length < LONGEST:

@@ -3,8 +3,6 @@
 These functions work on arrays; :mod:`liaam.studio.fits` caches their results.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,8 +29,7 @@ SHADING_COLOURS = ((38, 36, 92), (148, 148, 148), (255, 214, 92))
 SHADING_LIMIT = float(np.log(4.0))
 """Limit of the colour scale: 1/4 and 4 times the training light. It is the same for all pictures, to compare them."""
 
-RESIDUAL_SHARE = 98.0
-"""Percentile of the absolute residual that limits the colour scale."""
+RESIDUAL_SHARE = 98.0  # percentile of the absolute residual that limits the colour scale
 
 _ROWS = {
     "luminance": ("luminance",),
@@ -47,14 +44,12 @@ _ROWS = {
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """One channel of a fit's residual."""
+    """One channel of a fit's residual, the limit of its colour scale, and its name."""
 
     values: np.ndarray
     """(n_pixels, 2) float32: image minus model at the pixels of the model's frame, and whether the image was usable."""
     limit: float
-    """Limit of the colour scale."""
     what: str
-    """Name of the channel."""
 
 
 def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residual:
@@ -99,23 +94,16 @@ def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> Fit
 
 
 def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tuple[int, int]) -> np.ndarray:
-    """Draw the residual of a shape (n, 2) on a layer of a size (width, height), as (height, width, 4) uint8.
-
-    It is transparent outside the mesh and where the image is unusable.
-    """
+    """Draw the residual of a shape (n, 2) on a layer of a size (width, height), where the image is usable."""
     canvas = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))  # takes no memory
     painted, inside = paint(canvas, shape, model, residual.values)
-    colours = coloured(painted[..., 0] / residual.limit, RESIDUAL_COLOURS)
-    return _with_alpha(colours, inside & (painted[..., 1] > 0.5))
+    return coloured(painted[..., 0] / residual.limit, RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5))
 
 
 def taken_apart(
     fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int], raw: bool = False
 ) -> Relighter:
-    """Create the relighter of a fit at another picture size (width, height), at most that of the picture.
-
-    The values of a ``raw`` picture are linear. The output is always sRGB.
-    """
+    """Create the relighter of a fit, which gives sRGB, at a size (width, height) of at most that of the picture."""
     small = averaged(image, to)
     if raw:
         small = linear_to_srgb(stored_values(small)).astype(np.float32)
@@ -124,28 +112,22 @@ def taken_apart(
 
 
 def shading_layer(light: Relighter, to: tuple[int, int]) -> np.ndarray:
-    """Draw the shading as (height, width, 4) uint8 at a size (width, height), transparent outside the mesh.
-
-    The shading is the logarithm of the ratio of the picture to its flat appearance.
-    """
+    """Draw the shading, log of the ratio of the picture to its flat appearance, at a size (width, height)."""
     shading = light.shading()
     inside = np.any(shading != 0, axis=2).astype(np.float32)
     mean, coverage = averaged(shading.mean(axis=2), to), averaged(inside, to)
-    colours = coloured(mean / np.maximum(coverage, 1e-6) / SHADING_LIMIT, SHADING_COLOURS)
-    return _with_alpha(colours, coverage > 0.5)
+    return coloured(mean / np.maximum(coverage, 1e-6) / SHADING_LIMIT, SHADING_COLOURS, coverage > 0.5)
 
 
-def normals_layer(light: Relighter) -> np.ndarray:
-    """Encode x and y of the normals, and the share of the light of lamps, as (h, w, 3) uint8 in the light's size."""
+def normals_layer(light: Relighter) -> tuple[np.ndarray, list[float]]:
+    """Encode x and y of the normals, and the share of the light of lamps, as (h, w, 3) uint8 in the light's size.
+
+    Also return their part of the picture, (left, top, width, height), as fractions of its sides.
+    """
     layer = np.dstack([128 + 127 * light.normals[..., :2], 255 * light.surroundings.share])
-    return np.rint(layer if layer.size else np.zeros((1, 1, 3))).astype(np.uint8)
-
-
-def box_of_normals(light: Relighter) -> list[float]:
-    """Return the part of the picture that has normals, (left, top, width, height), as fractions of its sides."""
-    rows, columns = light.region.box
-    height, width = light.picture.shape[:2]
-    return [columns.start / width, rows.start / height, *np.divide(light.region.size, (width, height)).tolist()]
+    (rows, columns), (height, width) = light.region.box, light.picture.shape[:2]
+    box = [columns.start / width, rows.start / height, *np.divide(light.region.size, (width, height)).tolist()]
+    return np.rint(layer if layer.size else np.zeros((1, 1, 3))).astype(np.uint8), box
 
 
 def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | None:
@@ -154,10 +136,8 @@ def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | 
     if not np.isfinite(result.landmarks).all():
         return "the fit lost the object, so it has no shading: fit again from a better start"
     if method.appearance not in ("log", "soft"):
-        return (
-            f"method {method.name} does not separate colour from shading: fit with 'soft-li', 'li', 'li-pc', 'li-pcs' "
-            "or 'chroma'"
-        )
+        others = "'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
+        return f"method {method.name} does not separate colour from shading: fit with {others}"
     if not fitter.model.is_colour:
         return "the model was trained on grey pictures, but shading needs colour: train on colour pictures"
     if is_grey(image):
@@ -165,12 +145,8 @@ def why_not_flat(fitter: Fitter, image: np.ndarray, result: FitResult) -> str | 
     return None
 
 
-def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...]) -> np.ndarray:
-    """Map values from -1 to 1 to three evenly spaced colours, (h, w, 3) uint8; values beyond are clipped."""
+def coloured(values: np.ndarray, colours: tuple[tuple[int, int, int], ...], inside: np.ndarray) -> np.ndarray:
+    """Map values, clipped to -1 to 1, to three evenly spaced colours, (h, w, 4) uint8, transparent but ``inside``."""
     table = np.stack([np.interp(np.linspace(-1, 1, 255), (-1, 0, 1), channel) for channel in np.array(colours).T], 1)
     index = np.rint((np.clip(np.nan_to_num(values), -1, 1) + 1) * 127).astype(np.uint8)
-    return np.rint(table).astype(np.uint8)[index]
-
-
-def _with_alpha(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    return np.dstack([colours * inside[..., None], np.where(inside, 255, 0).astype(np.uint8)])
+    return np.dstack([np.rint(table).astype(np.uint8)[index], np.full_like(index, 255)]) * inside[..., None]

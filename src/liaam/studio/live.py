@@ -4,8 +4,6 @@ A row is a line of the .csv that ``liaam track`` writes. The page keeps the rows
 tracker here. Frames are bare pixels: nothing has to be decoded.
 """
 
-from __future__ import annotations
-
 import io
 import secrets
 import time
@@ -13,7 +11,6 @@ from asyncio import wrap_future
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from starlette.requests import Request
@@ -33,12 +30,8 @@ from liaam.tracking.files import TrackRows
 from liaam.tracking.motion import rescaled
 from liaam.tracking.shading import ShadingRemover
 
-AT_ONCE = 3
-"""Frames of a video in progress: one arrives, one is tracked, and the shading of one is removed."""
-
-IDLE_SECONDS = 60.0
-"""Time without a frame after which a video may end."""
-
+AT_ONCE = 3  # frames of a video in progress: one arrives, one is tracked, and the shading of one is removed
+IDLE_SECONDS = 60.0  # time without a frame after which a video may end
 SIDE, WHOLE_SIDE = 16, 20_000
 """Shortest side of a frame, and longest side of the video that it is a reduced copy of, pixels."""
 
@@ -52,21 +45,14 @@ class LiveVideo:
         self.in_progress = 0
         self.rows = TrackRows(model.n_points)
         self._tracker = Tracker(model)
+        self._remover: ShadingRemover | None = None
         self._begin()
 
     def _begin(self) -> None:
         self._tracker.reset()
         self._tracker.state.count = 1  # the first frame of a tracker raises if it is invalid
 
-    @cached_property
-    def _remover(self) -> ShadingRemover | None:
-        """Remover of the shading; None if the model has no colours."""
-        try:
-            return ShadingRemover(self._tracker.fitter)
-        except MethodError:
-            return None
-
-    def track(self, image: np.ndarray, frame: Frame) -> tuple[TrackedFrame, FitResult | None]:
+    def track(self, image: np.ndarray, frame: "Frame") -> tuple[TrackedFrame, FitResult | None]:
         """Track the next frame; also return its fit, if the object is not lost."""
         if frame.fresh:
             self._begin()
@@ -75,11 +61,10 @@ class LiveVideo:
 
     def without_shading(self, image: np.ndarray, tracked: TrackedFrame, result: FitResult | None) -> bytes:
         """Return a JPEG of a frame without its shading; empty if the object is lost, or the frame or model is grey."""
-        if self._remover is None:
-            return b""
-        if tracked.status is not TrackStatus.TRACKED:
-            self._remover.reset()
         try:
+            self._remover = self._remover or ShadingRemover(self._tracker.fitter)
+            if tracked.status is not TrackStatus.TRACKED:
+                self._remover.reset()
             return b"" if result is None else jpeg_bytes(self._remover.remove(image, result, tracked.landmarks))
         except MethodError:
             return b""
@@ -134,13 +119,9 @@ class LiveVideos:
         self._videos: Kept[str, LiveVideo] = Kept(self.settings.live_kept)
         models.listeners.append(lambda _: self._videos.keep_only(lambda *_: False))
 
-    def __len__(self) -> int:
-        return len(self._videos)
-
     def open(self) -> LiveVideo:
         """Begin a video."""
-        current = self.models.current
-        if current is None:
+        if (current := self.models.current) is None:
             raise Refusal(409, "there is no model yet: train one first, or start with --model FILE")
         oldest = time.monotonic() - IDLE_SECONDS
         self._videos.keep_only(lambda _, video: video.used > oldest)
@@ -150,9 +131,7 @@ class LiveVideos:
 
     def get(self, number: str) -> LiveVideo:
         """Return the video with an id."""
-        video = self._videos.peek(number)
-        if video is None:
-            raise Refusal(404, "this video is no longer tracked: start it again")
+        video = self._videos.found(number, "this video is no longer tracked: start it again")
         video.used = time.monotonic()
         return video
 
@@ -161,15 +140,12 @@ class LiveVideos:
         self._videos.keep_only(lambda key, _: key != number)
 
 
-def seekable(recording: bytes) -> bytes:
-    """Return a WebM recording of a browser with its duration and an index, which browsers leave out.
-
-    Without PyAV it is returned as it is.
-    """
+def _seekable(request: Request, recording: bytes) -> Response:
+    """Answer with a WebM recording with its duration and an index, which browsers leave out. That needs PyAV."""
     try:
         import av
     except ImportError:
-        return recording
+        return Response(recording, media_type="video/webm")
     whole = io.BytesIO()
     try:
         with av.open(io.BytesIO(recording), "r") as source, av.open(whole, "w", format="webm") as target:
@@ -180,7 +156,7 @@ def seekable(recording: bytes) -> bytes:
                     target.mux(packet)
     except (OSError, ValueError, IndexError) as fault:  # FFmpeg's errors are among these
         raise Refusal(422, f"the recording is not a WebM video ({fault}): record again") from fault
-    return whole.getvalue()
+    return Response(whole.getvalue(), media_type="video/webm")
 
 
 def routes(videos: LiveVideos) -> list[Route]:
@@ -192,13 +168,6 @@ def routes(videos: LiveVideos) -> list[Route]:
         video = await wrap_future(tracking.submit(videos.open))
         return JSONResponse({"id": video.id, "header": video.rows.header}, 201)
 
-    async def fitted(video: LiveVideo, frame: Frame, image: np.ndarray) -> bytes:
-        tracked, result = await wrap_future(tracking.submit(video.track, image, frame))
-        row = video.rows.of(in_whole(tracked, (frame.height, frame.width), frame.whole)).encode()
-        if not frame.flat:
-            return row
-        return row + await wrap_future(painting.submit(video.without_shading, image, tracked, result))
-
     async def update(request: Request) -> Response:
         video, frame = videos.get(request.path_params["id"]), Frame(request.query_params)
         image = frame.image(await request.body())
@@ -206,15 +175,16 @@ def routes(videos: LiveVideos) -> list[Route]:
             raise Refusal(429, f"{AT_ONCE} frames of this video are in progress: wait for an answer")
         video.in_progress += 1
         try:
-            return Response(await fitted(video, frame, image), media_type="application/octet-stream")
+            tracked, result = await wrap_future(tracking.submit(video.track, image, frame))
+            answer = video.rows.of(in_whole(tracked, (frame.height, frame.width), frame.whole)).encode()
+            if frame.flat:
+                answer += await wrap_future(painting.submit(video.without_shading, image, tracked, result))
+            return Response(answer, media_type="application/octet-stream")
         finally:
             video.in_progress -= 1
 
-    def recording(request: Request, data: bytes) -> Response:
-        return Response(seekable(data), media_type="video/webm")
-
     return [
-        route("POST", RECORDINGS, recording, Request.body),
+        route("POST", RECORDINGS, _seekable, Request.body),
         Route("/api/live", begin, methods=["POST"]),
         Route("/api/live/{id}/frames", update, methods=["POST"]),
         route("DELETE", "/api/live/{id}", lambda request: videos.close(request.path_params["id"])),

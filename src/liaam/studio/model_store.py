@@ -1,7 +1,5 @@
 """The current model: its metadata, its files in the project's folder, and when it becomes invalid."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -18,11 +16,8 @@ from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store
 
-MODEL_FILE = "model.liaam"
-"""File of the trained model; the facts about it are in the store."""
-
-SHOWN_VERSIONS = 30
-"""Number of versions that the page shows."""
+MODEL_FILE = "model.liaam"  # file of the trained model; the facts about it are in the store
+SHOWN_VERSIONS = 30  # number of versions that the page shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +25,7 @@ class ModelInUse:
     """A model and its metadata."""
 
     model: AAM
-    number: int
-    """Incremented with every published model."""
+    number: int  # incremented with every published model
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
     model of the studio also has ``order`` (:attr:`Templates.order`), a guest its ``name``."""
@@ -40,10 +34,6 @@ class ModelInUse:
     def key(self) -> str:
         """Identifier of the model that survives a restart."""
         return self.facts["trained"] or f"{self.facts['source']} {self.model.name}"
-
-    def is_trained_on(self, picture: str) -> bool:
-        """Whether the studio trained the model on a picture."""
-        return picture in self.facts.get("pictures", {}) and picture not in self.facts.get("left_out", {})
 
 
 Place = Literal["guest", "own", "spare"]
@@ -69,28 +59,19 @@ class ModelStore:
         """The model in use, if there is one."""
         return self.guest or self.own or self.spare
 
-    def publish(self, model: AAM, facts: Mapping[str, Any], place: Place = "own") -> ModelInUse:
-        """Set a model by its place."""
-        made = ModelInUse(model, next(self._numbers), dict(facts))
-        self._set(place, made)
-        return made
-
-    def withdraw(self, place: Place = "own") -> None:
-        """Remove a model by its place."""
-        self._set(place, None)
-
-    def _set(self, place: Place, model: ModelInUse | None) -> None:
-        setattr(self, place, model)
+    def publish(
+        self, model: AAM | None, facts: Mapping[str, Any] | None = None, place: Place = "own"
+    ) -> ModelInUse | None:
+        """Set a model by its place; None removes it."""
+        made = None if model is None else ModelInUse(model, next(self._numbers), dict(facts or {}))
+        setattr(self, place, made)
         for listener in self.listeners:
             listener(self.current)
+        return made
 
 
 class Versions:
-    """The trained models of a folder and their errors on held-out pictures.
-
-    The error of a picture is the mean distance of the fitted points to the placed ones, as a fraction of the object's
-    size. It is that of a model trained without the held-out pictures.
-    """
+    """The trained models of a folder, and the errors of models trained without the held-out pictures on these."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -108,11 +89,7 @@ class Versions:
         return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
 
     def as_json(self, order: str) -> list[dict[str, Any]]:
-        """Return the newest versions with an order of the points as JSON for the page, oldest first.
-
-        ``error`` is the median error, ``held_out`` the number of pictures, and ``same`` whether these are the pictures
-        of the newest version.
-        """
+        """Return the newest versions with an order of the points as JSON; ``same`` pictures are those of the newest."""
         versions = [version for version in self._all if version["order"] == order and version["errors"]]
         return [
             {
@@ -130,10 +107,10 @@ def load_studio_model(project: Project, models: ModelStore) -> None:
     """Publish the model that the studio trained here before, if there is one; errors are noted in the state."""
     project.store.note(MODEL_FILE, None)
     try:
-        path = project.store.path(MODEL_FILE)
-        facts = project.store.get("model", MODEL_FILE) or {"source": "studio", "trained": None, "pictures": {}}
-        facts = {"order": project.templates.order, **facts}
-        if path.exists() and facts["order"] == project.templates.order:
+        path, order = project.store.path(MODEL_FILE), project.templates.order
+        facts = {"source": "studio", "trained": None, "pictures": {}, "order": order}
+        facts |= project.store.get("model", MODEL_FILE) or {}
+        if path.exists() and facts["order"] == order:
             models.publish(load_model(path), facts)
     except (LiaamError, OSError) as fault:
         project.store.note(MODEL_FILE, f"{fault}; the model is ignored: train again")
@@ -153,13 +130,8 @@ def load_dropped_model(data: bytes, name: str, points: int) -> AAM:
     return model
 
 
-def model_json(
-    current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()
-) -> dict[str, Any] | None:
-    """Return the current model as JSON for the page.
-
-    ``done`` holds the revisions of the pictures for training by name; ``unread`` are those not known yet.
-    """
+def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Collection[str] = ()) -> dict | None:
+    """Return the current model as JSON; ``done`` are revisions by picture for training, ``unread`` those not known."""
     if current is None:
         return None
     model, facts = current.model, current.facts

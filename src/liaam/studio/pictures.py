@@ -1,12 +1,11 @@
 """Pictures for the page: upright, 8-bit and scaled; thumbnails; and chroma, from which the page computes the invariant
-image for any angle.
+image for any angle. Those of the folder, and dropped ones, which are kept in memory only.
 
 Decoded and encoded pictures are cached up to a limit of bytes. Concurrent requests share one computation.
 """
 
-from __future__ import annotations
-
 import os
+import secrets
 import struct
 import threading
 from collections import OrderedDict
@@ -14,6 +13,7 @@ from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -22,17 +22,15 @@ import numpy as np
 
 from liaam.drawing import as_picture
 from liaam.errors import ImageError
-from liaam.io import image_size, is_raw, read_image, read_preview
+from liaam.io import decode_image, image_size, is_raw, read_image, read_preview
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.encoding import as_colour, encode, refuse_grey, stored_values
-from liaam.studio.folder import disk_errors
-from liaam.studio.safety import Refusal
+from liaam.studio.folder import disk_errors, plain_name, size_in_header
+from liaam.studio.safety import Refusal, refusing
+from liaam.studio.settings import Settings
 
 JPEG_QUALITY = 92
-
-CHROMA_STEP = 1 / 4096
-"""Step of chroma's 16-bit integers: natural logarithm of a ratio of light."""
-
+CHROMA_STEP = 1 / 4096  # step of chroma's 16-bit integers: natural logarithm of a ratio of light
 CHROMA_MASKED = -32768
 """Value in chroma of a pixel that is dark or saturated in a channel, so that its logarithm is undefined."""
 
@@ -41,7 +39,6 @@ COPIED_FROM, COPY_SIDE = 4_000_000, 1000
 
 DECODED_BYTES = 150_000_000
 ENCODED_BYTES = 50_000_000
-
 DECODED_AT_ONCE = 50_000_000
 """Pixels decoded concurrently: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes
 per pixel."""
@@ -60,8 +57,7 @@ class Kept(Generic[K, V]):
     """
 
     def __init__(self, limit: int, weigh: Callable[[V], int] = lambda _: 1) -> None:
-        self.limit = limit
-        self.weight = 0
+        self.limit, self.weight = limit, 0
         self._weigh = weigh
         self._lock = threading.RLock()
         self._values: OrderedDict[K, tuple[V, int]] = OrderedDict()
@@ -77,6 +73,12 @@ class Kept(Generic[K, V]):
                 return None
             self._values.move_to_end(key)
             return self._values[key][0]
+
+    def found(self, key: K, why_not: str) -> V:
+        """Return the value of a key, or refuse the request."""
+        if (value := self.peek(key)) is None:
+            raise Refusal(404, why_not)
+        return value
 
     def get(self, key: K, make: Callable[[], V]) -> V:
         """Return the value of a key, computed if it is missing. All waiting threads get an error of ``make``."""
@@ -142,17 +144,12 @@ class Source:
     """A picture that can be decoded."""
 
     name: str
-    """Name for messages."""
-    tag: str
-    """Identifier of the contents; changes with the file."""
-    size: tuple[int, int]
-    """Width and height of the upright picture in pixels."""
+    tag: str  # identifier of the contents; changes with the file
+    size: tuple[int, int]  # width and height of the upright picture in pixels
     read: Callable[[], np.ndarray]
-    """Decodes the picture: (h, w, 3) uint8, uint16 or float32."""
     preview: Callable[[int], np.ndarray] | None = None
     """Decodes the picture for a size, perhaps at a lower resolution (see :func:`liaam.io.read_preview`)."""
-    raw: bool = False
-    """Whether the values are linear."""
+    raw: bool = False  # whether the values are linear
 
     @property
     def has_copy(self) -> bool:
@@ -163,22 +160,18 @@ class Source:
 def source_of(path: Path, max_pixels: int, name: str = "") -> Source:
     """Return the picture of a file; its name is by default that of the file."""
     tag = file_tag(path)
-    size = _of_file(path, image_size)
 
-    def read(read_some: Callable[[Path], np.ndarray]) -> np.ndarray:
-        image = _of_file(path, read_some)
+    def read(call: Callable[..., V], *arguments: int) -> V:
+        try:
+            value = call(path, *arguments)
+        except ImageError as fault:
+            raise ImageError(str(fault).replace(f"{path.parent}{os.sep}", "")) from fault
         if file_tag(path) != tag:
             raise Refusal(409, f"{path.name} has changed: open it and fit it again")
-        return image
+        return value
 
-    return Source(
-        name or path.name,
-        tag,
-        size,
-        lambda: read(lambda file: read_image(file, max_pixels)),
-        lambda size: read(lambda file: read_preview(file, size, max_pixels)),
-        is_raw(path),
-    )
+    decode, preview = partial(read, read_image, max_pixels), lambda size: read(read_preview, size, max_pixels)
+    return Source(name or path.name, tag, read(image_size), decode, preview, is_raw(path))
 
 
 def file_tag(path: Path) -> str:
@@ -186,14 +179,6 @@ def file_tag(path: Path) -> str:
     with disk_errors(f"{path.name} cannot be read", "put it back, or reload", ImageError):
         facts = path.stat()
     return f"{facts.st_mtime_ns:x}-{facts.st_size:x}"
-
-
-def _of_file(path: Path, read: Callable[[Path], V]) -> V:
-    """Call ``read`` on a file, with error messages that name it without its folder."""
-    try:
-        return read(path)
-    except ImageError as fault:
-        raise ImageError(str(fault).replace(f"{path.parent}{os.sep}", "")) from fault
 
 
 class Pictures:
@@ -221,38 +206,88 @@ class Pictures:
 
     @contextmanager
     def at_work(self, source: Source, small: bool = False) -> Iterator[np.ndarray]:
-        """Yield the decoded picture (:meth:`pixels`), within a limit of the pixels that all threads work on.
-
-        Do not nest this, and do not hold it while waiting for a :meth:`Kept.get` that needs it: both can deadlock.
-        """
+        """Yield :meth:`pixels`, within a limit of those at work. Nested, or around a :meth:`Kept.get`, it can lock."""
         with self.work_room.of(prod(source.size)):
             yield self.pixels(source, small)
 
     def image(self, source: Source, size: int) -> bytes:
         """Return a JPEG for display, its longest side at most ``size``."""
 
-        def shown_as_jpeg(image: np.ndarray) -> bytes:
-            return jpeg_bytes(shown(image, fitted_size(*source.size, size), source.raw))
-
         def make() -> bytes:
+            to = fitted_size(*source.size, size)
             # At half size or less, decoding a preview may be faster, and independent of the cache.
             if source.preview is not None and 2 * size <= max(source.size):
                 with self.room.of(prod(source.size)):
-                    return shown_as_jpeg(source.preview(size))
+                    return jpeg_bytes(shown(source.preview(size), to, source.raw))
             with self.at_work(source) as image:
-                return shown_as_jpeg(image)
+                return jpeg_bytes(shown(image, to, source.raw))
 
         return self._encoded.get(("image", source.name, source.tag, size), make)
 
     def chroma(self, source: Source, size: int, response: Response) -> bytes:
         """Return the chroma of a picture (see :func:`chroma`)."""
-        key = ("chroma", source.name, source.tag, size, response)
 
         def make() -> bytes:
             with self.at_work(source) as image:
                 return chroma_bytes(image, size, response, source.name)
 
-        return self._encoded.get(key, make)
+        return self._encoded.get(("chroma", source.name, source.tag, size, response), make)
+
+
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """A dropped picture."""
+
+    id: str
+    name: str  # name of the file without folders
+    data: bytes
+    width: int  # width of the upright picture in pixels
+    height: int
+
+
+class Uploads:
+    """The last used dropped pictures, up to limits of number, bytes and pixels; thread-safe."""
+
+    def __init__(self, pictures: Pictures, settings: Settings | None = None) -> None:
+        self._pictures = pictures
+        self._settings = settings or Settings()
+        most, self._least = self._settings.uploads_bytes, self._settings.uploads_bytes // self._settings.uploads_kept
+        self._uploads: Kept[str, Upload] = Kept(most, lambda upload: min(max(len(upload.data), self._least), most))
+
+    def add(self, data: bytes, name: str) -> Upload:
+        """Check, decode and keep a picture."""
+        name = plain_name(name)
+        most = self._settings.upload_bytes
+        if len(data) > most:
+            raise Refusal(413, f"{name} has {len(data):,} bytes, more than {most:,}: make it smaller")
+        if data and is_raw(name):
+            raise Refusal(415, f"{name} is a RAW file, which can only be read from the folder: put it there")
+        upload = Upload(secrets.token_urlsafe(9), name, data, *size_in_header(data, name, self._settings.pixels))
+        source = self._source(upload, data)
+        with refusing():
+            self._pictures.pixels(source, source.has_copy)
+        self._uploads.put(upload.id, upload)
+        return upload
+
+    def get(self, number: str) -> Upload:
+        """Return the upload with an id."""
+        kept = f"only the {self._settings.uploads_kept} last used are kept"
+        return self._uploads.found(number, f"this picture is no longer in memory, where {kept}: drop it again")
+
+    def source(self, number: str) -> Source:
+        """Return an upload as a :class:`Source`, which can be read while the upload is in memory."""
+        return self._source(self.get(number))
+
+    def _source(self, upload: Upload, data: bytes | None = None) -> Source:
+        # A source may outlive the upload, so it must not hold its bytes, unless they are not kept yet.
+        number, name, pixels = upload.id, upload.name, self._settings.pixels
+        return Source(
+            name,
+            f"upload-{number}",
+            (upload.width, upload.height),
+            lambda: decode_image(data or self.get(number).data, name, pixels),
+            lambda size: read_preview(data or self.get(number).data, size, pixels, name),
+        )
 
 
 def fitted_size(width: int, height: int, size: int) -> tuple[int, int]:
@@ -282,23 +317,20 @@ def averaged(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def jpeg_bytes(image: np.ndarray) -> bytes:
     """Encode an image (h, w, 3) uint8 as JPEG without chroma subsampling."""
+    return _encoded(".jpg", image)
+
+
+def png_bytes(image: np.ndarray) -> bytes:
+    """Encode an image (h, w, 3) or (h, w, 4) uint8 as PNG, quickly rather than small."""
+    return _encoded(".png", image)
+
+
+def _encoded(suffix: str, image: np.ndarray) -> bytes:
     import cv2
 
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    return _encoded(".jpg", image, options)
-
-
-def png_bytes(image: np.ndarray, compression: int = 1) -> bytes:
-    """Encode an image (h, w, 3) or (h, w, 4) uint8 as PNG."""
-    import cv2
-
-    return _encoded(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, compression])
-
-
-def _encoded(suffix: str, image: np.ndarray, options: list[int]) -> bytes:
-    import cv2
-
+    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    jpeg += [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+    options = jpeg if suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 1]
     order = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
     return cv2.imencode(suffix, cv2.cvtColor(np.ascontiguousarray(image), order), options)[1].tobytes()
 
@@ -323,8 +355,7 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
 def chroma_bytes(image: np.ndarray, size: int, response: Response = "srgb", name: str = "image") -> bytes:
     """Encode the chroma of an image for the page, little-endian.
 
-    The order is: width and height (uint32), the covered width and height in pixels of the image from its upper left
-    corner (float32, since blocks need not fill the image), then :func:`chroma` row by row.
+    First width and height (uint32), and the pixels that they cover (float32), then :func:`chroma` row by row.
     """
     numbers = chroma(image, size, response, name)
     (height, width), (rows, columns) = numbers.shape[:2], image.shape[:2]

@@ -1,22 +1,17 @@
 """A project is a folder: its pictures, their landmark files, the template, and the studio's own files.
 
 :class:`Project` is the thread-safe interface for the rest of the studio. Its parts are not thread-safe, and each
-depends only on those before it in this list:
-
-- :mod:`~liaam.studio.folder`: checks of paths, the pictures, and whether each can be used;
-- :mod:`~liaam.studio.store`: what the studio keeps;
-- :mod:`~liaam.studio.landmark_files`: reading and writing landmark files, and landmarks proposed by the model;
-- :mod:`~liaam.studio.templates`: the template and its changes;
-- :mod:`~liaam.studio.review`: the log of who changed what, the state of each picture, and actions on several pictures.
+depends only on those before it: :mod:`~liaam.studio.folder`, :mod:`~liaam.studio.store`,
+:mod:`~liaam.studio.landmark_files`, :mod:`~liaam.studio.template` and :mod:`~liaam.studio.review`.
 """
 
-from __future__ import annotations
-
+import io
 import math
 import os
 import secrets
 import threading
 import time
+import zipfile
 from collections import deque
 from collections.abc import Container, Mapping
 from contextlib import suppress
@@ -29,43 +24,36 @@ import numpy as np
 
 from liaam.errors import ImageError, LiaamError
 from liaam.io.images import PICTURE_SUFFIXES
-from liaam.io.landmarks import Landmarks, parse_landmark_data
-from liaam.studio.folder import File, Folder, Listing, checked_folder, revision_of
+from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
+from liaam.io.table_writer import columns_text
+from liaam.morphometry import Specimen, measure
+from liaam.studio.folder import File, Folder, Intake, Listing, checked_folder, plain_name, revision_of
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.pictures import Source, source_of
 from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store, Table
-from liaam.studio.template import Template, parse_indices, parse_points, parse_template, template_of
-from liaam.studio.templates import Templates
-from liaam.studio.uploads import Intake
+from liaam.studio.template import Template, Templates, parse_indices, parse_points, parse_template, template_of, text_of
 
-PART_SECONDS = 0.02
-"""How long files are read at a time, while requests wait."""
+PART_SECONDS = 0.02  # how long files are read at a time, while requests wait
+REST_SECONDS = 0.3  # files are read more slowly until so long after a request, so that the page opens soon
+READ_AT_ONCE = 100  # number of pictures whose files an overview reads in any case
+LONG = 2000  # number of pictures above which an overview reads no more files than these
 
-REST_SECONDS = 0.3
-"""Files are read more slowly until so long after a request, so that the page opens soon."""
-
-READ_AT_ONCE = 100
-"""Number of pictures whose files an overview reads in any case."""
-
-LONG = 2000
-"""Number of pictures above which an overview reads no more files than these."""
+EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}
+"""Kinds of files with the landmarks of all pictures, and the ends of their names."""
 
 
 @dataclass(frozen=True)
 class Annotated:
-    """A picture with all its landmarks, for training."""
+    """A picture with all its landmarks, for training, and what seems to be wrong with them."""
 
     name: str
     path: Path
     points: np.ndarray
-    """(n, 2) float64 in pixels."""
-    revision: str
-    """Changes with the points and the template, not with the scale (:meth:`PictureStates.version_of`)."""
+    revision: str  # :meth:`PictureStates.version_of` the landmarks
     slip: str | None = None
-    """What seems to be wrong with the landmarks."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +61,9 @@ class Overview:
     """All pictures of a project at one scan of the folder."""
 
     stamp: str
-    """:attr:`Project.stamp` at that scan."""
-    pictures: list[dict[str, Any]]
-    """The pictures as JSON for the page, in natural order."""
-    done: dict[str, str]
-    """Revision of the landmarks of each done picture that is not left out of training, by name."""
-    unread: list[str]
-    """Names of the pictures whose files have not been read yet."""
+    pictures: list[dict[str, Any]]  # the pictures as JSON for the page, in natural order
+    done: dict[str, str]  # revision of the landmarks of each done picture that is not left out of training, by name
+    unread: list[str]  # names of the pictures whose files have not been read yet
 
 
 class Project:
@@ -100,10 +84,9 @@ class Project:
         self._unchecked = Table(self.store, "unchecked")
         self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
-        self._states = PictureStates(
-            listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log
-        )
-        self._intake = Intake(listing, self.settings.pixels)
+        parts = (listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log)
+        self._states = PictureStates(*parts)
+        self._intake = Intake(listing)
         self._rescan()
 
     @property
@@ -165,24 +148,23 @@ class Project:
             self._read_for(0.0 if is_long else seconds, deque(files), READ_AT_ONCE)
             stamp, ranks = self._stamp(), states.ranks()
             read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
-            pictures = [states.as_json(file, ranks) if file.name in read else _unread(file) for file in files]
+            pictures = [states.as_json(file, ranks if file.name in read else None) for file in files]
             stamp += "" if len(read) == len(pictures) else "-reading"
             done = {item.name: item.revision for item in self._annotated(read)}
             return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
-    def read_files(self) -> None:
+    def read_files(self, until: threading.Event) -> None:
         """Read the files of all pictures in small parts, so that others can use the project meanwhile."""
         with self._lock:
             self._rescan()
             waiting = deque(self._listing.pictures)
-        while waiting:
+        while waiting and not until.is_set():
             with self._lock:
                 self._read_for(PART_SECONDS, waiting)
             is_busy = time.monotonic() < self._asked + REST_SECONDS
             time.sleep(PART_SECONDS * (5 if is_busy else 0.1))  # the lock is not fair
 
     def _read_for(self, seconds: float, waiting: deque[File], least: int = 1) -> None:
-        """Read the files of pictures for some seconds, and of at least so many."""
         until, last = time.monotonic() + seconds, len(waiting) - least
         while waiting and (len(waiting) > last or time.monotonic() < until):
             file = waiting.popleft()
@@ -197,10 +179,7 @@ class Project:
         return source_of(path, self.settings.pixels, name)
 
     def mark_unreadable(self, source: Source, fault: ImageError) -> None:
-        """Remember that a picture cannot be decoded, unless the system could not read it, which may pass.
-
-        One with landmarks keeps its state: training leaves it out and says why.
-        """
+        """Remember that a picture without landmarks cannot be decoded, unless that may pass."""
         cause: BaseException | None = fault
         while cause is not None:
             if isinstance(cause, OSError) and cause.errno is not None:
@@ -224,30 +203,53 @@ class Project:
         states, found = self._states, []
         for file in self._listing.pictures:
             is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
-            if is_among and states.is_done(file) and self._log.left_out_by(file.name) is None:
+            if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
                 marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
                 assert marks.landmarks is not None
                 version = states.version_of(marks)
                 found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
         return found
 
-    def placed(self) -> list[tuple[File, Landmarks, tuple[int, int]]]:
+    def export(self, kind: str) -> tuple[str, bytes]:
+        """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
+        if kind not in EXPORTS:
+            raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(EXPORTS)}")
+        found, name = self.placed("export"), plain_name(self.root.name) + EXPORTS[kind]
+        if kind == "pts":
+            stream = io.BytesIO()
+            with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+                for file, landmarks, _ in found:
+                    archive.writestr(f"{file.stem}.pts", text_of(landmarks, ".pts"))
+            return name, stream.getvalue()
+        collection = {file.name: landmarks for file, landmarks, _ in found}
+        return name, collection_text(name, collection, {file.name: size for file, _, size in found}).encode()
+
+    def measurements(self, measures: str, scale: str) -> tuple[str, bytes]:
+        """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
+        found = self.placed("measure")
+        specimens = [Specimen(file.stem, own.points, names=own.names, scale=own.scale) for file, own, _ in found]
+        columns = measure(specimens, measures.split(), scale or None)
+        return f"{plain_name(self.root.name)}-measurements.csv", columns_text(columns).encode()
+
+    def placed(self, to: str = "export") -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
+        found = []
         with self._lock:
             self._rescan(strict=True)
-            template, landmarks = self.templates.current, self._landmarks
-            found = [(file, landmarks.of(file)) for file in self._listing.usable()]
-            return [
-                (file, replace(marks.landmarks, scale=landmarks.scale_of(file)), self._listing.usable_size(file))
-                for file, marks in found
-                if marks.landmarks is not None and marks.fits(template)
-            ]
+            template = self.templates.current
+            for file in self._listing.pictures:
+                marks, size = self._landmarks.of(file), self._listing.size_of(file)
+                if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
+                    own = replace(marks.landmarks, scale=self._landmarks.scale_of(file), names=template.names)
+                    found.append((file, own, size))
+        if not found:
+            raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
+        return found
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
-        """Return the names and paths of the usable pictures without points that a model was not fitted to.
+        """Return the names and paths of the usable pictures without points to which a model, by key, was not fitted.
 
-        ``model`` is its :attr:`~liaam.studio.model_store.ModelInUse.key`. Pictures with the proposal of another model,
-        in the order of :func:`teaching_order`, take turns with the others.
+        Pictures with the proposal of another model, in the order of :func:`teaching_order`, take turns with the others.
         """
         with self._lock:
             self._rescan()
@@ -261,7 +263,7 @@ class Project:
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
-        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.uploads.Intake.add`)."""
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Intake.add`)."""
         with self._lock:
             return self._intake.add(name, data)
 
@@ -317,7 +319,9 @@ class Project:
             bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
             if moved or bar != current["bar"]:
                 if data.get("revision") != current["revision"]:
-                    raise Refusal(409, _clash(name, current["revision"]), current=current)
+                    clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
+                    gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
+                    raise Refusal(409, gone if current["revision"] is None else clash, current=current)
                 if bar != current["bar"]:
                     self._landmarks.set_bar(file, bar)
                 if moved:
@@ -395,15 +399,3 @@ class Project:
                 files = self._listing.files
                 tags = {name: files[name].tag if name in files else None for name in proposals}
                 self._proposals.save({name: {"tag": tags[name], **item} for name, item in proposals.items()})
-
-
-def _unread(file: File) -> dict[str, Any]:
-    """Return a picture whose files have not been read yet as JSON for the page."""
-    return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
-
-
-def _clash(name: str, revision: str | None) -> str:
-    """Return the error message for landmarks that have changed since the page read them."""
-    if revision is None:
-        return f"the landmark file of {name} was deleted in the meantime: save it again, or leave it deleted"
-    return f"the landmarks of {name} were changed elsewhere in the meantime: check them"

@@ -1,14 +1,11 @@
 """Reviews: who changed what, the state of each picture that follows from it, and actions on several pictures.
 
 A picture is checked while its landmarks have the revision that was checked, so every change withdraws the check. The
-other states hold until the opposite entry. An action is written to the log before anything else changes; deleted
-landmarks are kept in the store.
+other states hold until the opposite entry. An action is written to the log before anything else changes.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -18,10 +15,10 @@ import numpy as np
 from liaam.errors import LandmarkError
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import File, Listing, revision_of
-from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal, text_of
+from liaam.studio.landmark_files import LandmarkFiles, Marks, revision_of_proposal
 from liaam.studio.safety import Refusal
 from liaam.studio.store import Store, Table
-from liaam.studio.templates import Templates
+from liaam.studio.template import Templates, text_of
 
 UNDONE = {
     "unchecked": ("checked", "not checked"),
@@ -35,15 +32,10 @@ ACTIONS = (*(done for done, _ in UNDONE.values()), *UNDONE, "accepted", "scaled"
 
 OPPOSITE = {done: undo for undo, (done, _) in UNDONE.items()}
 
-WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")
-"""Actions that write landmark files."""
-
+WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")  # actions that write landmark files
 LONGEST_NAME = 60
-SHOWN = 20
-"""Number of entries of a picture that the page shows."""
-
-SAME_WORK = timedelta(minutes=10)
-"""Changes of a picture by one person within this time are one entry."""
+SHOWN = 20  # number of entries of a picture that the page shows
+SAME_WORK = timedelta(minutes=10)  # changes of a picture by one person within this time are one entry
 
 
 class ReviewLog:
@@ -58,10 +50,8 @@ class ReviewLog:
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
         """Append an entry for each picture, given with the revision of what was done to."""
         time = datetime.now(UTC).isoformat(timespec="seconds")
-        entries = [
-            {"time": time, "who": who, "picture": name, "did": did, "revision": revision}
-            for name, revision in pictures.items()
-        ]
+        facts = {"time": time, "who": who, "did": did}
+        entries = [{**facts, "picture": name, "revision": revision} for name, revision in pictures.items()]
         self._store.append("review", entries)
         for entry in entries:
             self._entries[entry["picture"]].append(entry)
@@ -83,16 +73,10 @@ class ReviewLog:
         last = next((entry for entry in reversed(self._entries.get(name, ())) if entry["did"] in both), None)
         return last if last is not None and last["did"] == did else None
 
-    def checked_by(self, name: str, revision: str | None) -> str | None:
-        """Return who checked a revision of the landmarks; None without landmarks."""
-        last = self.standing(name, "checked")
-        is_same = last is not None and revision is not None and last["revision"] == revision
-        return last["who"] or "someone" if last is not None and is_same else None
-
-    def left_out_by(self, name: str) -> str | None:
-        """Return who left a picture out of training."""
-        last = self.standing(name, "left out")
-        return None if last is None else last["who"] or "someone"
+    def who(self, did: str, name: str, revision: str | None = None) -> str | None:
+        """Return whose action stands for a picture; if a ``revision`` is given, for this one."""
+        last = self.standing(name, did)
+        return None if last is None or last["revision"] != revision else last["who"] or "someone"
 
 
 @dataclass(frozen=True)
@@ -100,10 +84,8 @@ class Sharing:
     """A scale bar that several pictures share."""
 
     bar: dict[str, Any]
-    size: tuple[int, int]
-    """Size of the picture on which it was drawn."""
-    anyway: bool
-    """Whether pictures of another size, or with a scale of their own, get it as well."""
+    size: tuple[int, int]  # size of the picture on which it was drawn
+    anyway: bool  # whether pictures of another size, or with a scale of their own, get it as well
 
 
 @dataclass(eq=False)
@@ -122,16 +104,16 @@ class PictureStates:
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
-        waiting = {
-            file.name: proposal
-            for file in self.listing.pictures
-            if (proposal := self.proposal_of(file)) is not None and not self.landmarks.of(file).n_placed
-        }
+        unplaced = (file for file in self.listing.pictures if not self.landmarks.of(file).n_placed)
+        waiting = {file.name: proposal for file in unplaced if (proposal := self.proposal_of(file)) is not None}
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
-    def as_json(self, file: File, ranks: Mapping[str, int]) -> dict[str, Any]:
-        """Return one picture as JSON for the page."""
-        size, fault, marks = self.listing.size_of(file), self.listing.fault_of(file), self.landmarks.of(file)
+    def as_json(self, file: File, ranks: Mapping[str, int] | None) -> dict[str, Any]:
+        """Return one picture as JSON for the page; without ``ranks``, one whose files have not been read yet."""
+        if ranks is None:
+            return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
+        size, marks = self.listing.size_of(file), self.landmarks.of(file)
+        fault, (width, height) = (size, (None, None)) if isinstance(size, str) else (None, size)
         proposal = None if marks.n_placed or fault is not None else self.proposal_of(file)
         if fault is not None:
             state = "broken"
@@ -139,7 +121,7 @@ class PictureStates:
             state = "done" if self.is_done(file) else "partial"
         else:
             state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
-        checked = self.log.checked_by(file.name, marks.placement) if state == "done" else None
+        checked = self.log.who("checked", file.name, marks.placement) if state == "done" else None
         slip, wrong = self.slip_of(file) if state == "done" else (None, [])
         return {
             "name": file.name,
@@ -147,8 +129,8 @@ class PictureStates:
             "state": state,
             "placed": marks.n_placed,
             "error": fault or self._error_of(file, marks),
-            "width": None if isinstance(size, str) else size[0],
-            "height": None if isinstance(size, str) else size[1],
+            "width": width,
+            "height": height,
             "uncertainty": proposal["uncertainty"] if proposal else None,
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
@@ -156,7 +138,7 @@ class PictureStates:
             "checked": checked,
             "slip": slip,
             "slip_points": wrong,
-            "left_out": self.log.left_out_by(file.name),
+            "left_out": self.log.who("left out", file.name),
             "revision": marks.revision,
         }
 
@@ -171,28 +153,24 @@ class PictureStates:
             "source": "none",
             "tag": file.tag,
             "file": marks.file or None,
-            "covariances": None,
-            "quality": None,
-            "status": None,
+            **dict.fromkeys(("covariances", "quality", "status")),
             "doubtful": False,
             "error": marks.error,
             "width": width,
             "height": height,
-            "bar": self.landmarks.bar_of(file),
+            "bar": self.landmarks.scale_bar(file)["bar"],
         }
         if marks.landmarks is not None and marks.n_placed:
-            return {**answer, "points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
-        proposal = self.proposal_of(file)
-        if proposal is None:
-            return answer
-        shown = ("points", "covariances", "quality", "status", "doubtful")
-        return {**answer, **{key: proposal[key] for key in shown}, "source": "proposal"}
+            answer |= {"points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
+        elif (proposal := self.proposal_of(file)) is not None:
+            shown = ("points", "covariances", "quality", "status", "doubtful")
+            answer |= {"source": "proposal", **{key: proposal[key] for key in shown}}
+        return answer
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
         template, proposal = self.templates.current, self.proposals.of(file)
-        points = None if proposal is None else proposal["points"]
-        if proposal is None or points is None or template is None or len(points) != len(template):
+        if proposal is None or template is None or len(proposal["points"] or ()) != len(template):
             return None
         discarded = self.log.standing(file.name, "discarded")
         return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
@@ -201,7 +179,7 @@ class PictureStates:
         """Return the slip that was found in the landmarks of a picture, and its points; None once they are checked."""
         marks = self.landmarks.of(file)
         revision, slip, wrong = self.slips.get(file.name, (None, None, []))
-        is_open = revision == self.version_of(marks) and not self.log.checked_by(file.name, marks.placement)
+        is_open = revision == self.version_of(marks) and not self.log.who("checked", file.name, marks.placement)
         return (slip, wrong) if is_open else (None, [])
 
     def version_of(self, marks: Marks) -> str:
@@ -215,12 +193,10 @@ class PictureStates:
         return is_complete and self._misplaced(file, marks) is None
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
-        """Return what is wrong with the landmarks of a usable picture."""
         template = self.templates.current
         if not marks.file:
-            proposal = self.proposals.of(file)
-            failed = proposal is not None and proposal["points"] is None
-            return self.landmarks.fault_of(file) or (proposal["message"] if proposal and failed else None)
+            proposal = self.proposals.of(file) or {"points": ()}
+            return self.landmarks.fault_of(file) or (str(proposal["message"]) if proposal["points"] is None else None)
         if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
             return (
                 f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
@@ -290,13 +266,13 @@ class PictureStates:
                 raise Refusal(409, "no proposed points")
             return revision_of_proposal(proposal)
         if did == "left out":
-            if self.log.left_out_by(file.name) is None:
+            if self.log.who("left out", file.name) is None:
                 return None
             raise Refusal(409, "left out of training already")
         if did == "checked":
             if not self.is_done(file):
                 raise Refusal(409, "not all points are placed: place them first")
-            if self.log.checked_by(file.name, marks.placement):
+            if self.log.who("checked", file.name, marks.placement):
                 raise Refusal(409, "checked already")
             return marks.placement
         if marks.landmarks is None or not marks.n_placed:
@@ -308,8 +284,8 @@ class PictureStates:
 
     def _check_scale(self, file: File, sharing: Sharing | None) -> None:
         """Refuse to replace a scale of the picture's own, and to share one among pictures of several sizes."""
-        shares = self.landmarks.shares_scale(file)
-        size = self.listing.usable_size(file)
+        known, size = self.landmarks.scale_bar(file), self.listing.usable_size(file)
+        shares = "before" in known  # it was drawn on another picture
         if sharing is None:
             if not shares:
                 raise Refusal(409, "the scale was not set together with others")
@@ -317,7 +293,7 @@ class PictureStates:
             raise Refusal(409, "has a scale of its own")
         elif not sharing.anyway and sorted(size) != sorted(sharing.size):
             raise Refusal(409, "has another size in pixels, so perhaps another scale")
-        elif self.landmarks.bar_of(file) == sharing.bar:
+        elif known["bar"] == sharing.bar:
             raise Refusal(409, "has this scale already")
 
     def _write(self, file: File, did: str, revision: str | None) -> None:
@@ -329,16 +305,13 @@ class PictureStates:
                 self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
             return
         template = self.templates.needed
-        points: Sequence[Any] = [None] * len(template)
-        invisible: Sequence[int] = ()
-        scale = None
-        if did == "accepted":
-            points = (self.proposal_of(file) or {})["points"]
-        elif did == "undeleted":
-            landmarks = self._copy_of(revision or "")
-            points = [None if x != x else (x, y) for x, y in landmarks.points.tolist()]
-            invisible, scale = landmarks.invisible, landmarks.scale
-        self.landmarks.save(file, template, points, invisible, scale)
+        if did == "undeleted":
+            copy = self._copy_of(revision or "")
+            points = [None if x != x else (x, y) for x, y in copy.points.tolist()]
+            self.landmarks.save(file, template, points, copy.invisible, copy.scale)
+        else:
+            points = (self.proposal_of(file) or {})["points"] if did == "accepted" else [None] * len(template)
+            self.landmarks.save(file, template, points, ())
 
     def _copy_of(self, revision: str) -> Landmarks:
         """Return deleted landmarks; raise LandmarkError if they are gone."""
@@ -368,8 +341,7 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def parse_who(name: Any) -> str:
     """Check the name of the person who works in the page; "" if it is not known."""
-    if name is None:
-        return ""
+    name = "" if name is None else name
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not name.isprintable():
         raise Refusal(422, f"your name is not valid: enter at most {LONGEST_NAME} printable characters")
     return name.strip()

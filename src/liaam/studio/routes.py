@@ -1,7 +1,5 @@
 """Routes of the web application: functions that run in threads, what requests may say, and events for the pages."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import threading
@@ -22,31 +20,23 @@ from liaam.photometry import srgb_to_linear
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient
 from liaam.studio.safety import Refusal
 
-SIZES = (16, 16384)
-"""Smallest and largest size of the longest side that a request may ask for, in pixels."""
-
-MOST_LAMPS = 8
-"""Maximum number of lamps of a relit picture."""
-
+SIZES = (16, 16384)  # smallest and largest size of the longest side that a request may ask for, in pixels
+MOST_LAMPS = 8  # maximum number of lamps of a relit picture
 ROOM = 100
-"""Maximum number of events queued for a page. A page that falls further behind is disconnected; it reconnects and
-reloads the project."""
-
-Reader = Callable[[Request], Awaitable[Any]]
-"""Reads the body of a request, whose size :class:`liaam.studio.safety.Guard` has limited."""
+"""Maximum number of events queued for a page. One further behind is disconnected, and loads the project again."""
 
 
 def route(
     method: str,
     path: str,
     act: Callable[..., Any],
-    read: Reader | None = None,
+    read: Callable[[Request], Awaitable[Any]] | None = None,
     limiter: CapacityLimiter | None = None,
     status: int = 200,
 ) -> Route:
-    """Return a route that answers with what ``act`` returns: a response, a value as JSON, or None as 204.
+    """Return a route that answers with what ``act`` returns in a thread: a response, a value as JSON, or None as 204.
 
-    ``act`` runs in a thread, which keeps the event loop free. It takes the request and, with ``read``, its body.
+    It takes the request and, with ``read``, its body.
     """
 
     def answered(request: Request, *body: Any) -> Response:
@@ -74,16 +64,12 @@ async def read_json(request: Request) -> Any:
         raise Refusal(415, f"the request is of type '{kind[:50]}': send application/json")
     body = await request.body()
     try:
-        content = json.loads(body, parse_constant=_no_number)
-        if b"\\u" in body:  # raises for half of a surrogate pair, which cannot be encoded
-            json.dumps(content, ensure_ascii=False).encode()
+        content = json.loads(body)
+        if any(mark in body for mark in (b"\\u", b"NaN", b"Infinity")):  # raises for those, and half a surrogate pair
+            json.dumps(content, ensure_ascii=False, allow_nan=False).encode()
         return content
     except (ValueError, RecursionError) as fault:  # UnicodeDecodeError is a ValueError
         raise Refusal(400, f"the request is not JSON ({str(fault)[:100]})") from fault
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"{text} is not a JSON number")
 
 
 def attachment(name: str, data: bytes, kind: str = "application/octet-stream") -> Response:
@@ -108,7 +94,7 @@ def parse_start(data: Any) -> Any:
         return None
     if isinstance(data, dict) and len(data) == 1:
         if _are_numbers(data.get("box"), 4):
-            return tuple(float(value) for value in data["box"])
+            return tuple(map(float, data["box"]))
         points: Any = data.get("shape")
         are_points = isinstance(points, list) and all(each is None or _are_numbers(each, 2) for each in points)
         if are_points and 0 < len(points) <= 100_000:
@@ -117,16 +103,12 @@ def parse_start(data: Any) -> Any:
 
 
 def _are_numbers(values: Any, n: int) -> bool:
-    # No pixel lies beyond this limit, and arithmetic may overflow.
-    are_in_range = isinstance(values, list) and all(type(x) in (int, float) and -1e9 < x < 1e9 for x in values)
-    return are_in_range and len(values) == n
+    is_list = isinstance(values, list) and len(values) == n
+    return is_list and all(type(x) in (int, float) and -1e9 < x < 1e9 for x in values)  # arithmetic may overflow
 
 
 def light_of(query: Mapping[str, str]) -> tuple[list[Lamp], float]:
-    """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp`, and ``ambient``; by default from the front.
-
-    Colours are sRGB values.
-    """
+    """Parse a light: JSON with ``lamps``, the fields of each :class:`Lamp` with sRGB colours, and ``ambient``."""
     try:
         light = json.loads(query.get("light", '{"lamps": [{"direction": [0, 0, 1]}]}'))
         lamps = []
@@ -148,8 +130,7 @@ class Events:
     """Sends events to the open pages; thread-safe."""
 
     def __init__(self, heartbeat: float = 15.0) -> None:
-        self._heartbeat = heartbeat
-        self._lock = threading.Lock()
+        self._heartbeat, self._lock = heartbeat, threading.Lock()
         self._pages: dict[asyncio.Queue[str | None], asyncio.AbstractEventLoop] = {}
         self._closed = False
 

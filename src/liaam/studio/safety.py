@@ -5,24 +5,20 @@ A page of another site can make a browser send requests to this machine, and its
 token, which other sites cannot read.
 """
 
-from __future__ import annotations
-
 import hmac
 import ipaddress
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from liaam.errors import LiaamError
 from liaam.studio.settings import LOOPBACK, Settings
-
-if TYPE_CHECKING:
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 FITS = "/api/fits"
 UPLOADS, GUEST, FILES, RECORDINGS = "/api/uploads", "/api/model/guest", "/api/files", "/api/recordings"
@@ -72,9 +68,16 @@ class Guard:
         """Answer or refuse one request."""
         import h11
 
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
         with suppress(h11.LocalProtocolError):  # invalid data after the request has closed the connection
             if scope["type"] == "http":
-                await self._handle(scope, receive, _with_headers(send))
+                await self._handle(scope, receive, with_headers)
             elif scope["type"] == "lifespan":
                 await self.app(scope, receive, send)
             else:  # web sockets are not supported
@@ -106,7 +109,6 @@ class Guard:
             await self._limited(scope, request.headers, receive, send)
 
     def _refusal(self, headers: Headers) -> Refusal | None:
-        """Check the origin of a request."""
         hosts = headers.getlist("host")
         if len(hosts) != 1 or not is_own_host(hosts[0], self.settings):
             return Refusal(421, "this server has another name: open the address that 'liaam studio' printed")
@@ -121,17 +123,17 @@ class Guard:
         return hmac.compare_digest(text.encode(errors="replace"), self.settings.token.encode())
 
     async def _limited(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
-        """Read a body of limited size, then pass the request to the application."""
         is_upload = scope["path"] in (UPLOADS, GUEST, FILES, RECORDINGS)
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
+        too_large = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
         declared = headers.get("content-length", "")
         with ExitStack() as stack:
             try:
                 if declared.isdecimal() and int(declared[:20]) > limit:
-                    raise _too_large(limit)
+                    raise too_large
                 hold = stack.enter_context(self.crowd.one(is_upload and scope["method"] == "POST"))
                 # Nobody waits for the body of a request that needs none.
-                body = b"" if scope["method"] in ("GET", "HEAD") else await self._read(receive, limit, hold)
+                body = b"" if scope["method"] in ("GET", "HEAD") else await self._read(receive, limit, hold, too_large)
             except Refusal as refusal:
                 stack.close()
                 await self._refuse_body(scope, receive, send, refusal)
@@ -145,8 +147,7 @@ class Guard:
 
             await self.app(scope, again, send)
 
-    async def _read(self, receive: Receive, limit: int, hold: Callable[[int], None]) -> bytes | None:
-        """Return a whole body; None if the client is gone."""
+    async def _read(self, receive: Receive, limit: int, hold: Callable[[int], None], excess: Refusal) -> bytes | None:
         import anyio
 
         parts, left = [], limit
@@ -158,7 +159,7 @@ class Guard:
                 part = message.get("body", b"")
                 left -= len(part)
                 if left < 0:
-                    raise _too_large(limit)
+                    raise excess
                 hold(len(part))
                 parts.append(part)
                 if not message.get("more_body", False):
@@ -179,16 +180,7 @@ class Guard:
         await _answer_of(refusal, close=True)(scope, receive, send)
 
 
-def _too_large(limit: int) -> Refusal:
-    return Refusal(413, f"the request is larger than {limit:,} bytes: send less")
-
-
-RETRY_AFTER = 2
-"""Seconds until a client should retry a request to a busy studio."""
-
-
-def _busy() -> Refusal:
-    return Refusal(503, "the studio is busy with other pictures: try again in a moment", retry_after=RETRY_AFTER)
+RETRY_AFTER = 2  # seconds until a client should retry a request to a busy studio
 
 
 class Crowd:
@@ -196,20 +188,20 @@ class Crowd:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.n_bytes = 0
-        self.uploads = 0
+        self.n_bytes, self.uploads = 0, 0
 
     @contextmanager
     def one(self, is_upload: bool) -> Iterator[Callable[[int], None]]:
         """Admit a request until it is answered; yield a function to call with the size of each received part."""
+        busy = Refusal(503, "the studio is busy with other pictures: try again in a moment", retry_after=RETRY_AFTER)
         if is_upload and self.uploads >= self.settings.uploads_at_once:
-            raise _busy()
+            raise busy
         held = 0
 
         def hold(n_bytes: int) -> None:
             nonlocal held
             if self.n_bytes + n_bytes > self.settings.bodies_bytes:
-                raise _busy()
+                raise busy
             self.n_bytes += n_bytes
             held += n_bytes
 
@@ -224,8 +216,7 @@ class Crowd:
 def is_own_host(host: str, settings: Settings) -> bool:
     """Whether a ``Host`` header names this server.
 
-    If the server listens on all addresses, any IP address is accepted, but only this machine's name: other names can be
-    pointed at this machine.
+    On all addresses it may be any IP address, but only this machine's name: other names can be pointed at this machine.
     """
     name, _, port = host.lower().rpartition(":")
     if port != str(settings.port):
@@ -240,17 +231,6 @@ def is_own_host(host: str, settings: Settings) -> bool:
     with suppress(ValueError):
         return bare == socket.gethostname().lower() or bool(ipaddress.ip_address(bare))
     return False
-
-
-def _with_headers(send: Send) -> Send:
-    async def with_headers(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            headers = MutableHeaders(scope=message)
-            for name, value in HEADERS.items():
-                headers.setdefault(name, value)
-        await send(message)
-
-    return with_headers
 
 
 def _answer_of(refusal: Refusal, close: bool = False) -> JSONResponse:

@@ -1,44 +1,33 @@
 """Serve the studio on this machine until it is stopped with Ctrl-C."""
 
-from __future__ import annotations
-
 import socket
 import sys
 import threading
 import time
 import webbrowser
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from liaam.errors import LiaamError, installing
-from liaam.studio.settings import DEFAULT_PORT, Settings
+from liaam.studio.settings import DEFAULT_PORT, LOOPBACK, Settings
 from liaam.workers import one_blas_thread
 
 if TYPE_CHECKING:
     from liaam.studio.app import Studio
 
 PORTS_TRIED = 20
-GRACE = 2
-"""Seconds for running requests to finish when the server stops."""
+GRACE, KEEP_ALIVE = 2, 5
+"""Seconds for running requests to finish when the server stops, and that a connection may be idle between requests."""
 
-LARGE_BLOCK = 1 << 20
-"""Bytes from which on a block of memory is returned to the system when it is freed."""
-
-ARENAS = 2
-"""Number of heaps for smaller blocks. By default there are eight for each core, and each keeps freed memory."""
-
+LARGE_BLOCK = 1 << 20  # bytes from which on a block of memory is returned to the system when it is freed
+ARENAS = 2  # number of heaps for smaller blocks. By default there are eight for each core, and each keeps freed memory
 LEFT_FREE = 64 << 20
 """Bytes of freed memory at the end of a heap that are not returned at once, but after :data:`TRIM_SECONDS`. With the
 default of 128 KB, a third of the time of live video is spent on getting the same memory again."""
 
-TRIM_SECONDS = 5.0
-"""Interval at which freed memory between used blocks is returned to the system."""
-
-KEEP_ALIVE = 5
-"""Seconds that a connection may be idle between requests."""
+TRIM_SECONDS = 5.0  # interval at which freed memory between used blocks is returned to the system
 
 
 def serve(
@@ -83,7 +72,7 @@ def serve(
         studio = Studio(folder, model, settings)
         server = make_server(studio)
         server.on_start = lambda: _welcome(settings, open_browser, say)
-        threading.Thread(target=_read_headers, args=(studio,), name="studio-listing", daemon=True).start()
+        studio.background.start()
         try:
             server.run([listener])
         except KeyboardInterrupt:  # uvicorn repeats the signal once it has stopped
@@ -92,7 +81,7 @@ def serve(
             studio.close()
 
 
-def make_server(studio: Studio) -> Any:
+def make_server(studio: "Studio") -> Any:
     """Create the server of a studio, a ``uvicorn.Server`` that ends its event streams when it stops."""
     uvicorn = _uvicorn()
     from liaam.studio.app import make_app
@@ -204,19 +193,10 @@ def _uvicorn() -> Any:
 
 def _welcome(settings: Settings, open_browser: bool, say: Callable[[str], None]) -> None:
     shown = settings if settings.host not in ("0.0.0.0", "::") else replace(settings, host=socket.gethostname())
-    if not settings.is_local:
-        say(
-            f"warning: other machines can reach the studio at {settings.host}; anyone with its address can change files"
-        )
+    if settings.host not in LOOPBACK:
+        reach = f"other machines can reach the studio at {settings.host}"
+        say(f"warning: {reach}; anyone with its address can change files")
     say(f"liaam studio: {shown.address}")
     say("Press Ctrl-C to stop it")
     if open_browser:
         threading.Thread(target=webbrowser.open, args=(shown.address,), daemon=True).start()
-
-
-def _read_headers(studio: Studio) -> None:
-    """Read the files of the pictures, since thousands take a while, and then tell the page."""
-    with suppress(LiaamError):  # reported when the page asks
-        studio.project.read_files()
-        studio.events.publish("project", {})
-    studio.background.start()

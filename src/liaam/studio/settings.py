@@ -1,14 +1,10 @@
 """Settings of the studio: its address, its token, and its limits."""
 
-from __future__ import annotations
-
 import secrets
 from dataclasses import dataclass, field
 from pathlib import Path
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Names and addresses of the loopback."""
-
+LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names and addresses of the loopback
 DEFAULT_PORT = 8765
 
 STATIC = Path(__file__).with_name("static")
@@ -18,55 +14,35 @@ STATIC = Path(__file__).with_name("static")
 class Settings:
     """The studio's address, its token, and its limits."""
 
-    host: str = "127.0.0.1"
-    """Address to listen on."""
+    host: str = "127.0.0.1"  # address to listen on
     port: int = DEFAULT_PORT
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
     """Secret for the browser; part of the address that ``liaam studio`` prints."""
-    json_bytes: int = 2_000_000
-    """Maximum body of a request that is not an upload."""
-    upload_bytes: int = 64_000_000
-    """Maximum body of an upload."""
-    pixels: int = 50_000_000
-    """Maximum width times height of a picture, checked in its header before it is decoded."""
+    json_bytes: int = 2_000_000  # maximum body of a request that is not an upload
+    upload_bytes: int = 64_000_000  # maximum body of an upload
+    pixels: int = 50_000_000  # maximum width times height of a picture, checked in its header before it is decoded
     whole_pixels: int = 16_000_000
     """Maximum pixels of a picture relit in full size, which takes 100 bytes per pixel and a second per megapixel."""
-    uploads_kept: int = 8
-    """Number of uploads in memory."""
-    uploads_bytes: int = 130_000_000
-    """Maximum total size of the uploads in memory."""
-    uploads_at_once: int = 8
-    """Maximum number of concurrent uploads; the client of a further one is asked to retry."""
-    bodies_bytes: int = 130_000_000
-    """Maximum total body size of concurrent requests: two of the largest uploads."""
-    header_seconds: float = 10.0
-    """Time limit for a request's line and headers."""
-    body_seconds: float = 300.0
-    """Time limit for a request's body."""
-    fits_kept: int = 64
-    """Number of fits in memory."""
-    live_kept: int = 4
-    """Number of videos that are tracked live at a time; the one that was used least recently ends."""
-    points: int = 1000
-    """Maximum number of points of a template."""
+    uploads_kept: int = 8  # number of uploads in memory
+    uploads_bytes: int = 130_000_000  # maximum total size of the uploads in memory
+    uploads_at_once: int = 8  # maximum number of concurrent uploads; the client of a further one is asked to retry
+    bodies_bytes: int = 130_000_000  # maximum total body size of concurrent requests: two of the largest uploads
+    header_seconds: float = 10.0  # time limit for a request's line and headers
+    body_seconds: float = 300.0  # time limit for a request's body
+    fits_kept: int = 64  # number of fits in memory
+    live_kept: int = 4  # number of videos that are tracked live at a time; the one that was used least recently ends
+    points: int = 1000  # maximum number of points of a template
     drain_seconds: float = 5.0
     """How long too large a body is read and discarded, so that the client can read the answer."""
-    heartbeat_seconds: float = 15.0
-    """Interval of the comments that keep an idle event stream open."""
+    heartbeat_seconds: float = 15.0  # interval of the comments that keep an idle event stream open
     face: bool = True
     """Whether the face model that comes with liaam proposes points in a folder that has none of its own."""
-    static: Path = STATIC
-    """Folder of the page."""
+    static: Path = STATIC  # folder of the page
 
     @property
     def cookie(self) -> str:
         """Name of the cookie. It contains the port, because browsers share cookies between ports."""
         return f"liaam-studio-{self.port}"
-
-    @property
-    def is_local(self) -> bool:
-        """Whether only this machine can reach the studio."""
-        return self.host in LOOPBACK
 
     @property
     def address(self) -> str:

@@ -1,12 +1,9 @@
-"""What the studio keeps for a folder: one SQLite file, with the trained models beside it.
+"""What the studio keeps for a folder: one SQLite file, with the trained models beside it, in a subfolder.
 
-They lie in a subfolder of the project's folder. The database holds JSON: values by kind and name (the template, a
-change of it that is under way, proposals, pictures left at the mean shape, invisible points of ``.pts`` files, deleted
-landmarks, facts about the models), and lines that are only appended (the log of reviews, the versions of the model).
-Landmarks themselves lie beside the pictures, in their own formats.
+The database holds JSON: values by kind and name (the template, a change of it that is under way, proposals, pictures
+left at the mean shape, invisible points of ``.pts`` files, deleted landmarks, facts about the models), and lines that
+are only appended (reviews, versions of the model). Landmarks lie beside the pictures, in their own formats.
 """
-
-from __future__ import annotations
 
 import json
 import os
@@ -15,7 +12,7 @@ import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +24,6 @@ from liaam.studio.safety import Refusal
 
 DATABASE = "studio.db"
 LOCK_FILE = "lock"
-
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS item (kind TEXT, name TEXT, json TEXT, hash TEXT, PRIMARY KEY (kind, name)) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS line (number INTEGER PRIMARY KEY, kind TEXT, json TEXT, hash TEXT);
@@ -35,34 +31,28 @@ CREATE TABLE IF NOT EXISTS line (number INTEGER PRIMARY KEY, kind TEXT, json TEX
 
 
 class Store:
-    """The studio's own files of a folder; thread-safe.
-
-    ``faults`` are messages about files that cannot be used; ``writes`` counts the writes.
-    """
+    """The studio's own files of a folder; thread-safe. ``faults`` say which cannot be used."""
 
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
         self.faults: dict[str, str] = {}
         self.writes = 0
         self._lock = threading.RLock()
-        self._id = ""
         self._connection: sqlite3.Connection | None = None
         self._opened: os.stat_result | None = None
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Unique identifier of the folder. It survives a move; a copy has another one."""
         with self._lock:
-            if not self._id:
-                known = self.get("id")
-                if known is None:
-                    known = secrets.token_hex(16)
-                    with suppress(LiaamError):  # the id is then valid until the studio ends
-                        self.put("id", {"": known})
-                with disk_errors("the folder cannot be read", "restore it", partial(Refusal, 409)):
-                    facts = self.folder.root.stat()
-                self._id = revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
-            return self._id
+            known = self.get("id")
+            if known is None:
+                known = secrets.token_hex(16)
+                with suppress(LiaamError):  # the id is then valid until the studio ends
+                    self.put("id", {"": known})
+            with disk_errors("the folder cannot be read", "restore it", partial(Refusal, 409)):
+                facts = self.folder.root.stat()
+            return revision_of(f"{known} {facts.st_dev} {facts.st_ino}".encode())
 
     def get(self, kind: str, name: str = "") -> Any:
         """Return a value, or None."""
@@ -82,11 +72,6 @@ class Store:
             connection.executemany("DELETE FROM item WHERE kind = ? AND name = ?", gone)
             rows = [(kind, name, *_row(value)) for name, value in values.items() if value is not None]
             connection.executemany("INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?)", rows)
-
-    def clear(self, kind: str) -> None:
-        """Remove all values of a kind."""
-        with self.transaction() as connection:
-            connection.execute("DELETE FROM item WHERE kind = ?", (kind,))
 
     def append(self, kind: str, items: Iterable[Any]) -> None:
         """Append lines."""
@@ -122,7 +107,8 @@ class Store:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
         with self._lock:
             try:
-                if not (self._folder() / DATABASE).exists():  # a folder that is only looked at stays as it is
+                path = _state_of(self.folder.root) / DATABASE
+                if not path.exists():  # a folder that is only looked at stays as it is
                     self.note(DATABASE, None)
                     return []
                 rows = self._open().execute(query, arguments).fetchall()
@@ -169,7 +155,7 @@ class Store:
 
     def path(self, name: str) -> Path:
         """Return the path of a file and create its folder."""
-        path = self._folder() / name
+        path = _state_of(self.folder.root) / name
         if not real_path(path).is_relative_to(self.folder.root / STATE):
             raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
         with disk_errors(f"{path.parent} cannot be made", "check the rights on the folder."):
@@ -194,14 +180,8 @@ class Store:
     def sweep(self) -> None:
         """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
         with suppress(LiaamError):
-            for folder in (self.folder.root, self._folder(), self._folder() / "kept"):
+            for folder in (self.folder.root, _state_of(self.folder.root), _state_of(self.folder.root) / "kept"):
                 sweep(folder)
-
-    def _folder(self) -> Path:
-        folder = self.folder.root / STATE
-        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
-        return folder
 
 
 class Table(dict[str, Any]):
@@ -226,8 +206,16 @@ class Table(dict[str, Any]):
 
     def forget(self) -> None:
         """Remove all values."""
-        self._store.clear(self._kind)
+        with self._store.transaction() as connection:
+            connection.execute("DELETE FROM item WHERE kind = ?", (self._kind,))
         self.clear()
+
+
+def _state_of(folder: Path) -> Path:
+    state = folder / STATE
+    if state.is_symlink() or (state.exists() and not state.is_dir()):
+        raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
+    return state
 
 
 def _connected(path: Path) -> sqlite3.Connection:
@@ -261,16 +249,15 @@ def _hash(text: Any) -> str:
 def folder_locked(folder: Path, address: str) -> Iterator[None]:
     """Hold a lock on a folder in the block: two studios would overwrite each other's landmark files.
 
-    The system releases it when this process ends for any reason. The address is for the error message of a second
-    studio.
+    The system releases it when this process ends for any reason. A second studio names the address.
     """
-    state = folder / STATE
-    if state.is_symlink() or (state.exists() and not state.is_dir()):
+    try:
+        path = _state_of(folder) / LOCK_FILE
+    except Refusal:
         yield  # the project reports this and writes nothing there
         return
-    path = state / LOCK_FILE
     with disk_errors(f"{path} cannot be made"):
-        state.mkdir(exist_ok=True)
+        path.parent.mkdir(exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
     try:
         try:

@@ -1,25 +1,41 @@
-"""The landmark template: the points of an object, their names, contours and symmetry."""
+"""The landmark template: the points of an object, their names, contours and symmetry; and that of a project.
 
-from __future__ import annotations
+The template of a project is the saved one, or else that of the first picture with landmarks, or else that of a model.
+A change of it and of all landmark files with it is one transaction that survives a killed process: the whole change is
+stored before the first landmark file is rewritten. Until all files are written, landmarks can be neither read nor
+saved, and every call tries to finish the change first.
+"""
 
+import json
 import re
-from collections.abc import Sequence
+import secrets
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from liaam.errors import LiaamError
 from liaam.io.landmarks import Contour, Landmarks
+from liaam.io.landmarks.formats import writer_of
 from liaam.model.shape import mirror_order
+from liaam.studio.folder import Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
+from liaam.studio.store import Store, Table
+
+if TYPE_CHECKING:
+    from liaam.studio.landmark_files import LandmarkFiles
 
 LONGEST_NAME = 100
-FARTHEST = 1e6
-"""Maximum absolute coordinate in pixels."""
+FARTHEST = 1e6  # maximum absolute coordinate in pixels
+_MOST = 10**6
+"""Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
 
-_TILT = 45.0
-"""Maximum angle between the axis of symmetry and the vertical, in degrees."""
+_TILT = 45.0  # maximum angle between the axis of symmetry and the vertical, in degrees
 _ALIKE = 0.05
 """Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
 because the user sees the result and can correct it."""
@@ -32,13 +48,11 @@ _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[^A-Za-z]+")
 class Template:
     """The points that are placed on every picture of a project."""
 
-    names: tuple[str, ...]
-    """Unique name of each point."""
+    names: tuple[str, ...]  # unique name of each point
     contours: tuple[Contour, ...] = ()
     mirror: tuple[int, ...] | None = None
     """Index of each point's twin, its mirror image (itself on the axis); None without symmetry."""
-    points: tuple[tuple[float, float], ...] | None = None
-    """Typical layout, in any units."""
+    points: tuple[tuple[float, float], ...] | None = None  # typical layout, in any units
 
     def __len__(self) -> int:
         return len(self.names)
@@ -81,7 +95,15 @@ def parse_template(data: Any, most: int) -> Template:
     mirror = None if data.get("mirror") is None else tuple(parse_indices(data["mirror"], n, "mirror"))
     if mirror is not None and (len(mirror) != n or any(mirror[mirror[i]] != i for i in range(n))):
         raise Refusal(422, "mirror does not pair the points: if b is the twin of a, a must be the twin of b")
-    return Template(names, tuple(_contour(item, i, n) for i, item in enumerate(contours)), mirror, layout)  # type: ignore[arg-type]
+    lines = []
+    for i, item in enumerate(contours, 1):
+        if not isinstance(item, dict) or not isinstance(item.get("closed"), bool):
+            raise Refusal(422, f"contour {i} is not valid: send {{indices, closed}}")
+        indices = parse_indices(item.get("indices"), n, f"contour {i}")
+        if len(indices) < 2:
+            raise Refusal(422, f"contour {i} has fewer than 2 points: add one, or remove the contour")
+        lines.append(Contour(tuple(indices), item["closed"]))
+    return Template(names, tuple(lines), mirror, layout)  # type: ignore[arg-type]
 
 
 def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
@@ -89,7 +111,11 @@ def parse_points(data: Any, n: int) -> tuple[tuple[float, float] | None, ...]:
     if not isinstance(data, list) or len(data) != n:
         count = len(data) if isinstance(data, list) else "no"
         raise Refusal(422, f"there are {count} points where the template has {n}: send one [x, y] or null for each")
-    return tuple(None if point is None else _pair(point, i) for i, point in enumerate(data))
+    for i, point in enumerate(data, 1):
+        valid = isinstance(point, list) and len(point) == 2 and all(type(value) in (int, float) for value in point)
+        if point is not None and not (valid and all(abs(value) <= FARTHEST for value in point)):  # False for NaN
+            raise Refusal(422, f"point {i} is not valid: send [x, y] in pixels, or null if it is not placed")
+    return tuple(point and (round(float(point[0]), 3), round(float(point[1]), 3)) for point in data)
 
 
 def parse_indices(data: Any, n: int, what: str) -> list[int]:
@@ -98,22 +124,6 @@ def parse_indices(data: Any, n: int, what: str) -> list[int]:
     if not valid or len(set(data)) != len(data):
         raise Refusal(422, f"{what} is not valid: send a list of different whole numbers from 0 to {n - 1}")
     return data
-
-
-def _pair(point: Any, i: int) -> tuple[float, float]:
-    valid = isinstance(point, list) and len(point) == 2 and all(type(value) in (int, float) for value in point)
-    if not valid or not all(abs(value) <= FARTHEST for value in point):  # also False for NaN
-        raise Refusal(422, f"point {i + 1} is not valid: send [x, y] in pixels, or null if it is not placed")
-    return round(float(point[0]), 3), round(float(point[1]), 3)
-
-
-def _contour(item: Any, i: int, n: int) -> Contour:
-    if not isinstance(item, dict) or not isinstance(item.get("closed"), bool):
-        raise Refusal(422, f"contour {i + 1} is not valid: send {{indices, closed}}")
-    indices = parse_indices(item.get("indices"), n, f"contour {i + 1}")
-    if len(indices) < 2:
-        raise Refusal(422, f"contour {i + 1} has fewer than 2 points: add one, or remove the contour")
-    return Contour(tuple(indices), item["closed"])
 
 
 def template_of(landmarks: Landmarks) -> Template:
@@ -155,3 +165,183 @@ def landmarks_of(
     placed = [(np.nan, np.nan) if point is None else point for point in points]
     with refusing():
         return Landmarks(np.array(placed), template.contours, template.names, None, tuple(invisible), scale)
+
+
+def text_of(landmarks: Landmarks, suffix: str) -> str:
+    """Return the text of a landmark file in a format that can be written."""
+    return writer_of(Path(f"x{suffix}"))(landmarks)
+
+
+@dataclass(eq=False)
+class Templates:
+    """The current template, its revision, and its ``order``, which changes when points are added, removed or reordered.
+
+    Thread-safe with the project's lock. ``offered`` is the template of a model, for a folder without any, and
+    ``offered_by`` its name if it comes with liaam. ``is_pending`` says whether a change may be stored, as before the
+    store has been read.
+    """
+
+    _listing: Listing
+    _store: Store
+    _landmarks: "LandmarkFiles"
+    _proposals: Table
+    _lock: threading.RLock
+    offered: Template | None = None
+    offered_by: str = ""
+    is_pending: bool = True
+    _guess: Template | None = None
+    _guessed_version: int = -1
+
+    def __post_init__(self) -> None:
+        self._template_of = lru_cache(1)(template_of)  # its search for symmetry is slow
+        self._take(self._store.get("template"))
+
+    @property
+    def current(self) -> Template | None:
+        """The saved template, or else that of the first picture with landmarks."""
+        with self._lock:
+            if self.saved is None and self._guessed_version != self._listing.version:
+                self._guessed_version = self._listing.version
+                found = (self._landmarks.of(file).landmarks for file in self._listing.pictures)
+                first = next((landmarks for landmarks in found if landmarks is not None), None)
+                self._guess = None if first is None else self._template_of(first)
+            return self.saved or self._guess or self.offered
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the template is a person's, not that of a model that comes with liaam."""
+        return self.current is not None and not self._saved_of and not (self.is_offered and self.offered_by)
+
+    @property
+    def is_offered(self) -> bool:
+        """Whether the template is offered by a model and was not accepted yet."""
+        return self.offered is not None and self.current is self.offered
+
+    def offer(self, template: Template | None, source: str = "") -> None:
+        """Offer a template of a model, ``source`` if it comes with liaam; None drops the offer, and its proposals."""
+        with self._lock:
+            if template is None:
+                self._proposals.forget()
+            self.offered, self.offered_by = template, source
+
+    @property
+    def needed(self) -> Template:
+        """The current template."""
+        if (template := self.current) is None:
+            raise Refusal(422, "there is no template yet: define which points to place, or load a landmark file")
+        return template
+
+    @property
+    def revision(self) -> str | None:
+        """Revision of the current template; None without a template."""
+        known = self.current
+        return None if known is None else self._revision or revision_of(json.dumps(known.as_json()).encode())
+
+    def as_json(self) -> dict[str, Any] | None:
+        """Return the template as JSON for the page, with its ``revision``."""
+        template = self.current
+        return None if template is None else {**template.as_json(), "revision": self.revision}
+
+    def check(self, revision: Any, what: str) -> None:
+        """Refuse a request that was made for another revision of the template."""
+        if revision != self.revision:
+            changed = "the template was changed elsewhere in the meantime"
+            text = f"{changed}, so the studio did not save {what}: check and save again"
+            raise Refusal(409, text, template=self.as_json())
+
+    def keep(self) -> None:
+        """Save a template that was taken from a landmark file."""
+        if self.saved is None:
+            of = self.offered_by if self.needed is self.offered else ""
+            stored = {**self.needed.as_json(), "revision": self.revision, "order": self.order, "of": of}
+            self._store.put("template", {"": stored})
+            self._take(stored)
+
+    def _take(self, stored: Mapping[str, Any] | None) -> None:
+        self.saved = None if stored is None else parse_template(stored, _MOST)
+        facts = stored or {}
+        self._revision, self.order = facts.get("revision", ""), facts.get("order", "")
+        self._saved_of = facts.get("of", "")  # the model that offered the saved template
+
+    def save(self, template: Template, data: dict[str, Any]) -> bool:
+        """Save a template; return whether points were added, removed or reordered.
+
+        ``data`` is the request, with ``mapping``, the old index of each point, and ``revision`` if known.
+        """
+        self.finish()
+        self._listing.scan()
+        # The user's points may replace those that a model offers, unless these were accepted.
+        is_offer = self.is_offered
+        old = None if is_offer and data.get("revision") is None else self.current
+        identity = None if old is None else list(range(len(old)))
+        is_there, is_current = template == self.saved, data.get("revision") == (old and self.revision)
+        if "revision" in data and not is_current:
+            if is_there:  # sent again, since the first answer may have been lost
+                return False
+            self.check(data["revision"], "the template")
+        mapping = self._mapping(data.get("mapping"), len(template), old)
+        if is_there and (mapping == identity or not is_current):
+            return False
+        moved = is_offer or (old is not None and mapping != identity)
+        order = secrets.token_hex(8) if moved else self.order
+        stored = {**template.as_json(), "revision": secrets.token_hex(8), "order": order}
+        files = [] if old is None else self._rewritten(template, len(old), mapping, moved)
+        change = {"template": stored, "files": files, "moved": moved}  # applying it twice has no further effect
+        self.is_pending = True
+        self._store.put("change", {"": change})  # from here on the change will be finished, even after a crash
+        self.finish()
+        return moved
+
+    def finish(self) -> None:
+        """Finish a pending change. Files that were changed in the meantime are left alone."""
+        try:
+            change = self._store.get("change") if self.is_pending else None
+            if change is not None:
+                for item in change["files"]:
+                    self._landmarks.rewrite(item["file"], item["text"], item["before"], item["invisible"])
+                with self._store.transaction():
+                    if change["moved"]:
+                        self._proposals.forget()
+                    self._store.put("template", {"": change["template"]})
+                    self._store.put("change", {"": None})
+                self._take(change["template"])
+                self._store.note("change", None)
+                self._listing.scan()
+            self.is_pending = False
+        except (LiaamError, OSError) as fault:
+            cause = fault if isinstance(fault, OSError) else fault.__cause__
+            why = self._store.folder.plain(fault)
+            text = f"a change of the template cannot be finished yet ({why}): fix this, and the studio will finish it"
+            self._store.note("change", text)
+            raise Refusal(fault.status if isinstance(fault, Refusal) else status_of(cause), text) from fault
+
+    def _rewritten(self, template: Template, n: int, mapping: Sequence[Any], moved: bool) -> list[dict[str, Any]]:
+        files = []
+        for file in self._listing.pictures:
+            known = self._landmarks.of(file)
+            if known.landmarks is None or len(known.landmarks) != n:
+                continue
+            target = self._landmarks.target(file)
+            name = self._store.folder.name_of(target)
+            if not moved and (known.file != name or target.suffix.lower() == ".pts"):
+                continue
+            points, scale = known.points, self._landmarks.scale_of(file)
+            hidden = [i for i, source in enumerate(mapping) if source in known.landmarks.invisible]
+            landmarks = landmarks_of(template, [None if i is None else points[i] for i in mapping], hidden, scale)
+            before = known.revision if known.file == name else None
+            text = text_of(landmarks, target.suffix)
+            files.append({"file": name, "before": before, "text": text, "invisible": hidden})
+        return files
+
+    def _mapping(self, data: Any, n: int, old: Template | None) -> list[int | None]:
+        if old is None:
+            return [None] * n
+        if data is None:
+            if len(old) != n and any(self._landmarks.of(file).file for file in self._listing.pictures):
+                counts = f"the template had {len(old)} points and now has {n}, but pictures have landmarks"
+                raise Refusal(422, f"{counts}: send a mapping with the old index of each point")
+            return [i if i < len(old) else None for i in range(n)]
+        if not isinstance(data, list) or len(data) != n:
+            raise Refusal(422, f"the mapping is not valid: send the old index of each of {n} points, or null if new")
+        parse_indices([index for index in data if index is not None], len(old), "mapping")
+        return data

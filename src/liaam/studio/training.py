@@ -5,8 +5,6 @@ error is measured. A stopped training keeps the earlier model. The process repor
 time, since all its writes are atomic. :mod:`liaam.studio.background` fits pictures with the model.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os
@@ -22,38 +20,39 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, LiaamError, TrainingError
+from liaam.evaluation import point_error
+from liaam.fitting import Fitter
+from liaam.io import read_image
 from liaam.io.landmarks import Contour, Landmarks
 from liaam.model import AAM, load_model
 from liaam.model.shape import diagonal_of
+from liaam.photometry.encoding import refuse_unscaled
 from liaam.studio.model_store import MODEL_FILE, ModelStore, Versions
 from liaam.studio.project import Annotated, Project
 from liaam.studio.safety import Refusal
 from liaam.workers import fresh_interpreters, obey_parent
 
-LEAST = 3
-"""Minimum number of pictures for training."""
+LEAST = 3  # minimum number of pictures for training
 
 OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
 """Options of training. ``smooth`` shapes work best with few annotated pictures."""
 
 
+Publish = Callable[[str, Any], None]
+"""Sends an event of a kind to the pages."""
+
+
 @dataclass(frozen=True)
 class Job:
-    """Input of the training process."""
+    """Input of the training process: pictures, the template of their landmarks, and the file and name of the model."""
 
     done: list[Annotated]
-    """Pictures for training."""
     contours: tuple[Contour, ...]
     names: tuple[str, ...]
-    """Names of the landmarks."""
+    order: str  # :attr:`Templates.order` of the points
     model: Path
-    """Output file of the model."""
-    order: str
-    """:attr:`Templates.order` of the points."""
     name: str
-    """Name of the model."""
-    held_out: tuple[str, ...] = ()
-    """Pictures on which a model that is trained without them is measured."""
+    held_out: tuple[str, ...] = ()  # pictures on which a model that is trained without them is measured
     slips: dict[str, str] = field(default_factory=dict)
     """Pictures that are left out because their landmarks may be wrong, and what they may have."""
 
@@ -62,8 +61,7 @@ class Job:
 class Training:
     """State of the training, for the page."""
 
-    state: str = "idle"
-    """``idle``, ``running``, ``failed`` or ``done``."""
+    state: str = "idle"  # ``idle``, ``running``, ``failed`` or ``done``
     done: int = 0
     total: int = 0
     what: str = ""
@@ -73,14 +71,10 @@ class Training:
 class Trainer:
     """Trains in a separate process, one training at a time, and publishes the model as soon as it is trained."""
 
-    def __init__(self, project: Project, models: ModelStore, publish: Callable[[str, Any], None]) -> None:
-        self.project = project
-        self.models = models
-        self.versions = Versions(project.store)
-        self._publish = publish
-        self._lock = threading.RLock()
+    def __init__(self, project: Project, models: ModelStore, publish: Publish) -> None:
+        self.project, self.models, self._publish = project, models, publish
+        self.versions, self._lock = Versions(project.store), threading.RLock()
         self.state = Training()
-        """The current state."""
         self.is_measuring = False
         """Whether the model of this training is in use already."""
         self._process: Any = None
@@ -93,7 +87,18 @@ class Trainer:
         with self._lock:
             if self.state.state == "running":
                 raise Refusal(409, "a training is running: wait for it, or stop it first", training=asdict(self.state))
-            job = self._job(slips)
+            order = self.project.templates.order  # read first, so that results for points that change are dropped
+            done, template = self.project.annotated(), self.project.templates.current
+            wrong = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not slips}
+            used = [item.name for item in done if item.name not in wrong]
+            if len(used) < LEAST or template is None:
+                text = f"only {len(used)} pictures have all their points"
+                raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
+            if len(template) < 3:
+                raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
+            path, name = self.project.store.path(MODEL_FILE), self.project.root.name
+            held_out = choose_held_out(used, self.versions.held_out(order))
+            job = Job(done, template.contours, template.names, order, path, name, held_out, wrong)
             self._order, self._stopped, self.is_measuring = job.order, False, False
             context = fresh_interpreters()
             pipe, there = context.Pipe(duplex=False)
@@ -115,10 +120,7 @@ class Trainer:
         return self.wait()
 
     def follow_template(self) -> None:
-        """Stop the training and withdraw the studio's model if they are for an earlier set or order of points.
-
-        A copy of the model is kept. A given model stays.
-        """
+        """Stop the training and set the studio's model aside if they are for an earlier set or order of points."""
         store, order = self.project.store, self.project.templates.order
         with self._lock:
             is_stale = self.state.state == "running" and self._order != order
@@ -126,7 +128,7 @@ class Trainer:
             self.stop()
         own = self.models.own
         if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != order:
-            self.models.withdraw()
+            self.models.publish(None)
             store.set_aside(MODEL_FILE)
             store.put("model", {MODEL_FILE: None})
 
@@ -136,22 +138,7 @@ class Trainer:
             self._listener.join(timeout)
         return self.state
 
-    def _job(self, with_slips: bool) -> Job:
-        order = self.project.templates.order  # read before the points, so that results for changed points are dropped
-        done, template = self.project.annotated(), self.project.templates.current
-        slips = {item.name: f"its points may be wrong: {item.slip}" for item in done if item.slip and not with_slips}
-        used = [item.name for item in done if item.name not in slips]
-        if len(used) < LEAST or template is None:
-            text = f"only {len(used)} pictures have all their points"
-            raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
-        if len(template) < 3:
-            raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-        path, name = self.project.store.path(MODEL_FILE), self.project.root.name
-        held_out = choose_held_out(used, self.versions.held_out(order))
-        return Job(done, template.contours, template.names, path, order, name, held_out, slips)
-
     def _listen(self, job: Job, pipe: Any, process: Any) -> None:
-        """Handle the messages of a process until it ends."""
         end = Training("failed", error="the training ended unexpectedly, perhaps for lack of memory: start it again")
         try:
             with pipe, suppress(EOFError, OSError):
@@ -203,10 +190,9 @@ class Trainer:
 
 
 def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, ...]:
-    """Choose the pictures to measure a model on: 1, 2, 4 or 8, at most a quarter of all.
+    """Choose 1, 2, 4 or 8 pictures to measure a model on, at most a quarter of all, where possible those of ``before``.
 
-    The pictures of the ``before`` model come first, then others in an order that does not depend on the set, so that
-    models are measured on the same pictures where possible.
+    The others are in an order that does not depend on the set, so that they stay the same when pictures are added.
     """
     count = next((n for n in (8, 4, 2, 1) if 4 * n <= len(names)), 0)
     order = sorted(names, key=lambda name: (name not in before, hashlib.sha256(name.encode()).digest()))
@@ -214,7 +200,6 @@ def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, .
 
 
 def _work(job: Job, pipe: Any) -> None:
-    """Run a job in the training process."""
     obey_parent()  # the server terminates this process
     with suppress(AttributeError, OSError):
         os.nice(5)  # requests of the user have priority
@@ -225,19 +210,16 @@ def _work(job: Job, pipe: Any) -> None:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
 
 
+@dataclass
 class _Picture:
     """A picture for :func:`liaam.training.train`; records its error."""
 
-    def __init__(self, item: Annotated, job: Job) -> None:
-        self.name = item.name
-        self.landmarks = Landmarks(item.points, job.contours, job.names)
-        self.path = item.path
-        self.fault: str | None = None
+    name: str
+    path: Path
+    landmarks: Landmarks
+    fault: str | None = None
 
     def read_image(self) -> np.ndarray:
-        from liaam.io import read_image
-        from liaam.photometry.encoding import refuse_unscaled
-
         try:
             image = read_image(self.path)
             refuse_unscaled(image, self.name, "srgb")
@@ -275,7 +257,9 @@ class _Worker:
         def progress(done: int, total: int, doing: str) -> None:
             self.send(("progress", {"done": done, "total": total, "what": what or doing}))
 
-        items = [_Picture(item, self.job) for item in self.job.done if item.name not in {*self.left_out, *unused}]
+        used = [item for item in self.job.done if item.name not in {*self.left_out, *unused}]
+        contours, names = self.job.contours, self.job.names
+        items = [_Picture(item.name, item.path, Landmarks(item.points, contours, names)) for item in used]
         while True:
             try:
                 with warnings.catch_warnings(record=True) as caught:
@@ -291,17 +275,12 @@ class _Worker:
                 items = [item for item in items if item.name not in unfit]
 
     def _measure(self, model: AAM) -> dict[str, float]:
-        """Return the mean distance of the fitted points to the placed ones in the held-out pictures.
-
-        The unit is the diagonal of the box around the placed points. Pictures that cannot be fitted are missing.
-        """
-        from liaam.evaluation import point_error
-        from liaam.fitting import Fitter
-
+        """Return the mean error in held-out pictures that can be fitted, relative to the diagonal of the points."""
         fitter, errors = Fitter(model), {}
         for item in self.job.done:
             if item.name in self.job.held_out:
                 with suppress(LiaamError, MemoryError):
                     error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
-                    errors[item.name] = round(error, 5)
-        return {name: error for name, error in errors.items() if np.isfinite(error)}
+                    if np.isfinite(error):
+                        errors[item.name] = round(error, 5)
+        return errors
