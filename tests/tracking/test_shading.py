@@ -93,7 +93,7 @@ def test_after_a_loss_it_begins_anew(head_model, moving):
 
 
 def test_methods_that_fit_no_logarithms_are_refused(head_model):
-    with pytest.raises(MethodError, match="track with 'soft-li'"):
+    with pytest.raises(MethodError, match="use 'soft-li'"):
         ShadingRemover(Fitter(head_model, "grey"))
 
 

@@ -86,7 +86,8 @@ def relight(
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.relighting import Lamp
-    from liaam.relighting.relighter import UNCERTAIN, check_colour, separated, shown, uncertainty_of
+    from liaam.relighting.appearance import check_colour
+    from liaam.relighting.relighter import UNCERTAIN, separated, shown, uncertainty_of
 
     lamps = None if direction is None else [Lamp(direction)]  # raises before any work
     model = load_model(model_file)

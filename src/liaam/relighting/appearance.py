@@ -11,7 +11,7 @@ from liaam.fitting import FitResult, Fitter
 from liaam.fitting.level_image import correlated_pixels
 from liaam.fitting.picture import load_picture
 from liaam.fitting.solution import solution_at
-from liaam.model import MESH
+from liaam.model import AAM, MESH
 from liaam.model.appearance import AppearanceModel
 from liaam.photometry.encoding import refuse_grey
 
@@ -79,8 +79,7 @@ def shadow_free(fitter: Fitter, image, result: FitResult, prior: float = 1.0) ->
     """
     check_method(fitter, result)
     fitter = fitter.part_for(result)
-    method = fitter.objectives[-1].method
-    if method.appearance == "soft":  # use the invariant alone, as 'li' does
+    if fitter.objectives[-1].method.appearance == "soft":  # use the invariant alone, as 'li' does
         image, name = load_picture(image, "image")
         refuse_grey(image, name, "the appearance without shadows is computed from colours", MethodError)
         fitter, result = by_invariant(fitter), replace(result, theta=np.nan)
@@ -107,15 +106,24 @@ def by_invariant(fitter: Fitter) -> Fitter:
     return replace(fitter, model=fitter.model.with_view(MESH, levels=fitter.model.levels[-1:]), method="li")
 
 
-def check_method(fitter: Fitter, result: FitResult) -> None:
-    """Raise an error if no appearance can be computed from a fit, or if the fitter has another method."""
+def check_method(fitter: Fitter, result: FitResult | None = None) -> None:
+    """Raise an error if a fitter's method has no appearance for relighting, or is not that of the fit."""
     method = fitter.objectives[-1].method
     if method.appearance not in ("log", "soft"):
         raise MethodError(
-            f"method {result.method.name} does not fit a log-RGB appearance, which relighting needs; "
-            "fit with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
+            f"method {method.name} does not fit a log-RGB appearance, which relighting needs; "
+            "use 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
         )
-    if method != result.method:
+    if result is not None and method != result.method:
         raise MethodError(
             f"the fit was made with method {result.method.name}, but the fitter has {method.name}; use the fit's fitter"
+        )
+
+
+def check_colour(model: AAM, name: str = "") -> None:
+    """Raise an error if a model was trained on grey images."""
+    if not model.is_colour:
+        raise MethodError(
+            f"{name or model.name or 'the model'}: the model was trained on grey images, and estimating shading needs "
+            "colour; train on colour images"
         )

@@ -12,46 +12,35 @@ import numpy as np
 from liaam import _core
 from liaam.relighting.painting import averages, distance, mean_of, smoothstep
 
-FARTHEST, LEAST_SHARE = 4.0, 1e-3
-"""Distance beyond the mesh to which values extend, in reaches, and the share below which it is 0."""
+# Distances are in reaches (of `Region`) unless said.
+FARTHEST, LEAST_SHARE = 4.0, 1e-3  # Distance beyond the mesh to which values extend; share below which it is 0
+NEARBY = 0.8  # Scale of averages of values
+COLOUR = 4.9  # Radius of averages of the light's colour: lamps mix slowly, and at the border other colours are brows'
 
-EDGE, BLUR_OWN, DARK = 0.8, 1.0, 0.05
-"""Change of log light, summed over channels, that counts as a distance of one scale; before it is measured, the
-standard deviation in pixels of the Gaussian that removes noise, and the light that is added, relative to the brightest
-of the object: in the dark, noise and JPEG's blocks are edges of logarithms."""
+EDGE = 0.8  # Change of log light, summed over channels, that counts as a distance of one scale
+BLUR_OWN = 1.0  # Standard deviation of the Gaussian that removes noise before that is measured, pixels
+DARK = 0.05  # Light added, relative to the object's brightest: in the dark, noise and JPEG's blocks are edges of logs
+ROUNDS = 3  # Number of passes over rows and columns; three leave no visible stripes
 
-NEARBY, COLOUR = 0.8, 4.9
-"""Scale of averages of values, and radius of averages of the colour of light, in reaches. Lamps of two colours mix
-slowly over a surface, and at the border of the mesh another colour is rather a brow's."""
-
-ACROSS, EVEN = 12.0, 0.5
-"""Scales of the division between object and background, and within which it is evened out, in reaches."""
-
-BACKGROUND, BELOW, BORDER = 8.0, 0.5, 1.0
-"""Distance beyond the mesh from which an image is background, in reaches. What is below the mesh, and by the second
-fraction of its width wider, is none: a neck or a stem. Down to a depth inside the mesh, in reaches, another colour is
-background, because the fit is not exact."""
-
-ANOTHER_COLOUR, COLOUR_BLUR = 0.5, 0.1
-"""Difference of log-chromaticity from the object's mean from which a pixel is rather background, and standard deviation
-of the Gaussian before it is measured, in reaches. Without it, light of the object shines on walls."""
-
-BRIGHTER, BRIGHTEST = 0.3, 0.95
-"""Logarithm of light above the brightest of the object, from which a pixel is rather background, as a wall is behind a
-dark face; the brightest is this quantile."""
-
-ROUNDS = 3
-"""Number of passes over rows and columns; three leave no visible stripes."""
+ACROSS = 12.0  # Scale of the division between object and background
+EVEN = 0.5  # Scale within which it is evened out
+BACKGROUND = 8.0  # Distance beyond the mesh from which an image is background
+BELOW = 0.5  # Below the mesh, and by this fraction of its width wider, is no background, but a neck or a stem
+BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
+# Without the difference of colour, light of the object shines on walls.
+ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
+COLOUR_BLUR = 0.1  # Gaussian before that is measured
+BRIGHTER = 0.3  # Log light above the object's brightest from which a pixel is so too, as a wall behind a dark face
+BRIGHTEST = 0.95  # Quantile that is the brightest
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """Division of the surroundings of a mesh, whose mask is ``inside`` (h, w), between object and background.
 
-    ``belongs`` (h, w, 1) is how much a pixel belongs to the object rather than to the background, which is what lies
-    beyond ``BACKGROUND``, but for what is ``BELOW``. In between, the nearer one counts, where edges of the
-    logarithms of light ``seen`` (h, w, 3) are distances. ``share`` (h, w, 1) is the same, falling to 0 at
-    ``FARTHEST`` times the ``reach``, pixels, from the mesh.
+    ``belongs`` (h, w, 1) is how much a pixel belongs to the object rather than to the background, whichever is nearer,
+    where edges of the logarithms of light ``seen`` (h, w, 3) are distances. ``share`` (h, w, 1) is the same, falling to
+    0 at ``FARTHEST`` times the ``reach``, pixels, from the mesh.
     """
 
     inside: np.ndarray
@@ -112,10 +101,7 @@ def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
 
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
-    """Average layers (h, w, c) over nearby pixels of similar colour ``seen``, (h, w, 3).
-
-    ``scale`` is the standard deviation in regions of constant colour, pixels.
-    """
+    """Average layers (h, w, c) in a Gaussian of ``scale`` pixels within the edges of an image ``seen``, (h, w, 3)."""
     found = np.array(layers, np.float32, order="C")
     steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
     across, down = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)

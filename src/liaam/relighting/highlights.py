@@ -7,14 +7,11 @@ import numpy as np
 
 from liaam.relighting.painting import Region, averages, mean_of, smoothstep
 
-CLIPPED, BRIGHT = math.log(0.95), math.log(0.6)
-"""Logarithms of light from which a channel counts as clipped, and from which brightened pixels approach white gradually
-instead of being clipped."""
-
-COLOUR_REACH, POWER, FALLBACK = 2.0, 4.0, 0.01
-"""Half the side of the square within which the colour around clipped highlights is averaged, in reaches; the power of
-light that weighs it, as gloss has the colour of the lamp, and is nearly as bright where it is not clipped; and the
-weight of the mean colour of the object, for highlights larger than that square."""
+CLIPPED = math.log(0.95)  # Logarithm of light from which a channel counts as clipped
+BRIGHT = math.log(0.6)  # That from which brightened pixels approach white gradually, instead of being clipped
+COLOUR_REACH = 2.0  # Radius within which the colour around clipped highlights is averaged, in reaches
+POWER = 4.0  # Power of light that weighs it: gloss has the lamp's colour, and is nearly as bright where not clipped
+FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than that
 
 
 def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Region) -> tuple[np.ndarray, np.ndarray]:

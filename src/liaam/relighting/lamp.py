@@ -9,15 +9,11 @@ import numpy as np
 from liaam.errors import LiaamError
 from liaam.model.mesh import ReferenceFrame
 
-AMBIENT, STRONGEST = 0.25, 10.0
-"""Default fraction of ambient light, and largest strength of a lamp."""
-
-DARKEST = 0.02
-"""Lower bound on the light at a pixel, because black has no logarithm."""
-
-STEEPEST, ROUNDING = np.tan(np.deg2rad(65.0)), 0.03
-"""Limit of the surface's slope, at the mesh's border, and standard deviation of the smoothing of its slopes, as a
-fraction of the frame's diagonal. It removes ridges at the outline's corners."""
+AMBIENT = 0.25  # Default fraction of ambient light
+STRONGEST = 10.0  # Largest strength of a lamp
+DARKEST = 0.02  # Least light at a pixel, because black has no logarithm
+STEEPEST = np.tan(np.deg2rad(65.0))  # Limit of the surface's slope, at the mesh's border
+ROUNDING = 0.03  # Gaussian that smooths its slopes, in diagonals; it removes ridges at the outline's corners
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,10 @@ from liaam.photometry import Response, from_linear, to_linear
 from liaam.photometry.encoding import as_colour, stored_values
 from liaam.relighting.appearance import ShadowFree
 
-LARGEST = 10
-"""Size of a shape, relative to the image, beyond which it is not painted."""
-
-REACH = 0.04
-"""Standard deviation of the Gaussian by which shading is removed beyond the mesh, as a fraction of the diagonal."""
-
-FINEST = 128.0
-"""Largest diagonal of an object, in pixels, at which light is computed. In larger objects it is enlarged."""
-
-BINS = 65536
-"""Number of steps of the logarithm of light from black to white."""
+LARGEST = 10  # Size of a shape, relative to the image, beyond which it is not painted
+REACH = 0.04  # Standard deviation of the Gaussian by which shading is removed beyond the mesh, in diagonals
+FINEST = 128.0  # Largest diagonal of an object, in pixels, at which light is computed; in larger ones it is enlarged
+BINS = 65536  # Number of steps of the logarithm of light from black to white
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +184,7 @@ def smoothstep(x: np.ndarray) -> np.ndarray:
 
 
 def averages(values: np.ndarray, weights: np.ndarray, radius: float, fallback: float = 0.0) -> np.ndarray:
-    """Return weighted means of values (h, w, c) float32, weights (h, w, 1), by two box filters of a radius.
-
-    ``fallback`` is the weight of the mean of the whole picture.
-    """
+    """Average values (h, w, c) float32 by weights (h, w, 1), and ``fallback`` everywhere, in two boxes of a radius."""
     sums = np.concatenate([values * weights, weights], axis=2).astype(np.float32)
     everywhere = fallback * sums.mean(axis=(0, 1))
     width = 2 * round(radius) + 1

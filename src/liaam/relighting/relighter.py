@@ -18,22 +18,17 @@ from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
-from liaam.relighting.appearance import ShadowFree, check_method
+from liaam.relighting.appearance import ShadowFree, check_colour, check_method
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared
 from liaam.relighting.lamp import AMBIENT, Lamp, check_ambient, light_of, normals_of
 from liaam.relighting.painting import REACH, Region, averages, box_of, eight_bits, log_light, paint, seen_triangles
 from liaam.relighting.shading import SQUARE, Shading, find_shading, light_on_frame, light_on_image, noise_of_log
 
-UNCERTAIN = 0.6
-"""Certainty of the light, of 1, below which a warning is given."""
-
-LONGEST = 1.5
-"""Largest exposure relative to frontal light; a lamp from behind leaves the object dark."""
-
-MOST_NOISE, GRAIN = 3.0, 1.0
-"""Largest amplification of the noise of stored values, and standard deviation of the Gaussian that separates it,
-pixels."""
+UNCERTAIN = 0.6  # Certainty of the light, of 1, below which a warning is given
+LONGEST = 1.5  # Largest exposure relative to frontal light; a lamp from behind leaves the object dark
+MOST_NOISE = 3.0  # Largest amplification of the noise of stored values
+GRAIN = 1.0  # Standard deviation of the Gaussian that separates the noise, pixels
 
 Light = Sequence[float] | Lamp | Sequence[Lamp]
 Steadied = Callable[[Shading], Shading]
@@ -129,7 +124,7 @@ class Relighter:
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
-        return self._with(self.log_flat)
+        return self._changed()
 
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
@@ -251,16 +246,13 @@ class Relighter:
         fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
         return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
 
-    def _changed(self, change: np.ndarray) -> np.ndarray:
-        """Return the flat image with a change of log light, (lh, lw, 1 or 3)."""
-        change = self.region.enlarged(change)
-        return self._with(self.log_flat + change.reshape(*self.log_flat.shape[:2], -1))
-
-    def _with(self, log_rgb: np.ndarray) -> np.ndarray:
-        """Return the image with new logarithms of light, (bh, bw, 3); noise stays low."""
-        picture = self.picture.copy()
+    def _changed(self, change: np.ndarray | None = None) -> np.ndarray:
+        """Return the flat image, with a change of log light (lh, lw, 1 or 3); noise stays low."""
+        picture, log_rgb = self.picture.copy(), self.log_flat
         if not self.inside.any():
             return picture
+        if change is not None:
+            log_rgb = log_rgb + self.region.enlarged(change).reshape(*log_rgb.shape[:2], -1)
         made = eight_bits(log_rgb, self.response)
         excess = self._excess(made)
         if (excess > 0.0).any():
@@ -346,7 +338,7 @@ def relight(
     if light is not None and like is not None:
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
-    check_colour(model, model.name or "the model")
+    check_colour(model)
     check_ambient(ambient)
     fitter, other = Fitter.of(model, method, **settings), None
     if like is not None:
@@ -359,22 +351,10 @@ def relight(
     return shown(relighter, lamps, other, ambient)
 
 
-def check_colour(model: AAM, name: str) -> None:
-    """Raise if a model was trained on grey images."""
-    if not model.is_colour:
-        raise LiaamError(
-            f"{name}: the model was trained on grey images, and estimating shading needs colour; train on colour images"
-        )
-
-
 def lamps_of(light: Light) -> list[Lamp]:
     """Return the lamps of a direction, a lamp or several lamps."""
-    if isinstance(light, Lamp):
-        return [light]
-    several = list(light)
-    if several and all(isinstance(lamp, Lamp) for lamp in several):
-        return several  # type: ignore[return-value]
-    return [Lamp(several)]  # type: ignore[arg-type]
+    several: list = [light] if isinstance(light, Lamp) else list(light)
+    return several if several and all(isinstance(lamp, Lamp) for lamp in several) else [Lamp(several)]
 
 
 def shown(

@@ -41,51 +41,44 @@ from liaam.relighting.appearance import ShadowFree
 from liaam.relighting.painting import Region, distance, smoothstep
 from liaam.training.textures import sample_appearance
 
-SQUARE, LEAST_UNEXPLAINED = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64), 0.05
-"""Corners of the square around the mean shape to which lamps' light is known, and lower bound on the standard deviation
-of what its modes do not explain, as there may be few lamps."""
+SQUARE = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
+"""Corners of the square around the mean shape to which lamps' light is known."""
 
-DEGREE, OF_COLOUR, AMOUNT, UNEXPLAINED = 6, 3, 0.8, 0.06
-"""Without lamps: degrees of the polynomials of brightness and of colour temperature, standard deviation of their
-coefficients in logarithms, which is divided by one plus their degree, and of what they do not explain."""
+# Lengths are fractions of the frame's diagonal, scales are standard deviations of Gaussians, and values are logarithms.
+LEAST_UNEXPLAINED = 0.05  # Least standard deviation of what the modes of lamps do not explain, as lamps may be few
+UNEXPLAINED = 0.06  # The same without lamps
+COLOURED = 0.37  # Standard deviation of the colour of either, relative to its brightness
+DEGREE, OF_COLOUR = 6, 3  # Without lamps: degrees of the polynomials of brightness and of colour temperature
+AMOUNT = 0.8  # Standard deviation of their coefficients, divided by one plus their degree
 
-CORRELATED, ACROSS = 0.15, 4
-"""Side of the area in which errors count as one, as a fraction of the frame's diagonal, and number of samples across
-it. Modes learnt from lamps leave smooth errors; counted pixel by pixel, they would outweigh the priors."""
+# Modes learnt from lamps leave smooth errors; counted pixel by pixel, they would outweigh the priors.
+CORRELATED = 0.15  # Side of the area in which errors count as one
+ACROSS = 4  # Number of samples across it
 
-NOISE_FACTOR, UNKNOWN, COLOURED = 3.0, 0.05, 0.37
-"""Factor on the noise's variance, to which rounding and JPEG compression add; standard deviation of the model's errors
-if training has not measured it; and that of the colour of what modes do not explain, relative to its brightness."""
+NOISE_FACTOR = 3.0  # Factor on the noise's variance, to which rounding and JPEG compression add
+UNKNOWN = 0.05  # Standard deviation of the model's errors, if training has not measured it
+AT_THE_BORDER = 0.5  # The same at the mesh's border, where a landmark one pixel off samples the background
+SOFT_EDGE = 0.05  # Depth at which that has fallen to 0
+LEVEL, TINT = 0.3, 0.1  # Standard deviations of an image's level: of its brightness, and of each of two colours
+FREEDOM = 2.0  # Degrees of freedom of Student's t distribution of the errors
+PASSES = 3  # More make no visible difference
 
-LEVEL, TINT = 0.3, 0.1
-"""Standard deviations of the brightness and of each of two colours of an image's level, in logarithms."""
+SMOOTHNESS = 0.01  # Scale of the Gaussian that smooths what the modes leave
+ERRORS_PER_AREA = 2.0  # Number of independent errors of the model in its area
+WINDOW = 0.08  # Scale within which the variation of light is measured
+WRONG = 3.0  # Standard deviation of the errors of the modes' light, relative to that of the light in the window
+SHADOWS = 0.6  # The same without lamps, as modes then leave cast shadows, whose edges are no marks either
 
-PASSES, FREEDOM = 3, 2.0
-"""Number of passes; more make no visible difference. Degrees of freedom of Student's t distribution of the errors."""
+# Marks, such as moles, rims of glasses and letters, are found by the median of a square.
+MARK = 0.12  # Its side
+CONTRAST = 0.07  # Difference from it at which a pixel has less weight
+CAST = 0.45  # Added to that, in quadrature: this share of the standard deviation of the modes' light in the window
+STEPS = 64.0  # Steps per unit in the median filter, which has 256 in all
 
-SMOOTHNESS, WINDOW = 0.01, 0.08
-"""Standard deviations of the Gaussians that smooth what the modes leave, and within which light varies, as fractions of
-the frame's diagonal."""
-
-WRONG, SHADOWS, ERRORS_PER_AREA = 3.0, 0.6, 2.0
-"""Standard deviation of the errors of the modes of light, relative to that of their light within the window; and
-without lamps, in logarithms, as modes then leave cast shadows, whose edges are no marks either; and number of
-independent errors of the model in the area of the smoothing."""
-
-AT_THE_BORDER, SOFT_EDGE = 0.5, 0.05
-"""Standard deviation of the model's errors at the mesh's border, where a landmark one pixel off samples the background,
-and depth at which they have fallen to 0, as a fraction of the model's diagonal."""
-
-MARK, CONTRAST, CAST, STEPS = 0.12, 0.07, 0.45, 64.0
-"""Marks, such as moles, rims of glasses and letters, are found by the median of a square: its side, as a fraction of
-the frame's diagonal, the difference from it, in logarithms, at which a pixel has less weight, and what is added to that
-(in quadrature) where light varies, relative to the standard deviation of the modes' light within the window; and the
-steps per unit in the median filter, which has 256 in all."""
-
-SURROUNDINGS, DARKER, ALIKE = 0.2, 0.1, 0.3
-"""What both halves of a symmetric object share is the object's own, as a beard is, beyond this difference of log
-brightness (second) from its surroundings (first, standard deviation as a fraction of the frame's diagonal), unless the
-light itself is as bright on both halves (third, standard deviation of what its halves share)."""
+# What both halves of a symmetric object share is its own, as a beard is, unless the light itself is alike on both.
+SURROUNDINGS = 0.2  # Scale of the surroundings with which it is compared
+DARKER = 0.1  # Difference from them beyond which it counts
+ALIKE = 0.3  # Standard deviation of the light that both halves share, at which half of it counts
 
 
 @lru_cache(maxsize=4)

@@ -12,6 +12,7 @@ from liaam.fitting import FitResult, Fitter
 from liaam.model import AAM
 from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.relighting import Relighter
+from liaam.relighting.appearance import check_colour, check_method
 from liaam.relighting.shading import Shading
 
 FIRST_SHARE, SHARE = 0.2, 0.05
@@ -35,16 +36,8 @@ class ShadingRemover:
     _frames: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        method, model = self.fitter.objectives[-1].method, self.fitter.model
-        if method.appearance not in ("log", "soft"):
-            raise MethodError(
-                f"method {method.name} does not fit the appearance of log-RGB, so it cannot remove shading; "
-                "track with 'soft-li', 'li', 'li-pc', 'li-pcs' or 'chroma'"
-            )
-        if not model.is_colour:
-            raise MethodError(
-                "the model was trained on grey images, and estimating shading needs colour; train on colour images"
-            )
+        check_method(self.fitter)
+        check_colour(self.fitter.model)
 
     def reset(self) -> None:
         """Reset the average, after the object was lost."""
