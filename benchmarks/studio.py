@@ -358,7 +358,7 @@ def main(data: str | None = None, letters: int = 2) -> None:
     if data is None:
         newcomer()
         many()
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory() as elsewhere:
         pictures = material(Path(name)) if data is None else photographs(Path(name), Path(data), letters)
         flags = write_camera(Path(name) / "camera.mjpeg", read_image(pictures[0]))
         with browsing(flags=flags) as page, served(Path(name), "--model", f"{name}/model.liaam") as address:
@@ -375,7 +375,7 @@ def main(data: str | None = None, letters: int = 2) -> None:
             report("studio_drop_to_fit_ms", float(np.median(times)), f"worst {max(times):.0f}", form=".0f")
             for part in ("search", "fit"):
                 report(f"studio_{part}_ms", 1000 * np.median([each[part] for each in seconds]), form=".0f")
-            large = drops(page, [enlarged(path, Path(name)) for path in pictures[:4]])
+            large = drops(page, [enlarged(path, Path(elsewhere)) for path in pictures[:4]])
             report("studio_large_drop_to_fit_ms", float(np.median(large)), f"worst {max(large):.0f}", form=".0f")
             drops(page, pictures[:1])
             report("studio_theta_frames_per_second", theta_rate(page), form=".0f")
