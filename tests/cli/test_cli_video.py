@@ -227,7 +227,10 @@ def test_ctrl_c_leaves_what_was_done(run, model_file, clip, tmp_path, monkeypatc
         (("{clip}", "-o", "{own}"), "is not a track"),
         (("{clip}", "--video", "own.mp4"), "own.mp4 exists and is not a video"),
         (("{clip}", "--shading-free", "own.mp4"), "own.mp4 exists and is not a video"),
-        (("{clip}", "-m", "grey", "--shading-free", "s.mp4"), "cannot remove shading"),
+        (
+            ("{clip}", "-m", "grey", "--shading-free", "s.mp4"),
+            "does not fit a log-RGB appearance, which relighting needs",
+        ),
         (("{clip}", "-m", "magic"), "unknown method 'magic'"),
         (("{clip}", "--init", "nowhere.pts"), "there is no such file"),
         (("{clip}", "--init", "9000,9000,9100,9100"), "outside the image"),
