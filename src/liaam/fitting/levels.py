@@ -211,8 +211,8 @@ def solve_levels(objectives: Sequence[Objective], target: Target, options: Solve
         own = options if objective is finest else spare(options)
         image, state, pose = prepare_level(objective, target, stages, own, light)
         solution = objective.solve(image, state, own, evaluate_last=objective is finest)
-        own = solution, image.patch.from_image, image.channels.shape[:2]
-        stages.append(FittedLevel(objective, pose, *own, None if objective is finest else shape))
+        about = pose, solution, image.patch.from_image, image.channels.shape[:2]
+        stages.append(FittedLevel(objective, *about, None if objective is finest else shape))
         shape = stages[-1].reached
         if not is_sane(shape, target.start):
             break
