@@ -363,7 +363,8 @@ def _appearance(
     most = min(n_pixels * channels, n_textures)
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
-    if not are_unit(modes.reshape(len(modes), n * channels), at_most=known is not None):
+    in_part = known is not None or not modes.any(axis=(0, 2)).all()  # of some, only pixels that are used are kept
+    if not are_unit(modes.reshape(len(modes), n * channels), at_most=in_part):
         raise ValueError(f"{prefix}.modes are not of unit length")
     appearance = AppearanceModel(
         mean=half_or_single(tensors, f"{prefix}.mean", (n, channels)),

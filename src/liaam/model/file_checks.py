@@ -51,7 +51,7 @@ def check_variances(key: str, matrices: np.ndarray) -> None:
 
 
 def are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
-    """Whether modes (m, d) have unit length, or at most that if a part of them is not stored."""
+    """Whether modes (m, d) have unit length, or at most that if only a part of them is kept."""
     if max(modes.max(initial=0.0), -modes.min(initial=0.0)) > 2.0:  # the squares might overflow
         return False
     beyond = np.einsum("md,md->m", modes, modes) - 1.0
