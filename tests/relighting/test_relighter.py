@@ -394,6 +394,19 @@ def test_a_wall_that_edges_cut_off_gets_no_halo():
     assert belongs[40, 76:].max() < 0.1
 
 
+@pytest.mark.parametrize("colour", [(0.4, -0.1, -0.3), (0.0, 0.0, 0.0)])
+def test_what_is_bright_and_pale_beside_the_object_keeps_its_light(colour):
+    """Such as a white wall behind a dark face, or gloss on a forehead beyond the mesh; a grey object has no colour."""
+    inside, pale = known_in((80, 90), slice(20, 60), slice(20, 60)), known_in((80, 90), slice(0, 80), slice(60, 68))
+    own = np.full((80, 90, 3), -2.0, np.float32) + np.array(colour, np.float32)
+    beside = {}
+    for level in (-2.0, -1.75):  # as bright as the object, and brighter
+        own[pale] = level + 0.3 * np.array(colour)
+        beside[level] = Surroundings.of(inside, own, 5.0).belongs[30:50, 62:65].mean()
+    assert beside[-2.0] > 0.8
+    assert beside[-1.75] < 0.3 if any(colour) else beside[-1.75] > 0.6
+
+
 def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_values():
     y, x = np.mgrid[:200, :150]
     inside = np.abs(x - 0.3 * y - 40) < 1.5  # slanted, so that reduced pixels hold various parts of it

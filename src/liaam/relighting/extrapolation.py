@@ -27,11 +27,13 @@ EVEN = 0.5  # Scale within which it is evened out
 BACKGROUND = 8.0  # Distance beyond the mesh from which an image is background
 BELOW = 0.5  # Below the mesh, and by this fraction of its width wider, is no background, but a neck or a stem
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
-# Without the difference of colour, light of the object shines on walls.
+# Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
+PALE, VIVID = 0.5, 0.8  # Saturation relative to that mean, below which what is bright is a wall, or gloss, which stays
+NEUTRAL = 0.02  # Square of a difference from grey at which an object has a colour
 COLOUR_BLUR = 0.1  # Gaussian before that is measured
 BRIGHTER = 0.3  # Log light above the object's brightest from which a pixel is so too, as a wall behind a dark face
-BRIGHTEST = 0.95  # Quantile that is the brightest
+BRIGHT, BRIGHTEST = 0.8, 0.95  # Quantiles of the object's brightness
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +93,16 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
 
 
 def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Return how much pixels are like the object in colour, and not brighter, (h, w, 1)."""
+    """Return how much pixels are like the object in colour, and neither brighter nor bright and pale, (h, w, 1)."""
     colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
     brightness = mean_of(colours)[..., None]
-    brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
+    bright, brightest = np.quantile(brightness[inside], [BRIGHT, BRIGHTEST]).astype(np.float32)
     colours = colours - brightness
-    apart = 3.0 * mean_of(np.square(colours - colours[inside].mean(axis=0)))[..., None] / ANOTHER_COLOUR**2
-    return np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
+    mean, brighter = colours[inside].mean(axis=0), np.maximum(brightness - brightest, 0.0) / BRIGHTER
+    apart = 3.0 * mean_of(np.square(colours - mean))[..., None] / ANOTHER_COLOUR**2
+    saturation = ((colours @ mean)[..., None] + NEUTRAL) / (mean @ mean + NEUTRAL)
+    pale = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep((brightness - bright) / BRIGHTER)
+    return (1.0 - pale) * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
 
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:

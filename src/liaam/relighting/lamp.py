@@ -73,11 +73,8 @@ def lit(facing: np.ndarray, softness: float) -> np.ndarray:
     A large lamp still reaches parts that face away from its middle: near the horizon, Lambert's law is averaged over
     lamps whose cosines differ by up to ``softness``.
     """
-    light = np.maximum(facing, 0.0)
-    if softness > 0:
-        near = np.abs(facing) < softness
-        light = np.where(near, np.square(facing + softness) / (4.0 * softness), light)
-    return light
+    near = np.square(facing + softness) / max(4.0 * softness, 1e-9)
+    return np.where(np.abs(facing) < softness, near, np.maximum(facing, 0.0))
 
 
 def unit_direction(direction: Sequence[float]) -> np.ndarray:

@@ -119,8 +119,8 @@ class Relighter:
             return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
         appearance, shading = find_shading(model, image, shape, response)
         shading = shading if steadied is None else steadied(shading)
-        about = (model, shape, response, picture, appearance, shading)
-        return cls(*about, *_removed(model, image, shape, response, shading))
+        rest = _removed(model, image, shape, response, shading)
+        return cls(model, shape, response, picture, appearance, shading, *rest)
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""

@@ -197,8 +197,7 @@ def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Res
     lit = np.tensordot(appearance.light.astype(np.float32), modes, axes=1) + level
     left = np.where(usable[:, None] > 0, log - appearance.log_rgb - lit, 0.0).astype(np.float32)
     bright = lit.mean(axis=1)
-    varying = smoothed(model, np.square(bright), WINDOW) - np.square(smoothed(model, bright, WINDOW))
-    varying = np.maximum(varying, 0.0)
+    varying = np.maximum(smoothed(model, np.square(bright), WINDOW) - smoothed(model, bright, WINDOW) ** 2, 0.0)
     wrong, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
     if model.light is None:
         wrong, contrast = wrong + SHADOWS**2, np.full_like(wrong, SHADOWS)
