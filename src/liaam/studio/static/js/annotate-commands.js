@@ -7,6 +7,7 @@ import { placed } from "./points.js";
 
 const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
   "load a template with left and right in its names.";
+const NO_CONTOUR = "Select a point of a contour with three points or more. The template defines the contours.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
 /** @param {import("./annotate.js").Tab} tab */
@@ -65,7 +66,7 @@ export function createCommands(tab) {
 
   /** Change the selected points that are placed, and say what work() returns. */
   function toChosen(work) {
-    const chosen = marking.chosenPlaced;
+    const chosen = tab.tracing.on ? [] : marking.chosenPlaced;
     if (chosen.length) say(`${called(marking.names, chosen)} ${work()}`);
   }
 
@@ -116,9 +117,28 @@ export function createCommands(tab) {
 
     ruler: () => tab.ruler.start(),
 
+    /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
+    trace() {
+      const { tracing } = tab;
+      if (tracing.on) return void (tracing.whole ? tracing.finish() : tracing.turn(null));
+      if (tab.ruler.on) tab.ruler.turn(false);
+      const { wanted } = tracing;
+      if (!wanted) return void app.toast(NO_CONTOUR);
+      marking.select([]);
+      tracing.turn(wanted);
+      say(tracing.prompt);
+    },
+
+    space() {
+      const { wanted } = tab.tracing;
+      if (!wanted) return void app.toast(NO_CONTOUR);
+      tab.tracing.space(wanted);
+      say("The points of the contour are evenly spaced");
+    },
+
     escape() {
       tab.tool.cancel();
-      if (tab.ruler.on) tab.ruler.turn(false);
+      tab.drawing?.turn(null);
       marking.select([]);
       commands.escaped = true;
     },
@@ -133,7 +153,7 @@ export function createCommands(tab) {
     travel(way) {
       tab.tool.cancel();
       if (tab.editing) return tab.templates.doc.travel(way);
-      const what = marking.travel(way);
+      const what = (tab.tracing.on ? tab.tracing : marking).travel(way);
       if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
     },
 
@@ -156,6 +176,7 @@ export function createCommands(tab) {
 
     accept() {
       if (!commands.marks) return commands.skip(); // there is nothing to accept
+      if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") return void leaveUnchecked();
       marking.accept();
       const left = marking.missing;
