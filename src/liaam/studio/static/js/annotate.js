@@ -228,9 +228,9 @@ export class Tab {
     if (!viewer.width || marking.hidden) return;
     if (this.editing) this.templates.draw(ctx, tool);
     else if (marking.book) {
+      if (this.tracing.on) this.tracing.draw(ctx, viewer);
       drawMarking(ctx, viewer, this.doc === marking ? tool : BUSY, marking, this.drawn, this.wrong);
       this.ruler.draw(ctx, viewer);
-      if (this.tracing.on) this.tracing.draw(ctx, viewer);
     }
     drawGesture(ctx, viewer, tool, marking.suggested);
   }
