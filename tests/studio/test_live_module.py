@@ -7,8 +7,8 @@ from liaam.fitting import FitStatus
 from liaam.tracking import TrackedFrame, TrackStatus
 from liaam.tracking.files import TrackRows
 
-TURNED = np.array([[1.0, -1.0], [-1.25, 0.5]])
-"""A mean shape: the points before a quarter turn clockwise."""
+TURNED = np.array([[-1.125, 0.75], [1.125, -0.75]])
+"""A mean shape: the points before a quarter turn clockwise, about their centre."""
 
 
 def test_pure_parts_of_the_page_by_node(tmp_path):
