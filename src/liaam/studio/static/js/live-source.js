@@ -22,7 +22,7 @@ export class LiveSource {
     this.isFile = false;
     this.isFront = false; // whether it is a camera that looks at the person who sees its picture
     this.camera = ""; // id of the open camera
-    this.cameras = {}; // names by id, known once a camera was open
+    this.cameras = {}; // names by id, known once one was open
     this._canvases = Array.from({ length: HELD }, () => h("canvas"));
     const follow = () => this.video.requestVideoFrameCallback((_, { mediaTime }) => {
       onframe(mediaTime);
@@ -33,11 +33,11 @@ export class LiveSource {
 
   get isOpen() { return Boolean(this.video.srcObject || this.video.src); }
 
-  /** Show the camera; errors have a message for the user. */
-  async openCamera() {
+  /** Show a camera, by default the one that was chosen last; errors have a message for the user. */
+  async openCamera(chosen = localStorage.getItem(KEY)) {
     if (!navigator.mediaDevices)
       throw new Error("Browsers allow cameras at 127.0.0.1 or by https only: open the page there.");
-    const chosen = localStorage.getItem(KEY);
+    if (chosen) localStorage.setItem(KEY, chosen);
     const which = chosen ? { deviceId: { ideal: chosen } } : { facingMode: "user" };
     try {
       this.video.srcObject = await navigator.mediaDevices.getUserMedia({ audio: false, video: { ...SIZE, ...which } });
@@ -50,9 +50,6 @@ export class LiveSource {
     Object.assign(this, { name: "camera", camera: deviceId, isFront: facingMode !== "environment" });
     await this.video.play();
   }
-
-  /** Which camera to open from now on. */
-  choose(id) { localStorage.setItem(KEY, id); }
 
   /** Show a video file; errors have a message for the user. */
   async openFile(file) {

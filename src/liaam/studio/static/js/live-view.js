@@ -8,14 +8,13 @@ import { button, fileField, FrameMeter, h, icon, optionsOf, perFrame, press, sli
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
-const FAR = 1e4; // css pixels
 const LONGEST_GAP = 3000; // milliseconds; after a longer gap, as of a hidden page, the speed is measured anew
 
 export class LiveView {
-  /** act: functions camera, file (of a File), stop, play, flat, mirror, record, save, choose
-   *  (a camera) and seek (to seconds). */
+  /** act: functions camera (by id), file (of a File), stop, play, flat, mirror, record, save and seek (to seconds). */
   constructor(root, app, act) {
     this.shown = null;
+    this.mirrored = false;
     this.delays = []; // milliseconds from each frame to its painted fit
     this.meter = new FrameMeter(LATELY, LONGEST_GAP);
     const container = h("div.fit-viewer");
@@ -33,11 +32,11 @@ export class LiveView {
       save: tool("Export track", "save", { icon: "download" }), stop: tool("Stop", "stop", { icon: "close" }),
     };
     this._cameras = h("select.text", {
-      "aria-label": "Camera", testid: "live-cameras", onchange: () => act.choose(this._cameras.value),
+      "aria-label": "Camera", testid: "live-cameras", onchange: () => act.camera(this._cameras.value),
     });
     this._play = tool("Play", "play", { shortcut: "P" });
     this._openers = [
-      button("Use the camera", { icon: "eye", kind: "primary", testid: "live-camera", onclick: act.camera }),
+      button("Use the camera", { icon: "eye", kind: "primary", testid: "live-camera", onclick: () => act.camera() }),
       button("Open a video…", { icon: "upload", testid: "live-open", onclick: () => file.click() }),
     ];
     this._strip = h("canvas.live-strip", { height: 8, "aria-hidden": "true" });
@@ -88,10 +87,8 @@ export class LiveView {
   _expose() {
     const [{ width, height }, ctx] = [this._film, this._film.getContext("2d")];
     const plane = { left: 0, top: 0, scale: 1, width, height, toScreen: ([x, y]) => [x + 0.5, y + 0.5] };
-    ctx.save();
-    this._mirror(ctx, plane); // like the track, the recording is not mirrored
+    this._mirror(ctx, plane); // back, since the recording is not mirrored, like the track
     this._paint(ctx, plane, (this.divider.x - this.viewer.left) / this.viewer.scale);
-    ctx.restore();
     this._filmed.getVideoTracks()[0].requestFrame();
   }
 
@@ -114,33 +111,17 @@ export class LiveView {
   /** Draw the frame with its fit, mirrored if wanted, and to the right of `from` without its shading. */
   _paint(ctx, plane, from) {
     const { canvas, flat, fit } = this.shown;
+    const [under, over] = flat && this.mirrored ? [flat, canvas] : [canvas, flat];
     this._mirror(ctx, plane);
-    drawOver(ctx, plane, canvas);
-    if (flat) {
-      ctx.save();
-      this._mirror(ctx, plane); // back, since the divider is where it is shown
-      ctx.beginPath();
-      ctx.rect(from, -FAR, 2 * FAR, 2 * FAR);
-      ctx.clip();
-      this._mirror(ctx, plane);
-      drawOver(ctx, plane, flat);
-      ctx.restore();
-    }
+    drawOver(ctx, plane, under);
+    if (over) drawOver(ctx, plane, over, { from: this.mirrored ? 2 * plane.left + plane.scale * plane.width - from : from });
     if (fit.ok) drawFit(ctx, plane, fit, this._overlays.shown);
   }
 
-  /** Let the next drawings be mirrored about the middle of the picture, or no longer, if mirroring is on. */
+  /** If the picture is mirrored, mirror what is drawn next about its middle; twice: no longer. */
   _mirror(ctx, { left, scale, width }) {
     if (this.mirrored) ctx.transform(-1, 0, 0, 1, 2 * left + scale * width, 0);
   }
-
-  /** Show a camera as in a mirror, or not. */
-  set mirrored(on) {
-    press(this.tools.mirror, on);
-    this.viewer.redraw();
-  }
-
-  get mirrored() { return this.tools.mirror.getAttribute("aria-pressed") === "true"; }
 
   dress({ video, isOpen, isFile, camera, cameras }, model) {
     this._needs.hidden = Boolean(model);
@@ -149,6 +130,8 @@ export class LiveView {
     this.viewer.container.classList.toggle("without", !isOpen);
     for (const each of this._openers) each.disabled = !model;
     for (const each of Object.values(this.tools)) each.disabled = !isOpen;
+    press(this.tools.mirror, this.mirrored);
+    this.viewer.redraw();
     this.tools.mirror.hidden = !isOpen || isFile;
     this._cameras.hidden = this.tools.mirror.hidden || Object.keys(cameras).length < 2;
     this._cameras.replaceChildren(...optionsOf(cameras));

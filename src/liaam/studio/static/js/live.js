@@ -25,13 +25,9 @@ export class Tab {
     this.app = app;
     this.source = new LiveSource((time) => this._frame(time));
     this.view = new LiveView(root, app, {
-      camera: () => this.show({ camera: true }), file: (file) => this.show({ file }),
+      camera: (id) => this._start(() => this.source.openCamera(id)), file: (file) => this.show({ file }),
       stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
-      record: () => this._record(), mirror: () => { this.view.mirrored = !this.view.mirrored; },
-      choose: (id) => {
-        this.source.choose(id);
-        this.show({ camera: true });
-      },
+      record: () => this._record(), mirror: () => this._dress({ mirrored: !this.view.mirrored }),
       flat: () => {
         this.isFlat = !this.isFlat;
         press(this.view.tools.flat, this.isFlat);
@@ -76,8 +72,7 @@ export class Tab {
   async _start(open) {
     this._stop();
     await open().catch((error) => { this._message = error.message; });
-    this.view.mirrored = this.source.isFront;
-    this._dress();
+    this._dress({ mirrored: this.source.isFront });
   }
 
   _stop() {
@@ -178,7 +173,8 @@ export class Tab {
     return use(recorder);
   }
 
-  _dress() {
+  _dress(change = {}) {
+    Object.assign(this.view, change);
     this.view.dress(this.source, this.app.state.project?.model);
     this._tell();
   }

@@ -4,9 +4,10 @@
 
 import { curveThrough, spread } from "./curve.js";
 import { COLOURS } from "./drawing.js";
+import { placing } from "./gestures.js";
 import { History } from "./history.js";
-import { discs, filled, inked, RIM, stroked } from "./overlays.js";
-import { missing, rounded } from "./points.js";
+import { discs, drawContours, drawPoints, stroked } from "./overlays.js";
+import { indicesOf, missing, rounded } from "./points.js";
 
 const LEAST = 3; // points of a contour that is traced
 
@@ -18,6 +19,8 @@ export class Tracing {
   selection = new Set();
   active = -1;
   fixed = []; // [place in the contour, point] of points that stay
+  first = []; // the one at the contour's start, if there is one
+  last = []; // the one at its end
 
   /** onturn(): tracing starts, stops or goes on.
    *  @param {import("./marking.js").Marking} marking */
@@ -30,18 +33,11 @@ export class Tracing {
   get editable() { return this.marking.editable; }
   get placing() { return this.editable; }
   get knots() { return this.shown ?? this.history.state; }
-  /** The ends of the contour that stay: the curve begins and ends there. */
-  get first() { return this.fixed.filter(([place]) => place === 0).map(([, point]) => point); }
-  get last() {
-    const end = this.contour.closed ? NaN : this.contour.indices.length - 1;
-    return this.fixed.filter(([place]) => place === end).map(([, point]) => point);
-  }
   get points() { return [...this.first, ...this.knots, ...this.last]; }
   get prompt() {
     const { contour: { indices, closed }, marking: { names } } = this;
-    const way = closed ? `around the contour, from ${names[indices[0]]} on`
-      : `along the contour, from ${names[indices[0]]} to ${names[indices.at(-1)]}`;
-    return this.whole ? `Click ${way}. Enter, or a click on the last place, ends it` : `Click a few places ${way}`;
+    const [from, to] = [indices[0], indices.at(-1)].map((index) => names[index]);
+    return `Click along the contour from ${from}${closed ? "" : ` to ${to}`}. Enter, or a click on the last place, ends it`;
   }
   framed() { return []; }
   follow(_before, after) { return after; }
@@ -59,7 +55,7 @@ export class Tracing {
     return null;
   }
 
-  /** The points of a contour that other contours have too: [place, point]. */
+  /** The placed points of a contour that other contours have too: [place in the contour, point]. */
   sharedOf({ indices }) {
     const { points, template: { contours } } = this.marking;
     const isShared = (index) => contours.filter((each) => each.indices.includes(index)).length > 1;
@@ -67,10 +63,10 @@ export class Tracing {
   }
 
   turn(/** @type {Contour | null} */ contour) {
-    this.contour = contour || null;
-    this.history = new History([]);
-    this.shown = null;
-    this.fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
+    const fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
+    const fixedAt = (end) => fixed.filter(([place]) => place === end).map(([, point]) => point);
+    const [first, last] = [fixedAt(0), contour?.closed ? [] : fixedAt(contour?.indices.length - 1)];
+    Object.assign(this, { contour, fixed, first, last, history: new History([]), shown: null });
     this.select([]);
     this.marking.preview(null);
     this.onturn();
@@ -78,10 +74,10 @@ export class Tracing {
 
   /** The points of the picture with those along the curve; null while it has too few knots. */
   get whole() {
-    const { contour: { indices, closed }, fixed, points } = this;
-    const line = curveThrough(points, closed);
-    return this.knots.length && points.length > (closed ? 2 : 1) && line.length > 1
-      ? this.along(line, { indices, closed }, fixed) : null;
+    const { contour, fixed, points } = this;
+    const line = curveThrough(points, contour.closed);
+    const enough = this.knots.length && points.length > (contour.closed ? 2 : 1) && line.length > 1;
+    return enough ? this.along(line, contour, fixed) : null;
   }
 
   along(line, { indices, closed }, fixed) {
@@ -100,10 +96,9 @@ export class Tracing {
 
   /** Space the points of a contour evenly along the curve through those that are placed. */
   space(contour) {
-    const { indices, closed } = contour;
-    const knots = indices.map((index) => this.marking.points[index]).filter(Boolean);
+    const knots = contour.indices.map((index) => this.marking.points[index]).filter(Boolean);
     if (knots.length < LEAST) return;
-    const line = curveThrough(knots, closed);
+    const line = curveThrough(knots, contour.closed);
     this.marking.commit(this.along(line, contour, this.sharedOf(contour)), "space the contour evenly");
   }
 
@@ -115,60 +110,49 @@ export class Tracing {
     this.marking.preview(this.whole);
   }
 
-  commit(points, what, key = null) {
-    this.history.push(this.ownOf(points), what, key);
-    this.preview(null);
-    this.onturn();
-  }
+  commit(points, what, key = null) { this.change(() => this.history.push(this.ownOf(points), what, key)); }
 
   /** Remove the last knot. */
   drop() {
-    if (this.knots.length) this.commit([...this.first, ...this.knots.slice(0, -1), ...this.last], "remove the last place");
+    if (this.knots.length) this.change(() => this.history.push(this.knots.slice(0, -1), "remove the last place"));
   }
 
   travel(way) {
     const what = way === "undo" ? this.history.undoes : this.history.redoes;
-    if (!this.history[way]()) return null;
-    this.select([]);
+    this.change(() => this.history[way]());
+    return what || null;
+  }
+
+  change(work) {
+    work();
+    if (this.active >= this.points.length - this.last.length) this.select([]);
     this.preview(null);
     this.onturn();
-    return what;
   }
 
   adding(xy) {
     const { first, knots, last } = this;
     const show = (at) => this.preview([...first, ...knots, rounded(at), ...last]);
-    show(xy);
-    const gesture = {
-      loupe: xy,
-      move: (at) => { show(gesture.loupe = at); },
-      up: () => {
-        const { points } = this;
-        this.select([points.length - last.length - 1]);
-        this.commit(points, "place on the contour");
-      },
-      cancel: () => this.preview(null),
+    const up = () => {
+      this.commit(this.points, "place on the contour");
+      this.select([first.length + knots.length]);
     };
-    return gesture;
+    return placing(xy, show, up, () => this.preview(null));
   }
 
   /** A press on the last knot, on an end that stays, or on the first knot of a closed contour ends it. */
   press(index) {
-    const { points: { length }, first, last, contour } = this;
-    const ends = index >= length - last.length - 1 || (index === 0 && contour.closed);
+    const { points, first, last, contour } = this;
+    const ends = index >= points.length - last.length - 1 || (index === 0 && contour.closed);
     if (ends) this.finish();
     return ends || index < first.length;
   }
 
   draw(ctx, viewer) {
     const line = curveThrough(this.points, this.contour.closed);
-    ctx.beginPath();
-    line.forEach((point, i) => ctx[i ? "lineTo" : "moveTo"](...viewer.toScreen(point)));
-    stroked(ctx, COLOURS.chosen, 1.4);
+    drawContours(ctx, viewer, line, [{ indices: indicesOf(line), closed: false }], { colour: COLOURS.chosen });
     if (viewer.isLoupe) return;
-    discs(ctx, viewer, this.points, 5);
-    filled(ctx, COLOURS.chosen);
-    inked(ctx, RIM, 1.5);
+    drawPoints(ctx, viewer, this.points, { colour: COLOURS.chosen, radius: 5 });
     discs(ctx, viewer, this.points.filter((_, i) => this.selection.has(i)), 9);
     stroked(ctx, COLOURS.chosen, 1.8);
   }
