@@ -28,7 +28,7 @@ def test_roll_and_size_are_those_of_the_shape(degrees):
 
 
 def test_roll_is_clockwise_as_seen():
-    right_side_down = MEAN + [[0, 0], [0, 0.5], [0, 0.5], [0, 0]]  # y points down
+    right_side_down = np.add(MEAN, [[0, 0], [0, 0.5], [0, 0.5], [0, 0]])  # y points down
     assert frame_of(right_side_down).roll > 0
 
 

@@ -85,7 +85,7 @@ def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.nda
 
 
 class TrackRows:
-    """Header and rows of a .csv: frame, status, quality and pose, then x, y, fitted x and y, and covariance of landmarks.
+    """Header and rows of a .csv: frame, status, quality, pose, then x, y, fitted x and y, and covariance of landmarks.
 
     The landmarks are counted from 1.
     """

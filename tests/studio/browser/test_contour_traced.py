@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from people import annotate, client, drag, open_picture, opened, points_of, saved, shoot, violations, wait_for, wait_until
+from people import annotate, client, drag, open_picture, opened, points_of, saved, shoot, violations, wait_for
 
 from liaam.io import Contour, Landmarks, read_landmarks, write_image, write_landmarks
 
@@ -21,7 +21,7 @@ ARC = [(40 + 20 * i, 200 - 0.02 * (60**2 - (20 * i - 60) ** 2)) for i in range(7
 
 @pytest.fixture
 def lips(tmp_path, portraits):
-    """Give a folder of two pictures, of which the first has points on two lips with common corners, on the cheeks, and on an eye."""
+    """Give a folder of two pictures; the first has points on lips with common corners, on cheeks, and on an eye."""
     root = tmp_path / "lips"
     root.mkdir()
     for i in range(2):
@@ -95,7 +95,7 @@ def test_lips_and_an_eye_are_traced(lips, serve, open_page, artefacts, size):
         assert violations(page) == {}
     press(*client(page, [130.0, 60.0]))  # the first place, which closes it
     saved(page)
-    wait_until(page, lambda: np.isfinite(stored(lips)[:16]).all())
+    assert np.isfinite(stored(lips)[:16]).all()
     np.testing.assert_allclose(stored(lips)[[10, 13]], [[130, 60], [70, 60]], atol=2)
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
 

@@ -230,9 +230,9 @@ def test_the_tab_fits_every_screen(live, artefacts, size):
 
 GRAPHS = ".live-graph canvas"
 
-READ = "() => [...document.querySelectorAll('.live-graphs .number')].map((each) => each.textContent)"
+READ = "() => [...document.querySelectorAll('.live-graphs .number')].slice(0, 3).map((each) => each.textContent)"
 
-DRAWN = "() => [...document.querySelectorAll('.live-graphs .number')].slice(0, 3).every((each) => /[0-9]/.test(each.textContent))"
+DRAWN = f"() => ({READ})().every((text) => /[0-9]/.test(text))"
 
 
 def test_graphs_show_what_the_exported_track_says(live, tmp_path):
@@ -243,7 +243,7 @@ def test_graphs_show_what_the_exported_track_says(live, tmp_path):
     live.evaluate("() => window.liaamStudio.live.video().pause()")
     live.wait_for_timeout(1000)  # frames on their way, and a drawing
     assert live.locator(GRAPHS).count() == 4
-    shown = [float(re.sub("[^-0-9.]", "", text)) for text in live.evaluate(READ)[:3]]
+    shown = [float(re.sub("[^-0-9.]", "", text)) for text in live.evaluate(READ)]
     row = list(csv.DictReader(saved(live, "live-save", tmp_path).open()))[-1]
     place = {name: float(value) for name, value in row.items() if re.fullmatch("[xy][0-9]+|roll_deg|size", name)}
     away = np.hypot(place["x4"] - place["x8"], place["y4"] - place["y8"])
@@ -283,8 +283,8 @@ PIXELS = """() => {
   const copy = Object.assign(document.createElement("canvas"), { width: 64, height: 48 });
   const [inner, outer] = [viewer.container, canvas].map((each) => each.getBoundingClientRect());
   const ratio = canvas.width / outer.width;
-  const from = [left + inner.left - outer.left, top + inner.top - outer.top, scale * width, scale * height].map((v) => v * ratio);
-  copy.getContext("2d").drawImage(canvas, ...from, 0, 0, 64, 48);
+  const from = [left + inner.left - outer.left, top + inner.top - outer.top, scale * width, scale * height];
+  copy.getContext("2d").drawImage(canvas, ...from.map((v) => v * ratio), 0, 0, 64, 48);
   return [...copy.getContext("2d").getImageData(0, 0, 64, 48).data];
 }"""
 

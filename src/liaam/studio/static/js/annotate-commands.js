@@ -7,7 +7,6 @@ import { placed } from "./points.js";
 
 const NOT_MIRRORED = "The template has no mirrored points. Mirror pairs new points only: add them with Mirror on, or " +
   "load a template with left and right in its names.";
-const NO_CONTOUR = "Select a point of a contour with three points or more. The template defines the contours.";
 const EDGE = 20; // css pixels; a point closer to the border of the view is scrolled into it
 
 /** @param {import("./annotate.js").Tab} tab */
@@ -70,6 +69,13 @@ export function createCommands(tab) {
     if (chosen.length) say(`${called(marking.names, chosen)} ${work()}`);
   }
 
+  /** Work on the contour of the selected or next point, and say what work() returns. */
+  function toContour(work) {
+    const { wanted } = tab.tracing;
+    if (wanted) say(work(wanted));
+    else app.toast("Select a point of a contour with three points or more. The template defines the contours.");
+  }
+
   const commands = {
     escaped: false, // whether Tab leaves the picture
 
@@ -120,21 +126,19 @@ export function createCommands(tab) {
     /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
     trace() {
       const { tracing } = tab;
-      if (tracing.on) return void (tracing.whole ? tracing.finish() : tracing.turn(null));
-      if (tab.ruler.on) tab.ruler.turn(false);
-      const { wanted } = tracing;
-      if (!wanted) return void app.toast(NO_CONTOUR);
-      marking.select([]);
-      tracing.turn(wanted);
-      say(tracing.prompt);
+      if (tracing.on) return tracing.whole ? tracing.finish() : tracing.turn(null);
+      tab.drawing?.turn(null);
+      toContour((contour) => {
+        marking.select([]);
+        tracing.turn(contour);
+        return tracing.prompt;
+      });
     },
 
-    space() {
-      const { wanted } = tab.tracing;
-      if (!wanted) return void app.toast(NO_CONTOUR);
-      tab.tracing.space(wanted);
-      say("The points of the contour are evenly spaced");
-    },
+    space: () => toContour((contour) => {
+      tab.tracing.space(contour);
+      return "The points of the contour are evenly spaced";
+    }),
 
     escape() {
       tab.tool.cancel();

@@ -6,7 +6,7 @@ import { h, optionsOf } from "./ui.js";
 
 const LIBRARY = "../vendor/uplot/uPlot.esm.js"; // uPlot: https://github.com/leeoniya/uPlot
 const LATELY = 30; // seconds of a camera that are shown
-const [HEIGHT, AXIS] = [56, 18]; // css pixels
+const [HEIGHT, AXIS] = [50, 18]; // css pixels
 const KEY = "liaam-studio:live-distance"; // the pair of points that was chosen last
 const MOUTH = ["upper_lip_bottom", "lower_lip_top"]; // its opening, in the model of faces that comes with liaam
 const NOTE = "Roll is the turn in the picture from the model's mean shape. Turns to the side and nods are not measured.";
@@ -26,7 +26,8 @@ export class LiveGraphs {
       { name: "Quality", unit: " %", of: ({ quality }) => (quality === null ? null : 100 * quality), range: [0, 100] },
     ].map((graph) => ({ ...graph, chart: null, value: h("span.number"), plot: h("div.live-graph", { role: "img" }) }));
     this.element = h("section.panel.live-graphs", { "aria-label": "Over time" },
-      this._graphs.map(({ name, value, plot, more }) => [h("div.row.tight.small", h("span", name), more, value), plot]),
+      this._graphs.map(({ name, value, plot, more }) =>
+        [h("div.row.tight.small", h("span.grow", name), value), more && h("div.row.tight", more), plot]),
       h("p.small.muted", NOTE));
   }
 
@@ -75,11 +76,12 @@ export class LiveGraphs {
       stroke: colour("muted"), font: "11px system-ui, sans-serif", gap: 2, ticks: { show: false },
       grid: { stroke: colour("line"), width: 1 },
     };
-    const seconds = (_, ticks) => ticks.map((tick) => `${this._now === null ? Math.round(tick - this._range[1]) : tick} s`);
+    const secondsOf = (tick) => (this._now === null ? Math.round(tick - this._range[1]) : tick);
+    const seconds = (_, ticks) => ticks.map((tick) => `${secondsOf(tick)} s`);
     const below = graph === this._graphs.at(-1) ? { size: AXIS, values: seconds } : { size: 0, values: () => [] };
     return {
-      width: 0, height: HEIGHT + below.size, padding: [6, 4, 4, 0], legend: { show: false },
-      scales: { x: { time: false, range: () => this._range }, y: { range: graph.range ?? ((_, low, high) => widened(low, high)) } },
+      width: 0, height: HEIGHT + below.size, padding: [6, 12, 4, 0], legend: { show: false },
+      scales: { x: { time: false, range: () => this._range }, y: { range: graph.range ?? widened } },
       axes: [{ ...axis, ...below, space: 60 }, { ...axis, size: 40, space: 18 }],
       series: [{}, { stroke: colour("accent"), width: 1.5, points: { show: false } }],
       cursor: { sync: { key: "liaam" }, y: false, drag: { x: false }, points: { size: 6 } },
@@ -97,7 +99,7 @@ export class LiveGraphs {
 }
 
 /** A range with some room, so that noise does not fill a graph. */
-function widened(low, high) {
+function widened(_chart, low, high) {
   const [middle, half] = [(low + high) / 2, Math.max((high - low) / 2, 1)];
   return [middle - 1.1 * half, middle + 1.1 * half];
 }

@@ -80,7 +80,8 @@ export class Track {
   /** Times, and values of each of some functions of a frame, from a time on, for graphs. A lost frame has none. */
   graphs(values, since = -Infinity) {
     const frames = [...this._frames.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
-    return [frames.map(({ time }) => time), ...values.map((of) => frames.map((frame) => (frame.shape.length ? of(frame) : null)))];
+    const seen = (of) => frames.map((frame) => (frame.shape.length ? of(frame) : null));
+    return [frames.map(({ time }) => time), ...values.map(seen)];
   }
 
   /** The table in the order of time. Frames are counted by the shortest interval, since some may have been skipped. */

@@ -8,6 +8,7 @@ import { button, fileField, FrameMeter, h, icon, optionsOf, perFrame, press, sli
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
+const mirroredIn = ({ left, scale, width }) => 2 * left + scale * width; // where 0 lies in a mirrored picture
 const LONGEST_GAP = 3000; // milliseconds; after a longer gap, as of a hidden page, the speed is measured anew
 
 export class LiveView {
@@ -27,7 +28,9 @@ export class LiveView {
       button(label, { small: true, testid: `live-${name}`, onclick: act[name], ...more });
     this.tools = {
       flat: tool("Remove shading", "flat", { pressed: false, shortcut: "F" }),
-      mirror: tool("Mirror", "mirror", { icon: "mirror", pressed: false, shortcut: "X", title: "Show the camera as in a mirror; the track is not mirrored" }),
+      mirror: tool("Mirror", "mirror", {
+        icon: "mirror", pressed: false, shortcut: "X", title: "Show the camera as in a mirror; the track is not mirrored",
+      }),
       record: tool("Record", "record", { icon: "target", pressed: false, shortcut: "R" }),
       save: tool("Export track", "save", { icon: "download" }), stop: tool("Stop", "stop", { icon: "close" }),
     };
@@ -114,13 +117,13 @@ export class LiveView {
     const [under, over] = flat && this.mirrored ? [flat, canvas] : [canvas, flat];
     this._mirror(ctx, plane);
     drawOver(ctx, plane, under);
-    if (over) drawOver(ctx, plane, over, { from: this.mirrored ? 2 * plane.left + plane.scale * plane.width - from : from });
+    if (over) drawOver(ctx, plane, over, { from: this.mirrored ? mirroredIn(plane) - from : from });
     if (fit.ok) drawFit(ctx, plane, fit, this._overlays.shown);
   }
 
   /** If the picture is mirrored, mirror what is drawn next about its middle; twice: no longer. */
-  _mirror(ctx, { left, scale, width }) {
-    if (this.mirrored) ctx.transform(-1, 0, 0, 1, 2 * left + scale * width, 0);
+  _mirror(ctx, plane) {
+    if (this.mirrored) ctx.transform(-1, 0, 0, 1, mirroredIn(plane), 0);
   }
 
   dress({ video, isOpen, isFile, camera, cameras }, model) {
@@ -132,11 +135,12 @@ export class LiveView {
     for (const each of Object.values(this.tools)) each.disabled = !isOpen;
     press(this.tools.mirror, this.mirrored);
     this.viewer.redraw();
-    this.tools.mirror.hidden = !isOpen || isFile;
+    this.tools.mirror.hidden = this.tools.mirror.disabled = !isOpen || isFile;
     this._cameras.hidden = this.tools.mirror.hidden || Object.keys(cameras).length < 2;
     this._cameras.replaceChildren(...optionsOf(cameras));
     this._cameras.value = camera;
     this.graphs.offer(model);
+    this.graphs.element.hidden = !model || !isOpen;
     this._bar.hidden = this._play.disabled = !isFile;
     this._play.textContent = video.paused ? "Play" : "Pause";
     this._overlays.hasContours = Boolean(model?.contours.length);

@@ -37,7 +37,7 @@ export class Tracing {
   get prompt() {
     const { contour: { indices, closed }, marking: { names } } = this;
     const [from, to] = [indices[0], indices.at(-1)].map((index) => names[index]);
-    return `Click along the contour from ${from}${closed ? "" : ` to ${to}`}. Enter, or a click on the last place, ends it`;
+    return `Click along the contour from ${from}${closed ? "" : ` to ${to}`}. Enter or a click on the last place ends it`;
   }
   framed() { return []; }
   follow(_before, after) { return after; }
