@@ -195,7 +195,7 @@ test("Escape leaves without a change", () => {
   const { marking, tracing } = begin({ 1: [1, 1] });
   tracing.turn(CONTOURS[0]);
   for (const x of [0, 40]) click(tracing, [x, 0]);
-  tracing.turn(null);
+  tracing.turn(false);
   assert.deepEqual(marking.points[1], [1, 1]);
   assert.equal(marking.history.past.length, 0);
 });

@@ -126,8 +126,8 @@ export function createCommands(tab) {
     /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
     trace() {
       const { tracing } = tab;
-      if (tracing.on) return tracing.whole ? tracing.finish() : tracing.turn(null);
-      tab.drawing?.turn(null);
+      if (tracing.on) return tracing.whole ? tracing.finish() : tracing.turn(false);
+      tab.drawing?.turn(false);
       toContour((contour) => {
         marking.select([]);
         tracing.turn(contour);
@@ -142,7 +142,7 @@ export function createCommands(tab) {
 
     escape() {
       tab.tool.cancel();
-      tab.drawing?.turn(null);
+      tab.drawing?.turn(false);
       marking.select([]);
       commands.escaped = true;
     },

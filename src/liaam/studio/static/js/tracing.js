@@ -62,11 +62,12 @@ export class Tracing {
     return indices.flatMap((index, place) => (points[index] && isShared(index) ? [[place, points[index]]] : []));
   }
 
-  turn(/** @type {Contour | null} */ contour) {
+  /** Begin to trace a contour; false: stop. */
+  turn(/** @type {any} */ contour) {
     const fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
     const fixedAt = (end) => fixed.filter(([place]) => place === end).map(([, point]) => point);
-    const [first, last] = [fixedAt(0), contour?.closed ? [] : fixedAt(contour?.indices.length - 1)];
-    Object.assign(this, { contour, fixed, first, last, history: new History([]), shown: null });
+    const [first, last] = [fixedAt(0), contour.closed ? [] : fixedAt(contour && contour.indices.length - 1)];
+    Object.assign(this, { contour: contour || null, fixed, first, last, history: new History([]), shown: null });
     this.select([]);
     this.marking.preview(null);
     this.onturn();
@@ -89,7 +90,7 @@ export class Tracing {
   finish() {
     const { whole, contour } = this;
     if (!whole) return;
-    this.turn(null);
+    this.turn(false);
     this.marking.commit(whole, "trace the contour");
     this.marking.onplaced(contour.indices.at(-1));
   }
