@@ -272,6 +272,7 @@ def test_a_click_on_a_graph_seeks_in_a_video(live, picture, artefacts, tmp_path)
 
 def test_the_pair_of_points_is_kept(live):
     assert live.evaluate("() => window.liaamStudio.live.pair()") == [0, 1]
+    use_camera(live)
     live.locator("[data-testid=live-to]").select_option("9")
     live.reload()
     wait_for(live, "() => window.liaamStudio?.live?.pair()?.[1] === 9")
