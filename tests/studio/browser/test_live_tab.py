@@ -278,6 +278,14 @@ def test_the_pair_of_points_is_kept(live):
     wait_for(live, "() => window.liaamStudio?.live?.pair()?.[1] === 9")
 
 
+def test_with_the_face_model_the_opening_of_the_mouth_is_shown_first(serve, page, tmp_path):
+    (tmp_path / "empty").mkdir()
+    page.goto(serve(tmp_path / "empty", face=True).address)
+    open_live(page)
+    chosen = "(end) => document.querySelector(`[data-testid=live-${end}]`).selectedOptions[0]?.textContent"
+    wait_for(page, f"() => ({chosen})('from') === 'upper_lip_bottom' && ({chosen})('to') === 'lower_lip_top'")
+
+
 PIXELS = """() => {
   const { viewer } = window.liaamStudio.live;
   const { canvas, width, height, left, top, scale } = viewer;
