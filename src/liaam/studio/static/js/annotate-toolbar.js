@@ -28,7 +28,7 @@ export function createToolbar(tab) {
   const trace = tool("Trace a contour", "curve", "C", commands.trace, {
     pressed: false, testid: "trace", title: "Trace a contour: click a few places along it, and its points are placed evenly",
   });
-  const switches = { names, contours, ellipses, box, mirror, ruler, trace };
+  const switches = { names, contours, ellipses, box, mirror };
   const element = h("div.toolbar.annotate-toolbar", { role: "group", "aria-label": "Annotate" },
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
@@ -38,16 +38,17 @@ export function createToolbar(tab) {
 
   return {
     element,
-    /** history: for undo, or null; editing: whether the template is edited; marking: whether marks are edited;
-     *  tracing: whether a contour is traced. */
-    refresh({ history, editing, marking, tracing }) {
+    /** history: for undo, or null; editing: whether the template is edited; marking: whether marks are edited. */
+    refresh({ history, editing, marking }) {
       undo.disabled = !history?.canUndo;
       redo.disabled = !history?.canRedo;
       undo.title = `Undo${history?.undoes ? `: ${history.undoes}` : ""} (Ctrl+Z)`;
       redo.title = `Redo${history?.redoes ? `: ${history.redoes}` : ""} (Ctrl+Y)`;
-      flip.disabled = ruler.disabled = !marking || tracing;
+      flip.disabled = ruler.disabled = !marking || tab.tracing.on;
       trace.disabled = !marking || !state.project.template?.contours.length;
       mirror.disabled = editing;
+      press(ruler, tab.ruler.on);
+      press(trace, tab.tracing.on);
     },
     press: (name, on) => press(switches[name], on),
   };

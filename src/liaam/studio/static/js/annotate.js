@@ -61,22 +61,14 @@ export class Tab {
       },
     });
     this.ruler = new ScaleBar(this.marking, {
-      onturn: () => {
-        this.toolbar.press("ruler", this.ruler.on);
-        this.refresh();
-      },
+      onturn: () => this.refresh(),
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
       onshare: (bar, anyway) => { // with all that the list can show
         const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
         app.bulk.run("scaled", others, { bar, of: this.name, anyway });
       },
     });
-    this.tracing = new Tracing(this.marking, {
-      onturn: () => {
-        this.toolbar.press("trace", this.tracing.on);
-        this.refresh();
-      },
-    });
+    this.tracing = new Tracing(this.marking, { onturn: () => this.refresh() });
     this.commands = createCommands(this);
     this.status = createStatus(this);
     this.toolbar = createToolbar(this);
@@ -178,7 +170,7 @@ export class Tab {
       this.side.scrollTop = 0;
     }
     const isMarking = !editing && marking.book !== null;
-    this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking, tracing: this.tracing.on });
+    this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
     panel.edit.disabled = !isMarking || this.tracing.on;
     if (!editing) panel.render(marking);
     assist.sure.hidden = marking.state?.source !== "layout";
