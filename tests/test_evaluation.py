@@ -55,12 +55,12 @@ def test_cumulative_errors_count_nan_as_failure():
 def test_the_text_of_an_object_has_shapes_of_arrays():
     points, squares = np.zeros((58, 2)), np.zeros((58, 2, 2))
     frame = TrackedFrame(
-        7, 0.25, TrackStatus.FOUND, FitStatus.CONVERGED, 1 / 3, np.nan, points, points, squares, squares
+        7, 0.25, TrackStatus.FOUND, FitStatus.CONVERGED, 1 / 3, np.nan, points, points, squares, squares, points
     )
     assert repr(frame) == (
         "TrackedFrame(index=7, time=0.25, status='found', fit_status='converged', quality=0.333333, theta=nan, "
         "landmarks=(58, 2) float64, raw=(58, 2) float64, covariances=(58, 2, 2) float64, "
-        "raw_covariances=(58, 2, 2) float64)"
+        "raw_covariances=(58, 2, 2) float64, mean=(58, 2) float64)"
     )
 
 

@@ -57,7 +57,7 @@ def test_lists_of_fits_keep_images_that_could_not_be_fitted(result):
 def test_tracks_specimens_and_measurements():
     lost = np.full((2, 2), np.nan)
     frames = [
-        TrackedFrame(i, 0.5 * i, status, FitStatus.CONVERGED, 0.9, np.nan, points, points, SPREAD, SPREAD)
+        TrackedFrame(i, 0.5 * i, status, FitStatus.CONVERGED, 0.9, np.nan, points, points, SPREAD, SPREAD, POINTS)
         for i, (status, points) in enumerate([(TrackStatus.FOUND, POINTS), (TrackStatus.LOST, lost)])
     ]
     table = liaam.to_dataframe(iter(frames))

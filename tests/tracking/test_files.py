@@ -36,7 +36,10 @@ def test_a_table_holds_everything(tmp_path, frames):
             spread = frame.covariances[i]
             expected = [*frame.landmarks[i], *frame.raw[i], spread[0, 0], spread[0, 1], spread[1, 1]]
             np.testing.assert_allclose(seen, expected, rtol=1e-3, atol=1e-3)
-    assert rows[2]["x1"] == rows[2]["var_y58"] == ""
+        seen = [float(row[name]) for name in ("roll_deg", "size", "centre_x", "centre_y")]
+        expected = [np.rad2deg(frame.roll), frame.size, *frame.landmarks.mean(axis=0)]
+        np.testing.assert_allclose(seen, expected, atol=1e-3)
+    assert rows[2]["x1"] == rows[2]["var_y58"] == rows[2]["roll_deg"] == rows[2]["centre_y"] == ""
     assert is_track(path)
 
 
@@ -45,7 +48,7 @@ def test_arrays_hold_everything(tmp_path, frames):
     with np.load(path, allow_pickle=False) as track:
         assert track["status"].tolist() == ["found", "tracked", "lost"]
         np.testing.assert_array_equal(track["frame"], [0, 1, 2])
-        for name in ("landmarks", "raw", "covariances", "raw_covariances"):
+        for name in ("landmarks", "raw", "covariances", "raw_covariances", "roll", "size"):
             np.testing.assert_array_equal(track[name], [getattr(frame, name) for frame in frames])
     assert is_track(path)
 

@@ -144,6 +144,7 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Coll
         "name": facts.get("name", model.name),
         "n_images": model.n_all_images,
         "n_points": model.n_points,
+        "names": list(model.landmark_names),
         "trained": facts["trained"],
         "stale": len(done) - len(same) + len(lost),
         "colour": model.is_colour,

@@ -71,7 +71,7 @@ def is_track(path: Path) -> bool:
 def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.ndarray]:
     """Return the arrays of a .npz track, with one row per frame."""
     points, squares = (n_points, 2), (n_points, 2, 2)
-    shapes = {"time": (), "quality": (), "theta": (), "landmarks": points, "raw": points}
+    shapes = dict.fromkeys(("time", "quality", "theta", "roll", "size"), ()) | {"landmarks": points, "raw": points}
     shapes |= {"covariances": squares, "raw_covariances": squares}
     numbers = {
         name: np.array([getattr(frame, name) for frame in frames], np.float64).reshape(len(frames), *shape)
@@ -85,7 +85,7 @@ def arrays_of(frames: Sequence[TrackedFrame], n_points: int) -> dict[str, np.nda
 
 
 class TrackRows:
-    """Header and rows of a .csv: frame, status and quality, then x, y, fitted x and y, and covariance of landmarks.
+    """Header and rows of a .csv: frame, status, quality, pose, then x, y, fitted x and y, and covariance of landmarks.
 
     The landmarks are counted from 1.
     """
@@ -93,7 +93,8 @@ class TrackRows:
     def __init__(self, n_points: int) -> None:
         names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "var_x{}", "cov_xy{}", "var_y{}")
         columns = [name.format(number) for number in range(1, n_points + 1) for name in names]
-        self.header = ",".join(["frame", "time", "status", "fit_status", "quality", "theta_deg", *columns]) + "\n"
+        facts = ["frame", "time", "status", "fit_status", "quality", "theta_deg"]
+        self.header = ",".join([*facts, "roll_deg", "size", "centre_x", "centre_y", *columns]) + "\n"
         self._numbers = ",".join([",".join(["%.3f"] * 4 + ["%.4g"] * 3)] * n_points)
         self._nothing = "," * (len(columns) - 1)
 
@@ -101,6 +102,8 @@ class TrackRows:
         """Return the row of a frame, with the end of the line."""
         facts = f"{frame.index},{_number(frame.time, 4)},{frame.status},{frame.fit_status or ''}"
         facts += f",{_number(frame.quality, 4)},{_number(np.rad2deg(frame.theta), 3)}"
+        facts += f",{_number(np.rad2deg(frame.roll), 3)}"
+        facts += "".join(f",{_number(number, 3)}" for number in (frame.size, *frame.landmarks.mean(axis=0)))
         if not frame.ok:
             return f"{facts},{self._nothing}\n"
         spread = frame.covariances.reshape(-1, 4)[:, [0, 1, 3]]

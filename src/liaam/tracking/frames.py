@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from liaam.drawing import plot_landmarks
 from liaam.evaluation import finite_list, finite_or_none, short_repr
 from liaam.fitting import FitResult, FitStatus
+from liaam.model.shape import Similarity, align
 from liaam.tables import Columns, landmark_columns
 
 if TYPE_CHECKING:
@@ -49,6 +51,8 @@ class TrackedFrame:
         Landmarks as fitted.
     covariances, raw_covariances : (n, 2, 2) float64
         Covariances of ``landmarks`` and of ``raw``, in square pixels.
+    mean : (n, 2) float64
+        Mean shape of the model, which :attr:`pose` places on the landmarks.
     """
 
     index: int
@@ -61,6 +65,7 @@ class TrackedFrame:
     raw: np.ndarray
     covariances: np.ndarray
     raw_covariances: np.ndarray
+    mean: np.ndarray
 
     __repr__ = short_repr
 
@@ -68,6 +73,21 @@ class TrackedFrame:
     def ok(self) -> bool:
         """Whether there are landmarks."""
         return self.status is not TrackStatus.LOST
+
+    @cached_property
+    def pose(self) -> Similarity:
+        """The similarity of the plane that takes the mean shape nearest to the landmarks; NaN if lost."""
+        return align(self.mean, self.landmarks)
+
+    @property
+    def roll(self) -> float:
+        """Angle in the image from the mean shape to the landmarks, clockwise as seen, in radians; NaN if lost."""
+        return float(np.arctan2(*self.pose.matrix[::-1, 0])) if self.ok else np.nan
+
+    @property
+    def size(self) -> float:
+        """Centroid size of the mean shape in its pose, in image pixels; NaN if lost."""
+        return self.pose.scale * float(np.linalg.norm(self.mean - self.mean.mean(axis=0))) if self.ok else np.nan
 
     def to_dict(self) -> dict:
         """Convert the frame to a dictionary that JSON can hold; values that are unknown are None."""
@@ -78,6 +98,8 @@ class TrackedFrame:
             "fit_status": None if self.fit_status is None else str(self.fit_status),
             "quality": finite_or_none(self.quality),
             "theta_deg": finite_or_none(np.rad2deg(self.theta)),
+            "roll_deg": finite_or_none(np.rad2deg(self.roll)),
+            "size": finite_or_none(self.size),
             "landmarks": finite_list(self.landmarks),
             "landmark_covariances": finite_list(self.covariances),
         }
@@ -94,9 +116,9 @@ class TrackedFrame:
         return plot_landmarks(image, self.landmarks, covariances=covariances, title=str(self.status), ax=ax)
 
 
-def lost_frame(n: int, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
+def lost_frame(mean: np.ndarray, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
     """Return a frame without the object, after a fit that failed."""
     status, quality = (None, np.nan) if tried is None else (tried.status, tried.quality)
-    nothing, unknown = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
+    nothing, unknown = np.full_like(mean, np.nan), np.full((len(mean), 2, 2), np.nan)
     lost = TrackStatus.LOST
-    return TrackedFrame(index, time, lost, status, quality, np.nan, nothing, nothing, unknown, unknown)
+    return TrackedFrame(index, time, lost, status, quality, np.nan, nothing, nothing, unknown, unknown, mean)

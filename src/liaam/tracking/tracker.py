@@ -209,7 +209,7 @@ class Tracker:
         self.state.count += 1
         self.result = None if status is TrackStatus.LOST else tried
         if status is TrackStatus.LOST or tried is None:
-            return lost_frame(self.model.n_points, index, time, tried)
+            return lost_frame(self._motion.shape_model.mean, index, time, tried)
         part = self.model.part_of(tried.landmarks)
         if self.state.track is None and part != self.state.part:
             self._use(part)
@@ -336,6 +336,7 @@ class Tracker:
             raw=result.landmarks,
             covariances=covariances,
             raw_covariances=result.landmark_covariances,
+            mean=motion.shape_model.mean,
         )
 
 

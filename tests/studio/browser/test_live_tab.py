@@ -226,3 +226,124 @@ def test_the_tab_fits_every_screen(live, artefacts, size):
     canvas = live.locator("#tab-live .viewer canvas").first.bounding_box()
     assert canvas["height"] > 0.25 * size[1] and canvas["width"] > 0.5 * size[0]
     assert live.evaluate("() => document.documentElement.scrollWidth <= innerWidth")
+
+
+GRAPHS = ".live-graph canvas"
+
+READ = "() => [...document.querySelectorAll('.live-graphs .number')].slice(0, 3).map((each) => each.textContent)"
+
+DRAWN = f"() => ({READ})().every((text) => /[0-9]/.test(text))"
+
+
+def test_graphs_show_what_the_exported_track_says(live, tmp_path):
+    use_camera(live)
+    live.locator("[data-testid=live-from]").select_option("3")
+    live.locator("[data-testid=live-to]").select_option("7")
+    wait_for(live, MORE, 20)
+    live.evaluate("() => window.liaamStudio.live.video().pause()")
+    live.wait_for_timeout(1000)  # frames on their way, and a drawing
+    assert live.locator(GRAPHS).count() == 4
+    shown = [float(re.sub("[^-0-9.]", "", text)) for text in live.evaluate(READ)]
+    row = list(csv.DictReader(saved(live, "live-save", tmp_path).open()))[-1]
+    place = {name: float(value) for name, value in row.items() if re.fullmatch("[xy][0-9]+|roll_deg|size", name)}
+    away = np.hypot(place["x4"] - place["x8"], place["y4"] - place["y8"])
+    np.testing.assert_allclose(shown, [away, place["roll_deg"], place["size"]], atol=0.06)
+
+
+def test_a_click_on_a_graph_seeks_in_a_video(live, picture, artefacts, tmp_path):
+    path = tmp_path / "talk.webm"
+    with video_writer(path, 10) as writer:
+        for i in range(20):
+            writer.write(np.roll(picture, i, axis=1), i / 10)
+    live.locator("[data-testid=live-file]").set_input_files(path)
+    wait_for(live, "() => window.liaamStudio.live.video().ended")
+    wait_for(live, DRAWN)
+    plot = live.locator(".live-graph .u-over").first
+    box = plot.bounding_box()
+    plot.click(position={"x": box["width"] / 4, "y": 20})
+    wait_for(live, "() => Math.abs(window.liaamStudio.live.video().currentTime - 0.5) < 0.1")
+    wait_for(live, "() => Math.abs(window.liaamStudio.live.shown().time - 0.5) < 0.15")
+    live.wait_for_timeout(300)
+    for scheme in ("light", "dark"):
+        live.emulate_media(color_scheme=scheme)
+        live.wait_for_timeout(300)
+        shoot(live, artefacts, f"live-graphs-{scheme}")
+
+
+def test_the_pair_of_points_is_kept(live):
+    assert live.evaluate("() => window.liaamStudio.live.pair()") == [0, 1]
+    use_camera(live)
+    live.locator("[data-testid=live-to]").select_option("9")
+    live.reload()
+    wait_for(live, "() => window.liaamStudio?.live?.pair()?.[1] === 9")
+
+
+def test_with_the_face_model_the_opening_of_the_mouth_is_shown_first(serve, page, tmp_path):
+    (tmp_path / "empty").mkdir()
+    page.goto(serve(tmp_path / "empty", face=True).address)
+    open_live(page)
+    chosen = "(end) => document.querySelector(`[data-testid=live-${end}]`).selectedOptions[0]?.textContent"
+    wait_for(page, f"() => ({chosen})('from') === 'upper_lip_bottom' && ({chosen})('to') === 'lower_lip_top'")
+
+
+PIXELS = """() => {
+  const { viewer } = window.liaamStudio.live;
+  const { canvas, width, height, left, top, scale } = viewer;
+  const copy = Object.assign(document.createElement("canvas"), { width: 64, height: 48 });
+  const [inner, outer] = [viewer.container, canvas].map((each) => each.getBoundingClientRect());
+  const ratio = canvas.width / outer.width;
+  const from = [left + inner.left - outer.left, top + inner.top - outer.top, scale * width, scale * height];
+  copy.getContext("2d").drawImage(canvas, ...from.map((v) => v * ratio), 0, 0, 64, 48);
+  return [...copy.getContext("2d").getImageData(0, 0, 64, 48).data];
+}"""
+
+
+def test_a_front_camera_is_shown_as_in_a_mirror_and_its_data_are_not(live):
+    use_camera(live)
+    assert live.evaluate("() => window.liaamStudio.live.mirrored()")
+    live.evaluate("() => window.liaamStudio.live.video().pause()")
+    live.wait_for_timeout(1000)
+    ways, shapes = {}, {}
+    for flat in (False, True):
+        if flat:
+            live.locator("[data-testid=live-flat]").click()
+            wait_for(live, WITHOUT_SHADING)
+        for mirrored in (True, False):
+            live.wait_for_timeout(200)
+            data = live.evaluate(PIXELS)
+            ways[flat, mirrored] = np.array(data).reshape(48, 64, 4)[..., :3].astype(float)
+            shapes[flat, mirrored] = live.evaluate("() => window.liaamStudio.live.shown().fit.shape")
+            live.locator("[data-testid=live-mirror]").click()
+    assert np.abs(ways[False, True] - ways[False, False][:, ::-1]).mean() < 4  # with the fit that is drawn over it
+    assert np.abs(ways[False, True] - ways[False, False]).mean() > 8
+    assert shapes[False, True] == shapes[False, False]
+    # The divider stays where it is: the picture without shading is to the right of it both times.
+    for mirrored in (True, False):
+        changed = np.abs(ways[True, mirrored] - ways[False, mirrored]).mean(axis=(0, 2))
+        assert changed[34:].sum() > 5 * changed[:30].sum()
+
+
+def test_a_camera_is_chosen_and_kept(live):
+    live.evaluate("""() => {
+      const { mediaDevices } = navigator;
+      const own = mediaDevices.getUserMedia.bind(mediaDevices);
+      window.asked = [];
+      mediaDevices.getUserMedia = async (what) => { window.asked.push(what.video); return own({ video: true }); };
+      mediaDevices.enumerateDevices = async () => [
+        { kind: "videoinput", deviceId: "lid", label: "Camera in the lid" },
+        { kind: "audioinput", deviceId: "ear", label: "Microphone" },
+        { kind: "videoinput", deviceId: "desk", label: "" },
+      ];
+    }""")
+    use_camera(live)
+    cameras = live.locator("[data-testid=live-cameras]")
+    assert cameras.locator("option").all_inner_texts() == ["Camera in the lid", "Camera 2"]
+    cameras.select_option("desk")
+    wait_for(live, "() => window.asked.length === 2")
+    wait_for(live, TRACKED)
+    live.locator("[data-testid=live-stop]").click()
+    assert cameras.is_hidden() and live.locator("[data-testid=live-mirror]").is_hidden()
+    use_camera(live)
+    asked = live.evaluate("() => window.asked")
+    assert asked[0]["facingMode"] == "user"
+    assert [each["deviceId"] for each in asked[1:]] == [{"ideal": "desk"}] * 2

@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import test from "node:test";
 
 import { FrameMeter } from "./modules/ui.js";
-import { isJump, parseRow, sentSize, Track, verdictOfFrame } from "./modules/live-track.js";
+import { distanceOf, firstPair, isJump, parseRow, sentSize, Track, verdictOfFrame } from "./modules/live-track.js";
 
 const [header, found, lost] = readFileSync(process.env.LIAAM_ROWS, "utf8").split(/(?<=\n)/);
 
@@ -27,12 +27,13 @@ test("a row of the server is a fit", () => {
   assert.ok(fit.ok);
   assert.equal(fit.quality, 0.875);
   assert.deepEqual(fit.shape, [[1.5, 2], [3, 4.25]]);
+  assert.deepEqual([fit.roll, fit.size, fit.centre], [90, 1.912, [2.25, 3.125]]);
   assert.deepEqual(fit.covariances, [[[0.5, 0.1], [0.1, 0.25]], [[2, 0], [0, 1]]]);
 });
 
 test("a lost frame has no points", () => {
   const fit = parseRow(lost);
-  assert.deepEqual([fit.ok, fit.quality, fit.shape], [false, null, []]);
+  assert.deepEqual([fit.ok, fit.quality, fit.shape, fit.roll, fit.size], [false, null, [], null, null]);
 });
 
 test("the table is in the order of time, and frames are counted by the shortest interval", () => {
@@ -61,6 +62,28 @@ test("the timeline has a mark for each frame", () => {
   track.set(0.5, lost);
   assert.deepEqual(track.marks(0.8), [[0, "good"], [0.5, "bad"]]);
   assert.deepEqual(track.marks(0.9)[0], [0, "warn"]);
+});
+
+test("graphs show the rows of the table, in the order of time, with gaps where the object is lost", () => {
+  const track = new Track(header);
+  track.set(0.5, lost);
+  track.set(0.25, found);
+  track.set(0.75, found);
+  const length = Math.hypot(1.5, 2.25);
+  const values = [distanceOf([0, 1]), ({ roll }) => roll, ({ quality }) => quality];
+  assert.deepEqual(track.graphs(values), [
+    [0.25, 0.5, 0.75], [length, null, length], [90, null, 90], [0.875, null, 0.875],
+  ]);
+  assert.deepEqual(track.graphs(values, 0.6), [[0.75], [length], [90], [0.875]]);
+  assert.equal(track.end, 0.75);
+});
+
+test("the first distance is one that was measured before, or the first that the model has", () => {
+  const names = ["brow", "chin", "nose"];
+  assert.deepEqual(firstPair(names, [["lip", "chin"], ["nose", "brow"]]), [2, 0]);
+  assert.deepEqual(firstPair(names, [["2", "3"]]), [1, 2]);
+  assert.deepEqual(firstPair(names, [["1", "9"], ["chin", "chin"]]), [0, 1]);
+  assert.deepEqual(firstPair(names, []), [0, 1]);
 });
 
 test("advice is for a camera or for a file, and only about what is known", () => {

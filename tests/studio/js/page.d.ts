@@ -47,6 +47,8 @@ interface Model {
   name: string;
   n_images: number;
   n_points: number;
+  /** Of its points; none if its training pictures had none. */
+  names: string[];
   trained: string | null;
   stale: number;
   colour: boolean;

@@ -65,8 +65,15 @@ export function createCommands(tab) {
 
   /** Change the selected points that are placed, and say what work() returns. */
   function toChosen(work) {
-    const chosen = marking.chosenPlaced;
+    const chosen = tab.tracing.on ? [] : marking.chosenPlaced;
     if (chosen.length) say(`${called(marking.names, chosen)} ${work()}`);
+  }
+
+  /** Work on the contour of the selected or next point, and say what work() returns. */
+  function toContour(work) {
+    const { wanted } = tab.tracing;
+    if (wanted) say(work(wanted));
+    else app.toast("Select a point of a contour with three points or more. The template defines the contours.");
   }
 
   const commands = {
@@ -116,9 +123,26 @@ export function createCommands(tab) {
 
     ruler: () => tab.ruler.start(),
 
+    /** Trace the contour of the selected or next point; again: end it, or stop if it has too few places. */
+    trace() {
+      const { tracing } = tab;
+      if (tracing.on) return tracing.whole ? tracing.finish() : tracing.turn(false);
+      tab.drawing?.turn(false);
+      toContour((contour) => {
+        marking.select([]);
+        tracing.turn(contour);
+        return tracing.prompt;
+      });
+    },
+
+    space: () => toContour((contour) => {
+      tab.tracing.space(contour);
+      return "The points of the contour are evenly spaced";
+    }),
+
     escape() {
       tab.tool.cancel();
-      if (tab.ruler.on) tab.ruler.turn(false);
+      tab.drawing?.turn(false);
       marking.select([]);
       commands.escaped = true;
     },
@@ -133,7 +157,7 @@ export function createCommands(tab) {
     travel(way) {
       tab.tool.cancel();
       if (tab.editing) return tab.templates.doc.travel(way);
-      const what = marking.travel(way);
+      const what = (tab.tracing.on ? tab.tracing : marking).travel(way);
       if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
     },
 
@@ -156,6 +180,7 @@ export function createCommands(tab) {
 
     accept() {
       if (!commands.marks) return commands.skip(); // there is nothing to accept
+      if (tab.tracing.on) return tab.tracing.finish();
       if (marking.state.source === "layout") return void leaveUnchecked();
       marking.accept();
       const left = marking.missing;

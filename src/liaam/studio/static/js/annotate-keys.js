@@ -18,6 +18,8 @@ export const SHORTCUTS = [
   { keys: "V", what: "Mark the point as visible or invisible" },
   { keys: "X M", what: "Move mirrored points together; flip left and right" },
   { keys: "B S", what: "Select with a box; draw a scale bar" },
+  { keys: "C", what: "Trace a contour by a few clicks; Enter ends it, Backspace removes the last place" },
+  { keys: "Shift+C", what: "Space the points of the contour evenly" },
   { keys: "L K E", what: "Show names, contours, ellipses" },
   { keys: "R", what: "Loupe where a click places a point: on, off" },
   { keys: "H", what: "Hide all points while held" },
@@ -40,7 +42,9 @@ export function createKeys(tab) {
   const marks = {
     v: commands.toggleInvisible, x: commands.toggleMirrored, m: commands.flip, p: commands.placeChosen,
     s: commands.ruler, delete: commands.removeChosen, backspace: commands.removeChosen,
+    c: ({ shiftKey }) => (shiftKey ? commands.space() : commands.trace()),
   };
+  const tracing = { c: commands.trace, delete: () => tab.tracing.drop(), backspace: () => tab.tracing.drop() };
 
   /** Tab selects the next point while the picture has the focus. Past the last, or after Escape, the focus moves on. */
   const tabKey = ({ target, shiftKey }) =>
@@ -76,9 +80,9 @@ export function createKeys(tab) {
     } else if (command || event.altKey) return false;
     else if (tab.editing && tab.templates.key(letter)) return true;
     else {
-      const work = always[letter] ?? (commands.marks ? marks[letter] : null);
+      const work = always[letter] ?? (tab.tracing.on ? tracing : commands.marks ? marks : {})[letter];
       if (!work) return viewer.key(event);
-      work();
+      work(event);
     }
     return true;
   };

@@ -27,7 +27,7 @@ export function createOpening(tab, begins) {
     const { width: wasWide, height: wasHigh } = viewer;
     tab.tool.cancel();
     tab.tool.leave();
-    if (tab.ruler.on) tab.ruler.turn(false);
+    tab.drawing?.turn(false);
     marking.shown = null;
     marking.select([]);
     if (before && before !== name) tab.leavePicture(before);

@@ -25,11 +25,14 @@ export function createToolbar(tab) {
   const ruler = tool("Scale bar", "ruler", "S", commands.ruler, {
     pressed: false, testid: "scale-bar", title: "Scale bar: click both ends of a ruler, and enter its length",
   });
-  const switches = { names, contours, ellipses, box, mirror, ruler };
+  const trace = tool("Trace a contour", "curve", "C", commands.trace, {
+    pressed: false, testid: "trace", title: "Trace a contour: click a few places along it, and its points are placed evenly",
+  });
+  const switches = { names, contours, ellipses, box, mirror };
   const element = h("div.toolbar.annotate-toolbar", { role: "group", "aria-label": "Annotate" },
     tool("Previous picture", "left", "[", () => state.step(-1)),
     tool("Next picture", "right", "]", () => state.step(1)),
-    rule(), undo, redo, rule(), box, mirror, flip, ruler, rule(),
+    rule(), undo, redo, rule(), box, mirror, flip, trace, ruler, rule(),
     h("div.row.tight", { role: "group", "aria-label": "Show" }, names, contours, ellipses),
     h("span.grow"), status.button, status.element);
 
@@ -41,8 +44,11 @@ export function createToolbar(tab) {
       redo.disabled = !history?.canRedo;
       undo.title = `Undo${history?.undoes ? `: ${history.undoes}` : ""} (Ctrl+Z)`;
       redo.title = `Redo${history?.redoes ? `: ${history.redoes}` : ""} (Ctrl+Y)`;
-      flip.disabled = ruler.disabled = !marking;
+      flip.disabled = ruler.disabled = !marking || tab.tracing.on;
+      trace.disabled = !marking || !state.project.template?.contours.length;
       mirror.disabled = editing;
+      press(ruler, tab.ruler.on);
+      press(trace, tab.tracing.on);
     },
     press: (name, on) => press(switches[name], on),
   };

@@ -17,10 +17,12 @@ import { nextMissing } from "./points.js";
 import { createPointsPanel } from "./points-panel.js";
 import { createReview } from "./review.js";
 import { ScaleBar } from "./scale-bar.js";
+import { Tracing } from "./tracing.js";
 import { h } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const SAY_AFTER = 350; // milliseconds after the last arrow key until a position is announced
+const BUSY = { hovered: -1, gesture: {}, pointer: null }; // the tool, for the marks, while it edits something else
 
 export class Tab {
   shortcuts = SHORTCUTS;
@@ -59,16 +61,14 @@ export class Tab {
       },
     });
     this.ruler = new ScaleBar(this.marking, {
-      onturn: () => {
-        this.toolbar.press("ruler", this.ruler.on);
-        this.refresh();
-      },
+      onturn: () => this.refresh(),
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
       onshare: (bar, anyway) => { // with all that the list can show
         const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
         app.bulk.run("scaled", others, { bar, of: this.name, anyway });
       },
     });
+    this.tracing = new Tracing(this.marking, { onturn: () => this.refresh() });
     this.commands = createCommands(this);
     this.status = createStatus(this);
     this.toolbar = createToolbar(this);
@@ -93,8 +93,10 @@ export class Tab {
   get editing() { return this.templates.editing; }
   /** Indices of the points of the open picture that may be slips. */
   get wrong() { return this.state.picture(this.name)?.slip_points ?? []; }
-  /** The document that gestures edit: the template, the scale bar that is being drawn, or the marks of the picture. */
-  get doc() { return this.editing ? this.templates.doc : this.ruler.on ? this.ruler : this.marking; }
+  /** What is being drawn: the scale bar, or a contour that is traced; undefined if nothing. */
+  get drawing() { return [this.ruler, this.tracing].find(({ on }) => on); }
+  /** The document that gestures edit: the template, what is being drawn, or the marks of the picture. */
+  get doc() { return this.editing ? this.templates.doc : (this.drawing ?? this.marking); }
   focus() { this.viewer.canvas.focus({ preventScroll: true }); }
 
   /** Run the action of a button. After a click, return the focus to the picture, so that Enter works there. */
@@ -169,7 +171,7 @@ export class Tab {
     }
     const isMarking = !editing && marking.book !== null;
     this.toolbar.refresh({ history: this.doc.history, editing, marking: isMarking });
-    panel.edit.disabled = !isMarking;
+    panel.edit.disabled = !isMarking || this.tracing.on;
     if (!editing) panel.render(marking);
     assist.sure.hidden = marking.state?.source !== "layout";
     panel.tally.textContent = marking.book ? tallyOf(marking) : "";
@@ -183,13 +185,13 @@ export class Tab {
 
   /** Show the point to place in the template, and what to do next. */
   showHint() {
-    const { cover, editing, hint, marking, prompt, template } = this;
-    hint.hidden = editing || this.ruler.on || !marking.placing || !template?.points || cover.isShown;
+    const { cover, drawing, editing, hint, marking, prompt, template } = this;
+    hint.hidden = editing || drawing || !marking.placing || !template?.points || cover.isShown;
     if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
-    const own = () => (!marking.book ? "" : this.ruler.on ? this.ruler.prompt : promptOf(marking));
+    const own = () => (!marking.book ? "" : drawing?.prompt ?? promptOf(marking));
     const text = cover.isShown ? "" : editing ? this.templates.prompt : own();
     prompt.hidden = !text;
-    prompt.dataset.kind = marking.suggested && !editing && !this.ruler.on ? "suggested" : "";
+    prompt.dataset.kind = marking.suggested && !editing && !drawing ? "suggested" : "";
     if (prompt.textContent !== text) prompt.textContent = text;
   }
 
@@ -207,7 +209,7 @@ export class Tab {
   saySoon(indices) {
     clearTimeout(this.waiting);
     this.waiting = setTimeout(() => {
-      if (this.editing) return;
+      if (this.doc !== this.marking) return;
       if (indices.length === 1) this.sayPlace(indices[0]);
       else this.say(`${indices.length || "All"} points moved`);
     }, SAY_AFTER);
@@ -218,7 +220,8 @@ export class Tab {
     if (!viewer.width || marking.hidden) return;
     if (this.editing) this.templates.draw(ctx, tool);
     else if (marking.book) {
-      drawMarking(ctx, viewer, tool, marking, this.drawn, this.wrong);
+      if (this.tracing.on) this.tracing.draw(ctx, viewer);
+      drawMarking(ctx, viewer, this.doc === marking ? tool : BUSY, marking, this.drawn, this.wrong);
       this.ruler.draw(ctx, viewer);
     }
     drawGesture(ctx, viewer, tool, marking.suggested);

@@ -51,6 +51,13 @@ export function handleAt(viewer, doc, event) {
   return frame?.handles.find((handle) => distance(handle.at, at) <= handleReach(event)) ?? null;
 }
 
+/** A gesture that places a point: show(xy) at first and with each move. */
+export function placing(xy, show, up, cancel) {
+  show(xy);
+  const gesture = { loupe: xy, move: (at) => { show(gesture.loupe = at); }, up, cancel };
+  return gesture;
+}
+
 /** A gesture that moves points; index: the point under the pointer, or -1. isFar(place on the screen): whether it is
  *  more than a click; still(): it was only a click. */
 export function dragging(doc, index, indices, start, isFar = (_at) => true, still = () => {}) {

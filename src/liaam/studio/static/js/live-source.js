@@ -2,7 +2,8 @@
 
 import { h } from "./ui.js";
 
-const CAMERA = { audio: false, video: { width: { ideal: 640 }, height: { ideal: 480 }, facingMode: "user" } };
+const SIZE = { width: { ideal: 640 }, height: { ideal: 480 } };
+const KEY = "liaam-studio:camera"; // the camera that was chosen last
 
 const FAULTS = {
   NotAllowedError: "The browser does not let this page use the camera. Allow it beside the address, and try again.",
@@ -19,6 +20,9 @@ export class LiveSource {
     this.video = h("video", { muted: true, playsInline: true });
     this.name = "";
     this.isFile = false;
+    this.isFront = false; // whether it is a camera that looks at the person who sees its picture
+    this.camera = ""; // id of the open camera
+    this.cameras = {}; // names by id, known once one was open
     this._canvases = Array.from({ length: HELD }, () => h("canvas"));
     const follow = () => this.video.requestVideoFrameCallback((_, { mediaTime }) => {
       onframe(mediaTime);
@@ -29,16 +33,21 @@ export class LiveSource {
 
   get isOpen() { return Boolean(this.video.srcObject || this.video.src); }
 
-  /** Show the camera; errors have a message for the user. */
-  async openCamera() {
+  /** Show a camera, by default the one that was chosen last; errors have a message for the user. */
+  async openCamera(chosen = localStorage.getItem(KEY)) {
     if (!navigator.mediaDevices)
       throw new Error("Browsers allow cameras at 127.0.0.1 or by https only: open the page there.");
+    if (chosen) localStorage.setItem(KEY, chosen);
+    const which = chosen ? { deviceId: { ideal: chosen } } : { facingMode: "user" };
     try {
-      this.video.srcObject = await navigator.mediaDevices.getUserMedia(CAMERA);
+      this.video.srcObject = await navigator.mediaDevices.getUserMedia({ audio: false, video: { ...SIZE, ...which } });
     } catch (error) {
       throw new Error(FAULTS[error.name] ?? `The camera cannot be used (${error.message}). Open a video instead.`);
     }
-    this.name = "camera";
+    const { facingMode, deviceId } = /** @type {any} */ (this.video.srcObject).getVideoTracks()[0].getSettings();
+    const all = (await navigator.mediaDevices.enumerateDevices()).filter(({ kind }) => kind === "videoinput");
+    this.cameras = Object.fromEntries(all.map((each, i) => [each.deviceId, each.label || `Camera ${i + 1}`]));
+    Object.assign(this, { name: "camera", camera: deviceId, isFront: facingMode !== "environment" });
     await this.video.play();
   }
 
@@ -60,7 +69,7 @@ export class LiveSource {
     if (this.video.src) URL.revokeObjectURL(this.video.src);
     this.video.srcObject = null;
     this.video.removeAttribute("src");
-    this.isFile = false;
+    this.isFile = this.isFront = false;
   }
 
   /** The current frame in a canvas, which is used again for the fourth frame after it. */

@@ -2,7 +2,7 @@
 
 import { verdictOf } from "./fit-run.js";
 
-const FACTS = 6; // columns before those of the points
+const FACTS = 10; // columns before those of the points
 const PER_POINT = 7; // x, y, fitted x and y, variances and covariance
 const MOST = 480_000; // pixels of a frame that is sent: at four bytes each, less than the server's limit of 2 MB
 const JUMP = 0.5; // seconds between two frames from which on the object is searched anew
@@ -18,6 +18,8 @@ export function sentSize(width, height) {
 export const isJump = (before, time) => before === null || time <= before || time - before > JUMP;
 const isLost = (row) => row.includes(",lost,");
 
+const numberIn = (cell) => (cell === "" ? null : Number(cell));
+
 /** A row as a fit to draw and to judge; a lost frame has no points. */
 export function parseRow(row) {
   const cells = row.trimEnd().split(",");
@@ -25,7 +27,8 @@ export function parseRow(row) {
   if (!isLost(row))
     for (let i = FACTS; i < cells.length; i += PER_POINT) points.push(cells.slice(i, i + PER_POINT).map(Number));
   return {
-    status: cells[2], ok: !isLost(row), quality: cells[4] === "" ? null : Number(cells[4]),
+    status: cells[2], ok: !isLost(row), quality: numberIn(cells[4]),
+    roll: numberIn(cells[6]), size: numberIn(cells[7]), centre: [cells[8], cells[9]].map(numberIn),
     shape: points.map(([x, y]) => [x, y]),
     covariances: points.map(([, , , , xx, xy, yy]) => [[xx, xy], [xy, yy]]),
   };
@@ -52,16 +55,33 @@ export class Track {
   constructor(header = "") {
     this.header = header;
     this.rows = new Map(); // by milliseconds
+    this._frames = new Map(); // what graphs show of each row
   }
 
   get lost() { return [...this.rows.values()].filter(isLost).length; }
-  set(time, row) { this.rows.set(key(time), row); }
+  /** Add the row of a frame; returns it as a fit. */
+  set(time, row) {
+    const fit = parseRow(row);
+    this.rows.set(key(time), row);
+    this.end = time;
+    const { quality, roll, size, shape } = fit;
+    this._frames.set(key(time), { time, quality, roll, size, shape: Float32Array.from(shape.flat()) });
+    return fit;
+  }
+
   at(time) { return this.rows.get(key(time)) ?? null; }
 
   /** Time in seconds and kind of each frame: "good", "warn" or "bad", by its quality. */
   marks(sure) {
     const kind = (row) => (isLost(row) ? "bad" : Number(row.split(",", 5)[4]) >= sure ? "good" : "warn");
     return [...this.rows].map(([at, row]) => [at / 1000, kind(row)]);
+  }
+
+  /** Times, and values of each of some functions of a frame, from a time on, for graphs. A lost frame has none. */
+  graphs(values, since = -Infinity) {
+    const frames = [...this._frames.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
+    const seen = (of) => frames.map((frame) => (frame.shape.length ? of(frame) : null));
+    return [frames.map(({ time }) => time), ...values.map(seen)];
   }
 
   /** The table in the order of time. Frames are counted by the shortest interval, since some may have been skipped. */
@@ -71,4 +91,16 @@ export class Track {
     const number = (time) => Math.round((time - times[0]) / shortest);
     return this.header + times.map((time) => this.rows.get(time).replace(/^\d+/, number(time))).join("");
   }
+}
+
+/** The distance of two points, by index, in a frame of graphs. */
+export const distanceOf = ([i, j]) => ({ shape }) =>
+  Math.hypot(shape[2 * i] - shape[2 * j], shape[2 * i + 1] - shape[2 * j + 1]);
+
+/** The two points, by index, whose distance is shown at first: the first of these pairs of names or numbers that exist,
+ *  or the first two points. */
+export function firstPair(names, pairs) {
+  const indexOf = (what) => (names[what - 1] === undefined ? names.indexOf(what) : what - 1);
+  const known = pairs.map((pair) => pair.map(indexOf));
+  return known.find(([i, j]) => i >= 0 && j >= 0 && i !== j) ?? [0, 1];
 }

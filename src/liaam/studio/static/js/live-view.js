@@ -3,16 +3,19 @@
 import { Divider } from "./divider.js";
 import { drawFit, drawOver, entries, modelNeeded, Overlays } from "./fit-draw.js";
 import { SURE } from "./fit-run.js";
-import { button, fileField, FrameMeter, h, icon, perFrame, slider } from "./ui.js";
+import { LiveGraphs } from "./live-graphs.js";
+import { button, fileField, FrameMeter, h, icon, optionsOf, perFrame, press, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
+const mirroredIn = ({ left, scale, width }) => 2 * left + scale * width; // where 0 lies in a mirrored picture
 const LONGEST_GAP = 3000; // milliseconds; after a longer gap, as of a hidden page, the speed is measured anew
 
 export class LiveView {
-  /** act: functions camera, file (of a File), stop, play, flat, record, save and seek (to seconds). */
+  /** act: functions camera (by id), file (of a File), stop, play, flat, mirror, record, save and seek (to seconds). */
   constructor(root, app, act) {
     this.shown = null;
+    this.mirrored = false;
     this.delays = []; // milliseconds from each frame to its painted fit
     this.meter = new FrameMeter(LATELY, LONGEST_GAP);
     const container = h("div.fit-viewer");
@@ -25,12 +28,18 @@ export class LiveView {
       button(label, { small: true, testid: `live-${name}`, onclick: act[name], ...more });
     this.tools = {
       flat: tool("Remove shading", "flat", { pressed: false, shortcut: "F" }),
+      mirror: tool("Mirror", "mirror", {
+        icon: "mirror", pressed: false, shortcut: "X", title: "Show the camera as in a mirror; the track is not mirrored",
+      }),
       record: tool("Record", "record", { icon: "target", pressed: false, shortcut: "R" }),
       save: tool("Export track", "save", { icon: "download" }), stop: tool("Stop", "stop", { icon: "close" }),
     };
+    this._cameras = h("select.text", {
+      "aria-label": "Camera", testid: "live-cameras", onchange: () => act.camera(this._cameras.value),
+    });
     this._play = tool("Play", "play", { shortcut: "P" });
     this._openers = [
-      button("Use the camera", { icon: "eye", kind: "primary", testid: "live-camera", onclick: act.camera }),
+      button("Use the camera", { icon: "eye", kind: "primary", testid: "live-camera", onclick: () => act.camera() }),
       button("Open a video…", { icon: "upload", testid: "live-open", onclick: () => file.click() }),
     ];
     this._strip = h("canvas.live-strip", { height: 8, "aria-hidden": "true" });
@@ -48,14 +57,16 @@ export class LiveView {
     this._status = h("p.fit-status", { role: "status", testid: "live-status" });
     this._facts = h("dl.fit-facts");
     this._needs = h("section.panel.column", modelNeeded(app));
+    this.graphs = new LiveGraphs(app, act.seek);
     this._panels = [
       h("section.panel.column", { "aria-label": "Result" }, this._status, this._facts),
       h("section.panel", { "aria-label": "Drawn over the picture" },
         h("div.row.tight.fit-overlays", this._overlays.buttons)),
+      this.graphs.element,
     ];
-    const { flat, record, save, stop } = this.tools;
+    const { flat, mirror, record, save, stop } = this.tools;
     const tools = h("div.toolbar.live-toolbar", { role: "toolbar", "aria-label": "Video" },
-      flat, h("span.grow"), record, save, stop);
+      flat, mirror, this._cameras, h("span.grow"), record, save, stop);
     root.append(h("div.fit-tab",
       h("div.workspace", tools, h("div.fit-stage", container, this._empty), this._bar),
       h("div.side.fit-side", this._needs, this._panels), file));
@@ -65,7 +76,7 @@ export class LiveView {
   show(frame) {
     this.shown?.flat?.close();
     this.shown = frame && { ...frame, isNew: true };
-    if (frame && this._film) this._expose(frame);
+    if (frame && this._film) this._expose();
     this.divider.visible = Boolean(frame?.flat);
     this.viewer.redraw();
   }
@@ -76,40 +87,60 @@ export class LiveView {
     return (this._filmed = this._film.captureStream(0)); // a frame at a time
   }
 
-  _expose({ canvas, flat, fit }) {
+  _expose() {
     const [{ width, height }, ctx] = [this._film, this._film.getContext("2d")];
     const plane = { left: 0, top: 0, scale: 1, width, height, toScreen: ([x, y]) => [x + 0.5, y + 0.5] };
-    drawOver(ctx, plane, canvas);
-    if (flat) drawOver(ctx, plane, flat, { from: (this.divider.x - this.viewer.left) / this.viewer.scale });
-    if (fit.ok) drawFit(ctx, plane, fit, this._overlays.shown);
+    this._mirror(ctx, plane); // back, since the recording is not mirrored, like the track
+    this._paint(ctx, plane, (this.divider.x - this.viewer.left) / this.viewer.scale);
     this._filmed.getVideoTracks()[0].requestFrame();
   }
 
   key(event) {
-    const chosen = { P: this._play, F: this.tools.flat, R: this.tools.record }[event.key.toUpperCase()];
+    const chosen = { P: this._play, F: this.tools.flat, X: this.tools.mirror, R: this.tools.record }[event.key.toUpperCase()];
     chosen?.click();
     return Boolean(chosen) || this._overlays.key(event) || this.viewer.key(event);
   }
 
   _draw(ctx, viewer) {
     if (!this.shown) return;
-    const { canvas, flat, fit, isNew, grabbed } = this.shown;
-    drawOver(ctx, viewer, canvas);
-    if (flat) drawOver(ctx, viewer, flat, { from: this.divider.x });
-    if (fit.ok) drawFit(ctx, viewer, fit, this._overlays.shown);
+    const { isNew, grabbed } = this.shown;
+    this._paint(ctx, viewer, this.divider.x);
     if (!isNew) return;
     this.shown.isNew = false;
     this.meter.tick();
     this.delays = [...this.delays.slice(1 - LATELY), performance.now() - grabbed];
   }
 
-  dress({ video, isOpen, isFile }, model) {
+  /** Draw the frame with its fit, mirrored if wanted, and to the right of `from` without its shading. */
+  _paint(ctx, plane, from) {
+    const { canvas, flat, fit } = this.shown;
+    const [under, over] = flat && this.mirrored ? [flat, canvas] : [canvas, flat];
+    this._mirror(ctx, plane);
+    drawOver(ctx, plane, under);
+    if (over) drawOver(ctx, plane, over, { from: this.mirrored ? mirroredIn(plane) - from : from });
+    if (fit.ok) drawFit(ctx, plane, fit, this._overlays.shown);
+  }
+
+  /** If the picture is mirrored, mirror what is drawn next about its middle; twice: no longer. */
+  _mirror(ctx, plane) {
+    if (this.mirrored) ctx.transform(-1, 0, 0, 1, mirroredIn(plane), 0);
+  }
+
+  dress({ video, isOpen, isFile, camera, cameras }, model) {
     this._needs.hidden = Boolean(model);
     for (const panel of this._panels) panel.hidden = !model;
     this._empty.hidden = isOpen;
     this.viewer.container.classList.toggle("without", !isOpen);
     for (const each of this._openers) each.disabled = !model;
     for (const each of Object.values(this.tools)) each.disabled = !isOpen;
+    press(this.tools.mirror, this.mirrored);
+    this.viewer.redraw();
+    this.tools.mirror.hidden = this.tools.mirror.disabled = !isOpen || isFile;
+    this._cameras.hidden = this.tools.mirror.hidden || Object.keys(cameras).length < 2;
+    this._cameras.replaceChildren(...optionsOf(cameras));
+    this._cameras.value = camera;
+    this.graphs.offer(model);
+    this.graphs.element.hidden = !model || !isOpen;
     this._bar.hidden = this._play.disabled = !isFile;
     this._play.textContent = video.paused ? "Play" : "Pause";
     this._overlays.hasContours = Boolean(model?.contours.length);
@@ -123,6 +154,7 @@ export class LiveView {
     const rows = [
       ["Speed", `${this.meter.rate().toFixed(0)} frames/s`], ["Delay", `${delay.toFixed(0)} ms`],
       ["Frames", `${track.rows.size}, ${track.lost} lost`],
+      ["Centre", this.shown?.fit.ok ? this.shown.fit.centre.map((v) => v.toFixed(0)).join(", ") : "–"],
     ];
     this._facts.replaceChildren(...(this.shown ? entries(rows) : []));
   }

@@ -3,11 +3,12 @@
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
 import { LiveSource } from "./live-source.js";
-import { isJump, parseRow, sentSize, Track, verdictOfFrame } from "./live-track.js";
+import { isJump, sentSize, Track, verdictOfFrame } from "./live-track.js";
 import { LiveView } from "./live-view.js";
 import { isPlain, press, saveFile } from "./ui.js";
 
 const AT_ONCE = 3; // frames that the server works on
+const GRAPHS = 125; // milliseconds between two drawings of the graphs
 
 export class Tab {
   isFlat = false;
@@ -15,6 +16,7 @@ export class Tab {
   shortcuts = [
     { keys: "P", what: "Play, pause" },
     { keys: "F", what: "Remove the shading" },
+    { keys: "X", what: "Show the camera as in a mirror" },
     { keys: "R", what: "Record" },
     { keys: "C L M E", what: "Show contours, points, mesh, ellipses" },
   ];
@@ -23,9 +25,9 @@ export class Tab {
     this.app = app;
     this.source = new LiveSource((time) => this._frame(time));
     this.view = new LiveView(root, app, {
-      camera: () => this.show({ camera: true }), file: (file) => this.show({ file }),
+      camera: (id) => this._start(() => this.source.openCamera(id)), file: (file) => this.show({ file }),
       stop: () => this._stop(), play: () => (video.paused ? video.play().catch(() => {}) : video.pause()),
-      record: () => this._record(),
+      record: () => this._record(), mirror: () => this._dress({ mirrored: !this.view.mirrored }),
       flat: () => {
         this.isFlat = !this.isFlat;
         press(this.view.tools.flat, this.isFlat);
@@ -42,9 +44,11 @@ export class Tab {
     app.state.addEventListener("project", () => this._dress());
     addEventListener("pagehide", () => this._end());
     setInterval(() => this.source.isOpen && this._tell(), 250);
+    setInterval(() => this.source.isOpen && view.graphs.draw(this.source, this.track), GRAPHS);
     window.liaamStudio.live = {
       viewer: view.viewer, shown: () => view.shown, rate: () => view.meter.rate(), delays: () => view.delays,
       track: () => this.track, recorded: () => this.recorded.size, video: () => video, isOpen: () => this.source.isOpen,
+      mirrored: () => view.mirrored, camera: () => this.source.camera, pair: () => view.graphs.pair,
     };
   }
 
@@ -68,7 +72,7 @@ export class Tab {
   async _start(open) {
     this._stop();
     await open().catch((error) => { this._message = error.message; });
-    this._dress();
+    this._dress({ mirrored: this.source.isFront });
   }
 
   _stop() {
@@ -137,10 +141,10 @@ export class Tab {
   }
 
   _take(frame, row, flat) {
-    this.track.set(frame.time, row);
+    const fit = this.track.set(frame.time, row);
     if (frame.grabbed < this.view.shown?.grabbed) return; // overtaken by a newer one
     const { triangles, contours } = this.app.state.project.model;
-    this.view.show({ ...frame, flat, fit: { ...parseRow(row), triangles, contours } });
+    this.view.show({ ...frame, flat, fit: { ...fit, triangles, contours } });
     if (this.source.isFile) this.view.drawTime(this.source.video, this.track);
   }
 
@@ -169,7 +173,8 @@ export class Tab {
     return use(recorder);
   }
 
-  _dress() {
+  _dress(change = {}) {
+    Object.assign(this.view, change);
     this.view.dress(this.source, this.app.state.project?.model);
     this._tell();
   }

@@ -5,6 +5,7 @@
 // "proposal" by the model, and "layout" is the mean of the done pictures. The last two are saved only when accepted or
 // moved. `bar` is the scale bar, or null. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
 
+import { placing } from "./gestures.js";
 import {
   expected, flip, flipIndices, missing, nextMissing, place, placed, remove, sameBar, samePoint, samePoints, toggle,
   withTwins,
@@ -120,21 +121,13 @@ export class Marking {
     if (!this.placing) return null;
     const before = this.points;
     const index = this.active;
-    let points = place(before, index, xy);
-    this.preview(points);
-    const gesture = {
-      loupe: xy,
-      move: (at) => {
-        points = place(before, index, at);
-        gesture.loupe = at;
-      },
-      up: () => {
-        this.commit(points, `place ${this.names[index]}`);
-        this.onplaced(index);
-      },
-      cancel: () => this.preview(null),
+    let at = xy;
+    this.preview(place(before, index, xy));
+    const up = () => {
+      this.commit(place(before, index, at), `place ${this.names[index]}`);
+      this.onplaced(index);
     };
-    return gesture;
+    return placing(xy, (to) => { at = to; }, up, () => this.preview(null));
   }
 
   accept() {

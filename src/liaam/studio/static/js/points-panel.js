@@ -16,6 +16,7 @@ export function createPointsPanel(tab) {
   const act = (label, icon, shortcut, work) => iconButton(label, icon, work, { small: true, shortcut });
   const hide = act("Visible or invisible", "eye-off", "V", commands.toggleInvisible);
   const remove = act("Clear position", "trash", "Delete", commands.removeChosen);
+  const space = act("Space the contour's points evenly", "curve", "Shift+C", commands.space);
   const kept = localStorage.getItem(START_KEY) ?? "layout";
   const start = segmented("Start of pictures without points", STARTS, kept, (value) => {
     localStorage.setItem(START_KEY, value);
@@ -28,12 +29,13 @@ export function createPointsPanel(tab) {
   const mark = ({ selection, active }) => {
     list.mark(selection, active);
     hide.disabled = remove.disabled = selection.size === 0;
+    space.disabled = selection.size === 0 || !tab.template?.contours.length;
   };
   return {
     list: list.element, tally, edit, mark,
     elements: [
       h("section.panel.grow.point-panel",
-        h("div.row", h("h2.panel-title", "Points"), tally, hide, remove), list.element),
+        h("div.row", h("h2.panel-title", "Points"), tally, space, hide, remove), list.element),
       h("section.panel.side-foot",
         h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit)),
     ],

@@ -2,6 +2,7 @@
 // gestures edit (see gestures.js) while it is drawn; after that it is part of the marks.
 
 import { COLOURS, drawText } from "./drawing.js";
+import { placing } from "./gestures.js";
 import { inked } from "./overlays.js";
 import { rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
@@ -69,14 +70,7 @@ export class ScaleBar {
     const before = this.ends;
     const at = before[0] ? 1 : 0;
     const show = (place) => this.preview(before.map((end, i) => (i === at ? rounded(place) : end)));
-    show(xy);
-    const gesture = {
-      loupe: xy,
-      move: (place) => { show(gesture.loupe = place); },
-      up: () => { if (at) this.finish(); else this.onturn(); },
-      cancel: () => this.preview(before),
-    };
-    return gesture;
+    return placing(xy, show, () => (at ? this.finish() : this.onturn()), () => this.preview(before));
   }
 
   async finish() {

@@ -1,0 +1,160 @@
+// Tracing a contour of the open picture: clicks add the knots of a smooth curve, along which the contour's points are
+// placed at even distances. It is a document that gestures edit (see gestures.js) while a contour is traced. The
+// contour's points that belong to other contours too, and are placed, stay where they are.
+
+import { curveThrough, spread } from "./curve.js";
+import { COLOURS } from "./drawing.js";
+import { placing } from "./gestures.js";
+import { History } from "./history.js";
+import { discs, drawContours, drawPoints, stroked } from "./overlays.js";
+import { indicesOf, missing, rounded } from "./points.js";
+
+const LEAST = 3; // points of a contour that is traced
+
+export class Tracing {
+  contour = null; // that is traced, or null
+  history = new History([]); // of the knots
+  shown = null; // knots during a gesture
+  invisible = new Set();
+  selection = new Set();
+  active = -1;
+  fixed = []; // [place in the contour, point] of points that stay
+  first = []; // the one at the contour's start, if there is one
+  last = []; // the one at its end
+
+  /** onturn(): tracing starts, stops or goes on.
+   *  @param {import("./marking.js").Marking} marking */
+  constructor(marking, { onturn }) {
+    this.marking = marking;
+    this.onturn = onturn;
+  }
+
+  get on() { return this.contour !== null; }
+  get editable() { return this.marking.editable; }
+  get placing() { return this.editable; }
+  get knots() { return this.shown ?? this.history.state; }
+  get points() { return [...this.first, ...this.knots, ...this.last]; }
+  get prompt() {
+    const { contour: { indices, closed }, marking: { names } } = this;
+    const [from, to] = [indices[0], indices.at(-1)].map((index) => names[index]);
+    return `Click along the contour from ${from}${closed ? "" : ` to ${to}`}. Enter or a click on the last place ends it`;
+  }
+  framed() { return []; }
+  follow(_before, after) { return after; }
+  select(indices, active = indices.at(-1) ?? -1) { Object.assign(this, { selection: new Set(indices), active }); }
+
+  /** The contour to trace: that of the selected point, or of the next one to place; null if there is none. */
+  get wanted() {
+    const { active, points, template } = this.marking;
+    const long = template?.contours.filter(({ indices }) => indices.length >= LEAST) ?? [];
+    const missed = missing(points);
+    for (const index of [active, ...missed.filter((i) => i > active), ...missed]) {
+      const own = long.filter(({ indices }) => indices.includes(index));
+      if (own.length) return own.find(({ indices }) => indices.some((i) => missed.includes(i))) ?? own[0];
+    }
+    return null;
+  }
+
+  /** The placed points of a contour that other contours have too: [place in the contour, point]. */
+  sharedOf({ indices }) {
+    const { points, template: { contours } } = this.marking;
+    const isShared = (index) => contours.filter((each) => each.indices.includes(index)).length > 1;
+    return indices.flatMap((index, place) => (points[index] && isShared(index) ? [[place, points[index]]] : []));
+  }
+
+  /** Begin to trace a contour; false: stop. */
+  turn(/** @type {any} */ contour) {
+    const fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
+    const fixedAt = (end) => fixed.filter(([place]) => place === end).map(([, point]) => point);
+    const [first, last] = [fixedAt(0), contour.closed ? [] : fixedAt(contour && contour.indices.length - 1)];
+    Object.assign(this, { contour: contour || null, fixed, first, last, history: new History([]), shown: null });
+    this.select([]);
+    this.marking.preview(null);
+    this.onturn();
+  }
+
+  /** The points of the picture with those along the curve; null while it has too few knots. */
+  get whole() {
+    const { contour, fixed, points } = this;
+    const line = curveThrough(points, contour.closed);
+    const enough = this.knots.length && points.length > (contour.closed ? 2 : 1) && line.length > 1;
+    return enough ? this.along(line, contour, fixed) : null;
+  }
+
+  along(line, { indices, closed }, fixed) {
+    const points = this.marking.state.points.slice();
+    spread(line, indices.length, closed, fixed).forEach((point, place) => { points[indices[place]] = rounded(point); });
+    return points;
+  }
+
+  finish() {
+    const { whole, contour } = this;
+    if (!whole) return;
+    this.turn(false);
+    this.marking.commit(whole, "trace the contour");
+    this.marking.onplaced(contour.indices.at(-1));
+  }
+
+  /** Space the points of a contour evenly along the curve through those that are placed. */
+  space(contour) {
+    const knots = contour.indices.map((index) => this.marking.points[index]).filter(Boolean);
+    if (knots.length < LEAST) return;
+    const line = curveThrough(knots, contour.closed);
+    this.marking.commit(this.along(line, contour, this.sharedOf(contour)), "space the contour evenly");
+  }
+
+  /** The knots among points that a gesture has edited. */
+  ownOf(points) { return points.slice(this.first.length, points.length - this.last.length); }
+
+  preview(points) {
+    this.shown = points && this.ownOf(points);
+    this.marking.preview(this.whole);
+  }
+
+  commit(points, what, key = null) { this.change(() => this.history.push(this.ownOf(points), what, key)); }
+
+  /** Remove the last knot. */
+  drop() {
+    if (this.knots.length) this.change(() => this.history.push(this.knots.slice(0, -1), "remove the last place"));
+  }
+
+  travel(way) {
+    const what = way === "undo" ? this.history.undoes : this.history.redoes;
+    this.change(() => this.history[way]());
+    return what || null;
+  }
+
+  change(work) {
+    work();
+    if (this.active >= this.points.length - this.last.length) this.select([]);
+    this.preview(null);
+    this.onturn();
+  }
+
+  adding(xy) {
+    const { first, knots, last } = this;
+    const show = (at) => this.preview([...first, ...knots, rounded(at), ...last]);
+    const up = () => {
+      this.commit(this.points, "place on the contour");
+      this.select([first.length + knots.length]);
+    };
+    return placing(xy, show, up, () => this.preview(null));
+  }
+
+  /** A press on the last knot, on an end that stays, or on the first knot of a closed contour ends it. */
+  press(index) {
+    const { points, first, last, contour } = this;
+    const ends = index >= points.length - last.length - 1 || (index === 0 && contour.closed);
+    if (ends) this.finish();
+    return ends || index < first.length;
+  }
+
+  draw(ctx, viewer) {
+    const line = curveThrough(this.points, this.contour.closed);
+    drawContours(ctx, viewer, line, [{ indices: indicesOf(line), closed: false }], { colour: COLOURS.chosen });
+    if (viewer.isLoupe) return;
+    drawPoints(ctx, viewer, this.points, { colour: COLOURS.chosen, radius: 5 });
+    discs(ctx, viewer, this.points.filter((_, i) => this.selection.has(i)), 9);
+    stroked(ctx, COLOURS.chosen, 1.8);
+  }
+}
