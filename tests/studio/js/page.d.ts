@@ -128,7 +128,6 @@ interface App {
   bulk: any;
   /** Resolves once all moved points are saved, or cannot be. */
   saved(): Promise<any>;
-  guest(): boolean;
   /** Indices of the selected points of the open picture. */
   selection(): number[];
   showsPictures(): boolean;

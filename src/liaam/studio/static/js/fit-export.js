@@ -14,17 +14,15 @@ const EXPORTS = {
 const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
 
 export class ExportMenu {
-  /** `light()` returns the current light; `annotate()` saves the landmarks of the fit in the folder. */
-  constructor({ light, annotate }) {
-    this._light = light;
-    this._fit = null;
-    this._links = [];
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    this._tab = tab;
     this._annotate = button("Use as annotation", {
       icon: "edit", kind: "ghost", small: true, testid: "export-annotation",
       title: "Save these landmarks beside the picture",
       onclick: () => {
         this.close();
-        annotate();
+        useAsAnnotation(tab.app, tab.fit);
       },
     });
     const groups = Object.entries(EXPORTS).map(([title, items]) =>
@@ -32,7 +30,7 @@ export class ExportMenu {
     // The browser closes it with Escape, or by a press elsewhere.
     this.panel = h("div.fit-menu", {
       popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
-      ontoggle: ({ newState }) => newState === "open" && this._links[0].link.focus(),
+      ontoggle: ({ newState }) => newState === "open" && this.panel.querySelector("a").focus(),
     }, groups, h("div.fit-menu-group", this._annotate));
     this.button = roomy(button("Export", {
       icon: "download", small: true, disabled: true, testid: "export-menu", popoverTargetElement: this.panel,
@@ -41,29 +39,23 @@ export class ExportMenu {
     this.element = h("div", { onfocusout }, this.button, this.panel);
   }
 
-  /** Offer the files of a fit, or null. canAnnotate: whether its landmarks can be saved for a picture of the folder. */
-  show(fit, canAnnotate) {
-    this._fit = fit;
+  show() {
+    const { fit, sources: { current }, state, mismatch } = this._tab;
     this.button.disabled = !fit;
-    this._annotate.hidden = !canAnnotate;
+    this._annotate.hidden = !current?.ofFolder || state.guest || Boolean(mismatch);
     if (!fit) this.close();
   }
 
   close() { if (this.panel.isConnected) this.panel.hidePopover(); }
 
   _item(what, label) {
-    const link = h("a.button.ghost.small", {
-      download: "", testid: `export-${what}`,
-      onclick: (event) => {
-        event.preventDefault(); // a plain link would show neither progress nor errors
-        if (!link.ariaBusy) this._save(link);
-      },
-    }, label);
-    this._links.push({ link, what });
-    return link;
+    const onclick = (event) => {
+      event.preventDefault(); // a plain link would show neither progress nor errors
+      if (!event.target.ariaBusy) this._save(event.target);
+    };
+    return h("a.button.ghost.small", { download: "", dataset: { what, testid: `export-${what}` }, onclick }, label);
   }
 
-  /** Fetch a file and save it; the menu stays open until then. */
   async _save(link) {
     link.ariaBusy = "true";
     const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
@@ -75,10 +67,11 @@ export class ExportMenu {
   _place() {
     const { right, bottom } = this.button.getBoundingClientRect();
     Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
-    for (const { link, what } of this._fit ? this._links : []) {
-      const query = what === "relit" ? lightQuery(this._light()) : {};
-      link.href = api.url("fits", this._fit.id, "export", { what, ...query });
-      link.hidden = what in NEEDS && !this._fit.layers.includes(NEEDS[what]);
+    const { fit, view } = this._tab;
+    for (const link of fit ? this.panel.querySelectorAll("a") : []) {
+      const { what } = link.dataset;
+      link.href = api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(view.light)) });
+      link.hidden = what in NEEDS && !fit.layers.includes(NEEDS[what]);
     }
   }
 }

@@ -1,5 +1,6 @@
-// The Fit tab's panels: for the picture, the start and the method, and with the result.
+// The Fit tab's panels: for a guest model, for the picture, the start and the method, and with the result.
 
+import { api } from "./api.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
 import { factsOf, verdictOf } from "./fit-run.js";
 import { button, h, iconButton, segmented } from "./ui.js";
@@ -18,17 +19,23 @@ const STARTS = [
 ];
 
 export class SetupPanel {
-  /** onback(): show the folder's picture; onopen(): open a file; onstart(value), onmethod(name): chosen; onclick(): a
-   *  start was clicked, not chosen by keys; onrun().
-   *  @param {{app: App, [handler: string]: any}} options */
-  constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    this._tab = tab;
+    const { app } = tab;
     this._label = h("span.fit-source-name.grow");
+    const onback = () => tab.sources.backToFolder();
     this._back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
     const open = button("Open…", {
-      icon: "image", small: true, title: "Open another picture without adding it to the folder", onclick: onopen,
+      icon: "image", small: true, title: "Open another picture without adding it to the folder",
+      onclick: () => tab.file.click(),
     });
-    this._starts = segmented("Start", STARTS, "auto", onstart, "start");
-    this._starts.element.addEventListener("click", onclick);
+    this._starts = segmented("Start", STARTS, "auto", (value) => tab.setStart(value), "start");
+    this._starts.element.addEventListener("click", ({ detail, target }) => {
+      if (!detail || !target.value) return; // chosen by keys
+      tab.setStart(target.value);
+      if (tab.startTool) tab.focus();
+    });
     this._hint = h("p.small.muted", { hidden: true });
     const { methods, default_method: first } = app.state.project;
     const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
@@ -39,17 +46,18 @@ export class SetupPanel {
       return chosen.name;
     };
     const method = this._method = h("select.text", {
-      "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => onmethod(summarise()),
+      "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => tab.setMethod(summarise()),
     }, sorted.map(({ name }) => h("option", { value: name }, name)));
     summarise();
-    const look = { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run" };
-    this._run = button("Fit", { ...look, onclick: onrun });
-    this._run.append(h("kbd.kbd", "Enter"));
+    this.runner = button("Fit", {
+      icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: () => tab.run(),
+    });
+    this.runner.append(h("kbd.kbd", "Enter"));
     this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
     this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
     this._withModel = h("div.column",
       h("div.column.tight", this._starts.element, this._hint),
-      h("div.row.fit-method", h("label.field.grow", "Method", method), this._run), summary);
+      h("div.row.fit-method", h("label.field.grow", "Method", method), this.runner), summary);
     this.element = h("section.panel", { "aria-label": "Fit" },
       h("div.row.fit-source", this._back, this._label, open), this._needsModel, this._mismatch, this._withModel);
   }
@@ -60,31 +68,55 @@ export class SetupPanel {
     this._hint.hidden = !this._hint.textContent;
   }
 
-  set canRun(can) { this._run.disabled = !can; }
-
-  /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does
-   *  not match the template, or "". */
-  show({ source, model, canGoBack, mismatch }) {
+  show() {
+    const { sources: { current: source }, state, mismatch } = this._tab;
+    const { model } = state.project;
     this._label.textContent = this._label.title = source?.name ?? "No picture";
-    this._back.hidden = !canGoBack;
+    this._back.hidden = !source || source.ofFolder || !state.current;
     this._needsModel.hidden = Boolean(model);
     this._withModel.hidden = !model;
     offer(this._method, model);
     this._mismatch.textContent = mismatch;
     this._mismatch.hidden = !mismatch;
-    this.canRun = Boolean(source);
+    this.runner.disabled = !source;
   }
+}
+
+/** The panel that says that the page only fits, with a model that was dropped on it, and ends that. */
+export function guestPanel({ state, openTab }) {
+  const words = h("p.small.guest-words");
+  const onclick = async () => {
+    await api.delete(api.url("model", "guest"));
+    await state.refresh();
+    openTab("annotate");
+  };
+  const leave = button("Leave", {
+    small: true, testid: "leave-guest", title: "Use the model of the folder again", onclick,
+  });
+  const element = h("section.panel", { "aria-label": "Fit only", testid: "guest" },
+    h("div.panel-title", h("h2.grow", "Fit only"), leave), words);
+  const show = () => {
+    element.hidden = !state.guest;
+    const { name, n_points: count } = state.project.model ?? {};
+    words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no ` +
+      "landmarks are saved.";
+  };
+  return { element, show };
 }
 
 /** The result of a fit, and remedies if it failed or has low confidence. */
 export class ResultPanel {
-  /** onstart(value): start from a "box" or the "mean" shape; onnext(): fit the picture's next object. */
-  constructor({ onstart, onnext }) {
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    const start = (value) => {
+      tab.setStart(value);
+      tab.focus();
+    };
     this._status = h("div.column.tight.fit-status", { role: "status", "aria-live": "polite", testid: "fit-status" });
-    this._next = button("Next object", { icon: "right", small: true, onclick: onnext });
+    this._next = button("Next object", { icon: "right", small: true, onclick: () => tab.next() });
     this._remedies = h("div.row.tight.fit-remedies", { hidden: true }, this._next,
-      button("Draw a box", { icon: "box", small: true, onclick: () => onstart("box") }),
-      button("Drag the mean shape", { icon: "target", small: true, onclick: () => onstart("mean") }));
+      button("Draw a box", { icon: "box", small: true, onclick: () => start("box") }),
+      button("Drag the mean shape", { icon: "target", small: true, onclick: () => start("mean") }));
     this._facts = h("dl.fit-facts");
     this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this._status, this._remedies, this._facts);
   }

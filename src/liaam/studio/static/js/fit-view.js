@@ -43,14 +43,14 @@ export class FitView {
   _scales = new Map(); // view -> {limit, what} of its colours
   _split = new Set(["flat", "relit"]); // views that are shown beside the picture
 
-  /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
-  constructor({ gone, ambient }) {
-    this._gone = gone;
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    this._tab = tab;
     this.container = h("div.fit-viewer", { testid: "fit-viewer" });
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
-    this.light = new Light(ambient);
+    this.light = new Light(tab.state.project.default_ambient);
     this.container.append(this.light.stage);
     this.light.addEventListener("change", () => this._relight());
     const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
@@ -69,7 +69,6 @@ export class FitView {
     this.show("picture");
   }
 
-  /** Show another picture; its layers are fetched when needed. */
   setSource(source) {
     const another = source?.key !== this.source?.key;
     this.source = source;
@@ -104,13 +103,11 @@ export class FitView {
     this._changed();
   }
 
-  /** Choose the next or previous available view. */
   cycle(by) {
     const can = VIEWS.map((view) => view.name).filter((name) => !this._why(name));
     this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
   }
 
-  /** Show the view beside the picture, or alone. */
   toggleSplit() {
     if (!this.source) return;
     // The picture has no counterpart: switch to the most useful view.
@@ -175,12 +172,11 @@ export class FitView {
   /** Show the error of a view. If the server no longer has the fit, it is fitted again. */
   _failed(name, error, fit = null) {
     if (fit && fit !== this.fit) return;
-    if (fit && error.status === 404) return this._gone(fit);
+    if (fit && error.status === 404) return this._tab.forgotten(fit);
     this._faults.set(name, error.message);
     return this._changed();
   }
 
-  /** Show the view, and its controls. */
   _changed() {
     this._dress();
     this.viewer.redraw();
@@ -199,7 +195,6 @@ export class FitView {
     this.viewer.redraw();
   }
 
-  /** Drop the exact picture that is awaited. */
   _dropRelit() {
     clearTimeout(this._awaited);
     this._awaited = null;
@@ -259,12 +254,11 @@ export class FitView {
     if (this.name !== "picture") this._setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
-  /** Update the controls for the view. */
   _dress() {
     const view = VIEWS.find(({ name }) => name === this.name);
     const why = this._why(this.name);
     for (const each of this._choice.element.children)
-      each.classList.toggle("unavailable", Boolean(this._why(each.dataset.value)));
+      each.classList.toggle("unavailable", Boolean(this._why(each.value)));
     this._layerName.textContent = view.label;
     this._slider.disabled = this.name === "picture";
     this._slider.value = String(this.opacity[this.name]);
@@ -281,7 +275,6 @@ export class FitView {
     if (isSplit) this.divider.label("Picture", view.after);
   }
 
-  /** Show the colour scale of a layer. */
   _explain(scale) {
     this._legend.hidden = !scale;
     if (!scale) return;

@@ -2,7 +2,6 @@
 
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
-import { isGuest } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
 import { Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
@@ -40,9 +39,9 @@ let wanted = null; // tab requested while the page was loading
 
 const pictures = new PictureStore(state);
 const app = {
-  state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
+  state, api, ui, toast, confirm: ui.confirm, openTab, pictures,
   /** Whether the open tab shows a picture that is not in the folder. */
-  showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
+  showsPictures: () => ["fit", "compare"].includes(open) || state.guest, sources: new Sources(state, pictures),
   fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
   saved: async () => {},
 };
@@ -114,7 +113,7 @@ async function mountTabs() {
 
 /** A guest only fits, so the tab Annotate is hidden. */
 function followGuest() {
-  const guest = isGuest(state.project);
+  const guest = state.guest;
   tabs.get("annotate").button.hidden = guest;
   if (guest && open === "annotate") openTab("fit");
 }
@@ -124,7 +123,7 @@ function openTab(name, options = {}) {
   wanted = name;
   if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
-  if (name === "annotate" && isGuest(state.project)) name = "fit";
+  if (name === "annotate" && state.guest) name = "fit";
   if (open === name) return tabs.get(name).tab.show?.(options);
   tabs.get(open)?.tab.hide?.();
   open = name;
@@ -224,7 +223,7 @@ function status() {
     const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
     training.hidden = now === learning && learning.state !== "running";
     training.textContent = `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
-    const guest = isGuest(state.project);
+    const guest = state.guest;
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
   };

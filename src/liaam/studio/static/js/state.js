@@ -60,6 +60,9 @@ export class State extends EventTarget {
     this._watch();
   }
 
+  /** Whether a model was dropped on the page, which then only fits. */
+  get guest() { return this.project?.model?.source === "guest"; }
+
   picture(name = this.current) {
     if (this._indexed !== this.project) {
       this._indexed = this.project;
