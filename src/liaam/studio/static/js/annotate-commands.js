@@ -15,7 +15,6 @@ export function createCommands(tab) {
   let warned = null; // picture with a warning about missing points
   let closeWarning = () => {};
 
-  /** Scroll a point into view, and announce it. */
   function reveal(index) {
     tab.sayPlace(index);
     const point = marking.points[index];
@@ -25,7 +24,6 @@ export function createCommands(tab) {
     if (x < EDGE || y < EDGE || x > w - EDGE || y > h - EDGE) viewer.panBy(w / 2 - x, h / 2 - y);
   }
 
-  /** Warn once about the open picture. */
   function warn(text) {
     warned = tab.name;
     closeWarning = app.toast(text);
@@ -165,7 +163,6 @@ export function createCommands(tab) {
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose
     },
 
-    /** Save the mean shape as it is, after asking. */
     async confirmLayout() {
       const text = `No point of ${tab.name} was moved from the mean shape. The model will be trained on these points.`;
       if (!(await app.confirm("Are the points right?", text, "Save the points", "primary"))) return;

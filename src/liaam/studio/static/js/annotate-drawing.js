@@ -2,7 +2,7 @@
 
 import { AxisGrip } from "./drafting.js";
 import { COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText } from "./drawing.js";
-import { discs, drawEllipses, inked, stroked } from "./overlays.js";
+import { discs, drawEllipses, inked, lines, stroked } from "./overlays.js";
 import { bounds, indicesOf } from "./points.js";
 
 const CLOSE = 24; // css pixels between points from which on there is room for ellipses and for points of full size
@@ -35,7 +35,6 @@ export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
     drawText(ctx, names[active], tool.pointer.at[0] + 14, tool.pointer.at[1] + 16);
 }
 
-/** Draw the box of a gesture, and the loupe. */
 export function drawGesture(ctx, viewer, tool, suggested) {
   if (viewer.isLoupe) return;
   if (tool.gesture?.box) drawBox(ctx, viewer, tool.gesture.box);
@@ -43,7 +42,6 @@ export function drawGesture(ctx, viewer, tool, suggested) {
   if (loupe) drawLoupe(ctx, viewer, loupe, tool.pointer, suggested ? COLOURS.proposed : COLOURS.placed);
 }
 
-/** Draw the template while it is edited. */
 export function drawDrafting(ctx, viewer, tool, drafting) {
   const { draft, selection, active, invisible, axis } = drafting;
   const ghost = tool.gesture?.ghost ?? draft;
@@ -58,13 +56,10 @@ export function drawDrafting(ctx, viewer, tool, drafting) {
   if (!tool.gesture) drawFrame(ctx, viewer, points, drafting.framed());
 }
 
-/** Draw the line that a click would add, from the path's last point to the pointer. */
 function drawNextLine(ctx, viewer, draft, at) {
   const last = draft.points[draft.contours[draft.path]?.indices.at(-1)];
   if (!last) return;
-  ctx.beginPath();
-  ctx.moveTo(...viewer.toScreen(last));
-  ctx.lineTo(...at);
+  lines(ctx, [[viewer.toScreen(last), at]]);
   ctx.globalAlpha = 0.7;
   inked(ctx, COLOURS.placed, 1.2, [3, 4]);
   ctx.globalAlpha = 1;

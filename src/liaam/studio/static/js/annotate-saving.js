@@ -22,7 +22,6 @@ export function createSaving(tab) {
   let deciding = false;
   const template = () => state.project?.template ?? null;
   const fetchMarks = (name) => api.get(api.url("pictures", name, "landmarks"));
-  /** Fetch the marks of a picture; null if the request fails. */
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
   const put = (name, body) => state.saveMarks(name, body, { keepalive: JSON.stringify(body).length < KEEPALIVE });
@@ -38,7 +37,6 @@ export function createSaving(tab) {
     },
   });
 
-  /** Mark a picture whose mean shape was not moved. */
   async function markUnchecked(name) {
     const { revision, points } = await fetchMarks(name);
     const body = { points: points.map(() => null), invisible: [], revision, unchecked: true };
@@ -73,7 +71,6 @@ export function createSaving(tab) {
     if (template() && template().revision === before) await rebase([name]);
   }
 
-  /** Convert unsaved marks to the current template. */
   async function rebase(names = saver.dirty, mapping = null) {
     for (const name of names) {
       await saver.entry(name).request; // it has marks of the earlier template, too

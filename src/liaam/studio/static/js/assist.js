@@ -44,7 +44,6 @@ export function unfinished({ pictures, model }) {
   return text && `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-/** That all pictures of a subfolder, or all of them, are done. */
 export const allDone = (folder) => (folder ? `All pictures of ${folder} are done.` : "All pictures are done.");
 
 /** The next picture to open: the worst other one if the list is sorted by quality, or else nextToTeach. */
@@ -67,10 +66,8 @@ export function nextToTeach(pictures, current) {
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
 }
 
-/** An uncertainty as text. Above 1 the value is meaningless. */
 const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u00a0%");
 
-/** Why this picture comes next. */
 export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
@@ -209,17 +206,14 @@ export function createAssist(app, commands) {
     failure.hidden = !text;
   }
 
-  /** Show notices; lists of several are collapsed. */
   function note(project) {
     const groups = notices(project);
-    const key = JSON.stringify(groups);
-    if (key === noted) return; // keep an opened list open
-    noted = key;
+    if (JSON.stringify(groups) === noted) return; // keep an opened list open
+    noted = JSON.stringify(groups);
     notes.hidden = !groups.length;
-    const list = (title, lines) => h("details.small", h("summary", `${title}: ${lines.length} notices`),
-      h("ul.assist-lines", lines.map((line) => h("li", line))));
-    notes.replaceChildren(
-      ...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0]) : list(title, lines))));
+    const list = (lines) => h("ul.assist-lines", lines.map((line) => h("li", line)));
+    notes.replaceChildren(...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0])
+      : h("details.small", h("summary", `${title}: ${lines.length} notices`), list(lines)))));
   }
 
   function refresh() {
@@ -234,10 +228,10 @@ export function createAssist(app, commands) {
     offered.hidden = !project.offered || model?.source !== "face";
     const runs = training?.state === "running";
     running.hidden = !runs;
-    if (training?.total) progress.value = Math.round((100 * training.done) / training.total);
+    const { total = 0, done: ready = 0, what: doing = "" } = training ?? {};
+    if (total) progress.value = Math.round((100 * ready) / total);
     else progress.removeAttribute("value");
-    const doing = training?.what || "Training";
-    what.textContent = training?.total ? `${doing} (${training.done} of ${training.total})` : `${doing}…`;
+    what.textContent = `${doing || "Training"}${total ? ` (${ready} of ${total})` : "…"}`;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
     train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
@@ -254,19 +248,17 @@ export function createAssist(app, commands) {
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const slip = here?.slip ? `Possible slip: ${here.slip}. ${SLIP}` : "";
+    const slip = here?.slip && `Possible slip: ${here.slip}. ${SLIP}`;
     const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
-    if (fault) why.textContent = fault;
-    else if (here && here.state !== "done" && here.uncertainty != null && model)
-      why.textContent = reason(here, pictures, model);
-    else if (!then) why.textContent = left || (done ? allDone(state.folder) : "");
-    else if (model) why.textContent = `Next: ${then.name}. ${reason(then, pictures, model)}`;
-    else if (done < AUTO_FIRST)
-      why.textContent = `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`;
-    else if (training?.state === "running") why.textContent = "After training, the model places points for you.";
-    else why.textContent = "Train the model to let it place points for you.";
+    const wait = done < AUTO_FIRST ? `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`
+      : training?.state === "running" ? "After training, the model places points for you."
+      : "Train the model to let it place points for you.";
+    const isOpen = here && here.state !== "done" && here.uncertainty != null && model;
+    const ended = left || (done ? allDone(state.folder) : "");
+    const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;
+    why.textContent = fault || (isOpen ? reason(here, pictures, model) : next);
   }
 
   /** Train between two pictures, when no point is being moved. */

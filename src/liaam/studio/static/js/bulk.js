@@ -21,7 +21,6 @@ const ACTIONS = {
 
 const pictures = ({ length }) => several(length, "picture");
 
-/** Message about the answer to an action. */
 export function outcome(did, { changed, refused }) {
   const reasons = Object.values(refused);
   const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
@@ -57,7 +56,6 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     h("div.row", count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
     h("div.row", choice, undo));
 
-  /** Whether landmarks may be deleted. */
   function mayDelete(names) {
     const some = names.map((name) => app.state.picture(name)).filter((one) => one?.placed || one?.state === "reading");
     const text = `The landmarks of ${pictures(some)} will be deleted. Undo brings them back.`;

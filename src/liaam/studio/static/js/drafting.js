@@ -4,7 +4,7 @@
 import { called, several } from "./annotate-words.js";
 import { COLOURS, drawText } from "./drawing.js";
 import { History } from "./history.js";
-import { filled, inked } from "./overlays.js";
+import { filled, inked, lines } from "./overlays.js";
 import { flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
 
@@ -50,7 +50,6 @@ export class Drafting {
    *  draft, so that it is undone and stored with it. */
   get layout() { return (this.started && this.draft.layout) || null; }
   get layingOut() { return this.layout !== null; }
-  /** Whether the points still lie where they were loaded. */
   get isUnmoved() {
     return this.layingOut && this.draft.points.every((p) => this.layout.points.some((q) => samePoint(p, q)));
   }
@@ -191,7 +190,6 @@ export class Drafting {
     this.say(`${what} deleted`);
   }
 
-  /** Move a point to another position in the order. */
   shift(from, to) {
     if (to < 0 || to >= this.names.length || from === to) return;
     this.apply(drafts.reorder(this.draft, from, to), "reorder");
@@ -199,7 +197,6 @@ export class Drafting {
     this.say(`${this.names[to]} is now number ${to + 1}`);
   }
 
-  /** Start or end mirroring; return whether it is on. */
   toggleMirror() {
     const on = this.axis === null;
     this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
@@ -208,7 +205,6 @@ export class Drafting {
     return on;
   }
 
-  /** Arrow keys move the axis if no point is selected. */
   shiftAxis(event) {
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (this.axis === null || !by) return false;
@@ -242,7 +238,6 @@ export class AxisGrip {
     this.at = [viewer.toScreen([x, 0])[0], Math.min(Math.max(top, 0) + 16, viewer.container.clientHeight - 16)];
   }
 
-  /** Whether a position in the picture lies under the grip. */
   isAt(xy) {
     const [x, y] = this.viewer.toScreen(xy);
     return Math.hypot(x - this.at[0], y - this.at[1]) <= GRIP_REACH;
@@ -250,9 +245,7 @@ export class AxisGrip {
 
   draw(ctx) {
     const [x, y] = this.at;
-    ctx.beginPath();
-    ctx.moveTo(x, 0);
-    ctx.lineTo(x, this.viewer.container.clientHeight);
+    lines(ctx, [[[x, 0], [x, this.viewer.container.clientHeight]]]);
     inked(ctx, COLOURS.axis, 1.5, [8, 5]);
     ctx.beginPath();
     ctx.arc(x, y, 11, 0, 2 * Math.PI);

@@ -1,8 +1,8 @@
 // Drawing of points, names, the frame with its handles, and the loupe.
 
-import { contourPath, discs, drawContours, drawPoints, filled, inked, RIM, stroked } from "./overlays.js";
+import { contourPath, discs, drawContours, drawPoints, filled, inked, lines, RIM, stroked } from "./overlays.js";
 import { frameOf } from "./gestures.js";
-import { fitInto } from "./points.js";
+import { ARROWS, fitInto } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = { placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f" };
@@ -137,11 +137,8 @@ export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   filled(ctx, "#1b2030");
   ctx.clip();
   viewer.drawAs(ctx, { scale, left: cx - scale * (xy[0] + 0.5), top: cy - scale * (xy[1] + 0.5) });
-  ctx.beginPath();
-  for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
-    ctx.moveTo(cx + 6 * dx, cy + 6 * dy);
-    ctx.lineTo(cx + 22 * dx, cy + 22 * dy);
-  }
+  const arm = (/** @type {number[]} */ [dx, dy]) => [6, 22].map((away) => [cx + away * dx, cy + away * dy]);
+  lines(ctx, Object.values(ARROWS).map(arm));
   stroked(ctx, colour, 1.4);
   ctx.restore();
   circle();

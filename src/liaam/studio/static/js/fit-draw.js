@@ -1,7 +1,7 @@
 // Drawing of fits for the tabs Fit and Compare.
 
 import { verdictOf } from "./fit-run.js";
-import { drawContours, drawEllipses, drawMesh, drawPoints, stroked } from "./overlays.js";
+import { drawContours, drawEllipses, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
 import { button, h, press } from "./ui.js";
 
 const OVERLAYS = [
@@ -34,14 +34,12 @@ export class Overlays {
     this._onchange();
   }
 
-  /** Handle a key; return whether it was handled. */
   key({ key }) {
     const overlay = OVERLAYS.find((each) => each.key === key.toUpperCase());
     if (overlay) this.toggle(overlay.name);
     return Boolean(overlay);
   }
 
-  /** Whether the model has contours to draw. */
   set hasContours(has) {
     const [contours] = this.buttons;
     contours.disabled = !has;
@@ -76,7 +74,6 @@ export function offer(select, model) {
   }
 }
 
-/** Terms and values as the entries of a <dl>. */
 export const entries = (rows) => rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
 const FAR = 1e4; // css pixels
 
@@ -102,16 +99,10 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
 
 /** Draw known landmarks as crosses, to distinguish them from a fit's points without colour. */
 export function drawTruth(ctx, viewer, points) {
-  const arm = 5;
-  ctx.beginPath();
-  for (const point of points) {
-    if (!point) continue;
+  lines(ctx, points.filter(Boolean).flatMap((point) => {
     const [x, y] = viewer.toScreen(point);
-    ctx.moveTo(x - arm, y - arm);
-    ctx.lineTo(x + arm, y + arm);
-    ctx.moveTo(x - arm, y + arm);
-    ctx.lineTo(x + arm, y - arm);
-  }
+    return [[[x - 5, y - 5], [x + 5, y + 5]], [[x - 5, y + 5], [x + 5, y - 5]]];
+  }));
   stroked(ctx, "#6df2a4", 1.6);
 }
 

@@ -1,6 +1,5 @@
 // The iterations of a fit: a slider, a play button, and a plot of the cost.
 
-import { costRuns } from "./fit-geometry.js";
 import { significant } from "./fit-run.js";
 import { button, h, icon, slider, svg } from "./ui.js";
 
@@ -35,7 +34,6 @@ export class Iterations {
 
   get last() { return this.iterations.length - 1; }
 
-  /** Show a fit's iterations, starting with the last. */
   show(iterations) {
     this.pause();
     this.iterations = iterations;
@@ -124,4 +122,26 @@ export class Iterations {
     const nearest = this._points.reduce((best, each) => (Math.abs(each.x - x) < Math.abs(best.x - x) ? each : best));
     this.step(nearest.index - this.index);
   }
+}
+
+/** Curves of a fit's cost for a plot of width x height, x being the iteration. Each level has its own scale, because
+ *  costs are comparable within a level only. */
+export function costRuns(iterations, width, height, margin = 4) {
+  const n = iterations.length;
+  const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);
+  const runs = [];
+  iterations.forEach(({ level, cost }, index) => {
+    if (runs.at(-1)?.level !== level) runs.push({ level, points: [] });
+    runs.at(-1).points.push({ index, cost });
+  });
+  for (const run of runs) {
+    const costs = run.points.map((p) => p.cost).filter(Number.isFinite);
+    const [low, high] = [Math.min(...costs), Math.max(...costs)];
+    for (const point of run.points) {
+      const relative = high > low && Number.isFinite(point.cost) ? (point.cost - low) / (high - low) : 0;
+      point.x = across(point.index);
+      point.y = height - margin - relative * (height - 2 * margin);
+    }
+  }
+  return runs;
 }

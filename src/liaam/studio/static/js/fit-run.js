@@ -2,6 +2,7 @@
 
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
+import { indicesOf } from "./points.js";
 
 const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
@@ -87,7 +88,6 @@ export function verdictOf(fit) {
   return { kind: "warn", title, advice: "Check the points. If they are wrong, draw a box around the object:", isSure };
 }
 
-/** Seconds as text: "38 ms", "1.2 s". */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return "–";
   return seconds < 1 ? `${Math.round(1000 * seconds)} ms` : `${seconds.toFixed(1)} s`;
@@ -105,7 +105,6 @@ export function significant(value, digits = 3) {
 const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
 const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
-/** Facts about a fit as rows [term, value]. */
 export function factsOf(fit) {
   const { search, fit: fitting } = fit.seconds ?? {};
   const rows = [["Quality", fit.quality == null ? "unknown" : percent(fit.quality)]];
@@ -113,6 +112,13 @@ export function factsOf(fit) {
   if (fit.theta_deg != null) rows.push(["θ", `${fit.theta_deg.toFixed(1)}°`]);
   rows.push(["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)]);
   return rows;
+}
+
+/** Mean distance between two shapes in pixels, over their common points; NaN without any. */
+export function meanDistance(first, second) {
+  const both = indicesOf(first).filter((i) => first[i] && second[i]);
+  const distances = both.map((i) => Math.hypot(first[i][0] - second[i][0], first[i][1] - second[i][1]));
+  return distances.reduce((sum, distance) => sum + distance, 0) / both.length;
 }
 
 /** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}, or

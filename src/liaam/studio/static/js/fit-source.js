@@ -58,7 +58,6 @@ export class Sources extends EventTarget {
 
   leave(tab) { this._watchers.delete(tab); }
 
-  /** Show the selected picture of the folder again after an opened file. */
   backToFolder() {
     this.current = this._wanted = null;
     this._follow();

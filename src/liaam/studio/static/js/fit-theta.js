@@ -28,7 +28,6 @@ export class InvariantView {
     this._show();
   }
 
-  /** The image to draw, or null. */
   get image() {
     if (!this._chroma || !this._dirty) return this._chroma && this.canvas;
     const range = this._held ? steadyRange(this._sample, this._radians, this._held) : this._range;
@@ -50,7 +49,6 @@ export class InvariantView {
     this._asked = null;
   }
 
-  /** Fetch the source's chroma unless it is loaded. */
   async load(source) {
     if (this._asked === source) return;
     this._asked = source;
@@ -79,7 +77,11 @@ export class InvariantView {
   /** Mark the angles of the model and the fit, in degrees. The fit's, or else the model's, is the initial value. */
   mark({ model = null, fit = null }) {
     this.marks = { model: model == null ? null : foldedTheta(model), fit: fit == null ? null : foldedTheta(fit) };
-    if (!this._chosen) this.theta = this._default;
+    this._use(this._chosen ? this.theta : this._default, this._chosen);
+  }
+
+  _use(theta, chosen = false) {
+    Object.assign(this, { theta, _chosen: chosen });
     this._show();
     this._adaptContrast();
   }
@@ -127,12 +129,7 @@ export class InvariantView {
     this._note = h("span.small.muted");
     const reset = button("Reset", {
       small: true, testid: "theta-reset", title: "Reset to the angle of the fit or the model",
-      onclick: () => {
-        this.theta = this._default;
-        this._chosen = false;
-        this._show();
-        this._adaptContrast();
-      },
+      onclick: () => this._use(this._default),
     });
     const choices = [{ value: "grey", label: "Grey" }, { value: "viridis", label: "Viridis" }];
     const colours = segmented("Colours", choices, this.colours, (value) => {
@@ -150,9 +147,8 @@ export class InvariantView {
     this._text.textContent = `${this.theta.toFixed(1)}°`;
     this._slider.setAttribute("aria-valuetext", `${this.theta.toFixed(1)} degrees`);
     const { model, fit } = this.marks;
-    const key = `${model}|${fit}`;
-    if (this._marked === key) return;
-    this._marked = key;
+    if (this._marked === this.marks) return;
+    this._marked = this.marks;
     const mark = (name, at) => h("span.mark", { class: name, title: name, style: `--at: ${at / 180}` }, name);
     const [from, to] = PHYSICAL.map((degrees) => degrees / 180);
     const isApart = fit != null && (model == null || Math.abs(fit - model) > 0.05);

@@ -39,7 +39,6 @@ export function sampleChroma({ width, values }, limit = SAMPLED) {
   return { red: Float32Array.from(red), green: Float32Array.from(green) };
 }
 
-/** Fraction of usable pixels, 0 to 1. */
 export function measurable({ values }) {
   let count = 0;
   for (let i = 0; i < values.length; i += 2) if (values[i] !== MASKED) count += 1;
@@ -94,7 +93,6 @@ const VIRIDIS = [
   [110, 206, 88], [181, 222, 43], [253, 231, 37],
 ];
 
-/** 256 colours between anchors, as 32-bit pixels. */
 function colourTable(anchors) {
   return Uint32Array.from({ length: 256 }, (_, level) => {
     const at = (level / 255) * (anchors.length - 1);

@@ -34,10 +34,8 @@ class Look extends EventTarget {
 
   get isNeutral() { return Object.values(this.values).every((value) => value === 0); }
 
-  /** The filter for drawing a picture on a canvas. */
   get filter() { return this.isNeutral ? "none" : "url(#look)"; }
 
-  /** Update the filter, which is an SVG element of the page. */
   _paint() {
     const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
     if (!this._curves) {
@@ -56,7 +54,6 @@ class Look extends EventTarget {
     show();
   }
 
-  /** A button that opens the sliders. */
   control() {
     const rows = Object.entries(LABELS).map(([name, label]) => {
       const input = slider({

@@ -6,7 +6,6 @@ export const SHOWN_SIZE = 2048; // longest side at first
 const SHARP_SIZE = 8192; // longest side after zooming in
 const KEPT = 4;
 
-/** Fetch a picture of the server as a bitmap. */
 export async function bitmapOf(address) {
   const blob = await api.blob(address);
   return createImageBitmap(blob).catch(() => {

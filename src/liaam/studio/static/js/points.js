@@ -197,7 +197,6 @@ export function toggle(indices, changed) {
 export const samePoint = (p, q) => p === q || (isPlaced(p) && isPlaced(q) && p[0] === q[0] && p[1] === q[1]);
 export const samePoints = (p, q) => p.length === q.length && p.every((point, i) => samePoint(point, q[i]));
 
-/** Whether two scale bars, or none, are the same. */
 export const sameBar = (one, other) => JSON.stringify(one ?? null) === JSON.stringify(other ?? null);
 
 /** Whether two contents of a landmark file are equal up to rounding in the file. */

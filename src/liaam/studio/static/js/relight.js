@@ -1,7 +1,6 @@
 // Lamps that are moved over the object in the picture, and the relit picture.
 
-import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
-import { bounds, middleOf } from "./points.js";
+import { ARROWS, bounds, middleOf } from "./points.js";
 import { button, grip, h, menu, slider } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
@@ -12,12 +11,40 @@ const LEAST = 120; // css pixels of its diameter
 const EDGE = 20; // css pixels between a lamp and the border of the view, if there is room
 const MOST = 8; // lamps that the server takes
 
-/** Sliders of a lamp, and of all light. */
 const SLIDERS = [
   { key: "strength", label: "Strength", max: "3", what: "Strength of the lamp" },
   { key: "softness", label: "Softness", max: "1", what: "Softness of the lamp: a large lamp wraps around the object" },
   { key: "ambient", label: "Ambient", max: "1", what: "Ambient light: from all directions" },
 ];
+
+/** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
+const RIM = Math.sin((85 * Math.PI) / 180);
+
+/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a ball of radius 1. @param {number[]} place */
+export function directionAt([x, y]) {
+  const r = Math.hypot(x, y);
+  if (r > RIM) [x, y] = [(x * RIM) / r, (y * RIM) / r];
+  return [x, y, Math.sqrt(Math.max(0, 1 - x * x - y * y))];
+}
+
+/** Direction after an arrow key; null for other keys. */
+export function directionAfterKey(direction, { key, shiftKey = false }) {
+  const step = shiftKey ? 0.15 : 0.04;
+  const move = ARROWS[key];
+  if (key === "Home") return [0, 0, 1];
+  if (!move) return null;
+  return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]]);
+}
+
+/** Direction in words: "from the upper left, 42° off the view". @param {number[]} direction */
+export function directionInWords([x, y, z]) {
+  const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
+  if (angle < 5) return "from the front";
+  const vertical = y < -0.38 * Math.hypot(x, y) ? "upper " : y > 0.38 * Math.hypot(x, y) ? "lower " : "";
+  const horizontal = x < -0.38 * Math.hypot(x, y) ? "left" : x > 0.38 * Math.hypot(x, y) ? "right" : "";
+  const side = `${vertical}${horizontal}`.trim();
+  return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° off the view`;
+}
 
 /** A lamp at [x, y] over the object, from -1 to 1. */
 function lampAt([x, y], colour = "#ffffff", strength = 1, softness = 0) {
@@ -37,7 +64,6 @@ export const PRESETS = {
   Overcast: { lamps: [lampAt([0, -0.6], "#f2f6ff", 1, 1)], ambient: 0.5 },
 };
 
-/** Red, green and blue of "#rrggbb", 0 to 1. */
 const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
 
 /** Lights for the computation in the browser: {lamps: [{direction, channels: linear light, softness}], ambient}. */
@@ -57,40 +83,34 @@ export function lightQuery({ lamps, ambient }, size) {
 
 /** A lamp on a picture: its direction, as a place over a ball around the object. The parent element is as large as the
  *  ball, or `middle` says where in it the ball is. onmove(direction); further attributes are those of the element. */
-export class LampHandle {
-  direction = [0, 0, 1];
+export function lampHandle({ onmove, middle = [0.5, 0.5], ...attributes }) {
+  const [u, v] = middle;
+  let direction = [0, 0, 1];
+  const element = grip("div.lamp", {
+    "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
+    onkey: key, onmove: (event) => onmove(at(event)), ...attributes,
+  });
 
-  constructor({ onmove, middle = [0.5, 0.5], ...attributes }) {
-    this.middle = middle;
-    this._onmove = onmove;
-    this.element = grip("div.lamp", {
-      "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
-      onkey: (event) => this.key(event), onmove: (event) => onmove(this.at(event)), ...attributes,
-    });
-  }
-
-  /** Direction to a place on the page. */
-  at({ clientX, clientY }) {
-    const { left, top, width, height } = this.element.parentElement.getBoundingClientRect();
-    const [u, v] = this.middle;
+  function at({ clientX, clientY }) {
+    const { left, top, width, height } = element.parentElement.getBoundingClientRect();
     return directionAt([(2 * (clientX - left)) / width - 2 * u, (2 * (clientY - top)) / height - 2 * v]);
   }
 
-  show(direction) {
-    this.direction = direction;
-    const [x, y, z] = direction;
-    this.element.style.left = `${100 * (this.middle[0] + x / 2)}%`;
-    this.element.style.top = `${100 * (this.middle[1] + y / 2)}%`;
-    this.element.setAttribute("aria-valuetext", directionInWords(direction));
-    this.element.setAttribute("aria-valuenow", String(Math.round((Math.acos(Math.min(z, 1)) * 180) / Math.PI)));
+  function show(to) {
+    direction = to;
+    const [x, y, z] = to;
+    element.style.left = `${100 * (u + x / 2)}%`;
+    element.style.top = `${100 * (v + y / 2)}%`;
+    element.setAttribute("aria-valuetext", directionInWords(to));
+    element.setAttribute("aria-valuenow", String(Math.round((Math.acos(Math.min(z, 1)) * 180) / Math.PI)));
   }
 
-  /** Move by an arrow key; return whether it was one. */
-  key(event) {
-    const next = directionAfterKey(this.direction, event);
-    if (next) this._onmove(next);
+  function key(event) {
+    const next = directionAfterKey(direction, event);
+    if (next) onmove(next);
     return next !== null;
   }
+  return { element, at, show, key };
 }
 
 /** The lamps over the picture, in `stage`, and the panel with their values. Event: "change". */
@@ -171,7 +191,7 @@ export class Light extends EventTarget {
   }
 
   _handle() {
-    const handle = new LampHandle({
+    const handle = lampHandle({
       class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp",
       onmove: (direction) => this._edit("direction", direction),
       onfocus: () => {

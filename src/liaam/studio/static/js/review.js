@@ -14,7 +14,6 @@ const DID = {
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", measure: "Measurements (.csv)…" };
 export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
 
-/** What the newest bar of the chart means. */
 export function accuracyText(versions) {
   const { held_out: count } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
@@ -92,7 +91,6 @@ const KINDS = { 2: "distance", 3: "angle" }; // of so many selected points; more
 /** The measure of points with indices from 0, as liaam measure takes it. */
 const measureOf = (indices) => `${KINDS[indices.length] ?? "area"}:${indices.map((i) => i + 1).join("-")}`;
 
-/** Ask what to measure, and save the table. */
 export async function measureAll({ api, state, selection }) {
   const key = `liaam-studio:measures:${state.project.id}`;
   const [known = "", scaled = ""] = JSON.parse(localStorage.getItem(key) ?? "[]");

@@ -59,7 +59,6 @@ export class RoughLight {
     ctx.drawImage(this._layer, ...this._box);
   }
 
-  /** Write the factors of stored values. */
   _compute(lamps, ambient) {
     const { _n: n, _x: x, _y: y, _z: z, _share: share, _light: light, _frontal: frontal } = this;
     const [darker, brighter, sums] = [this._darker.data, this._brighter.data, { frontal: 0, light: 0 }];

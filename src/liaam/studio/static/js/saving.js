@@ -60,7 +60,6 @@ export class Saver {
     return this.entries.get(name);
   }
 
-  /** Record the server's current content. */
   known(name, revision, content, size = null) {
     const entry = this.entry(name);
     entry.revision = revision;
@@ -74,7 +73,6 @@ export class Saver {
     return entry?.wanted ?? entry?.sent ?? null;
   }
 
-  /** Whether a picture has unsaved content. */
   isDirty(name) { return this.pending(name) !== null; }
 
   /** Whether the unsaved content of a picture belongs to an earlier template. */
@@ -82,10 +80,8 @@ export class Saver {
     return this.isDirty(name) && this.entry(name).template?.revision !== this.template()?.revision;
   }
 
-  /** Names of all pictures with unsaved content. */
   get dirty() { return [...this.entries.keys()].filter((name) => this.isDirty(name)); }
 
-  /** A picture with an unresolved conflict, or null. */
   get conflicted() { return [...this.entries].find(([, entry]) => entry.state === "conflict")?.[0] ?? null; }
 
   change(name, content) {
@@ -129,7 +125,6 @@ export class Saver {
     this.options.onConflict(name, current);
   }
 
-  /** There is nothing to save any more. */
   settle(name, entry) {
     this.unsaved.delete(name);
     this.mark(entry, "saved");

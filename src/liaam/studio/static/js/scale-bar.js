@@ -2,7 +2,7 @@
 // gestures edit (see gestures.js) while it is drawn; after that it is part of the marks.
 
 import { COLOURS, drawText } from "./drawing.js";
-import { inked } from "./overlays.js";
+import { inked, lines } from "./overlays.js";
 import { rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
 
@@ -95,7 +95,6 @@ export class ScaleBar {
     if (answer === "share") this.onshare(bar, anyway);
   }
 
-  /** Ask for the length; resolves to the answer and {length, unit}. */
   async ask(bar, more = []) {
     const length = h("input.text", {
       type: "number", step: "any", value: String(bar.length), testid: "scale-length", "aria-label": "Length",
@@ -123,13 +122,8 @@ export class ScaleBar {
     const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
     const away = Math.hypot(x1 - x0, y1 - y0) || 1;
     const [nx, ny] = [(TICK * (y1 - y0)) / away, (TICK * (x0 - x1)) / away];
-    ctx.beginPath();
-    for (const [x, y] of ends) {
-      ctx.moveTo(x - (nx || (ny ? 0 : TICK)), y - ny);
-      ctx.lineTo(x + (nx || (ny ? 0 : TICK)), y + ny);
-    }
-    ctx.moveTo(x0, y0);
-    ctx.lineTo(x1, y1);
+    const across = nx || (ny ? 0 : TICK); // a single end is a tick
+    lines(ctx, [...ends.map(([x, y]) => [[x - across, y - ny], [x + across, y + ny]]), [[x0, y0], [x1, y1]]]);
     inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
     inked(ctx, COLOURS.placed, 2);
     if (this.on || !this.bar) return;
