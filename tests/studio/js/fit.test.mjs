@@ -14,7 +14,7 @@ import { FrameMeter } from "./modules/ui.js";
 import { useAsAnnotation } from "./modules/fit-export.js";
 import { Sources } from "./modules/fit-source.js";
 import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
-import * as inv from "./modules/invariant.js";
+import * as inv from "./modules/fit-theta.js";
 import { directionAfterKey, directionAt, directionInWords, lightQuery, PRESETS } from "./modules/relight.js";
 import { State } from "./modules/state.js";
 

@@ -131,7 +131,7 @@ interface App {
   /** Indices of the selected points of the open picture. */
   selection(): number[];
   showsPictures(): boolean;
-  pictures: import("../../../src/liaam/studio/static/js/picture-store.js").PictureStore;
+  pictures: import("../../../src/liaam/studio/static/js/fit-source.js").PictureStore;
   /** The picture to fit and the fits, shared by the tabs Fit and Compare. */
   sources: import("../../../src/liaam/studio/static/js/fit-source.js").Sources;
   fits: import("../../../src/liaam/studio/static/js/fit-run.js").FitStore;

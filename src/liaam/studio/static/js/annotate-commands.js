@@ -29,20 +29,14 @@ export function createCommands(tab) {
     closeWarning = app.toast(text);
   }
 
-  /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
-  async function leaveUnchecked() {
+  /** Go on once work(name) has marked the picture as it is; false: it has not. */
+  async function goOnAfter(work) {
     const { name } = tab;
-    if (warned !== name) return warn(UNTOUCHED);
-    await tab.saving.markUnchecked(name);
-    if (tab.name === name) goNext();
+    if ((await work(name)) !== false && tab.name === name) goNext();
   }
 
-  /** Go on from points that look wrong, and were left as they are: the person has checked them. */
-  async function passSlip() {
-    const { name } = tab;
-    const checked = await act(app, "checked", [name]);
-    if (checked.length && tab.name === name) goNext();
-  }
+  /** The person has checked points that look wrong, and were left as they are. */
+  const passSlip = async (name) => (await act(app, "checked", [name])).length > 0;
 
   async function goNext() {
     const { name, saver } = tab;
@@ -154,11 +148,12 @@ export function createCommands(tab) {
 
     accept() {
       if (!commands.marks) return commands.skip(); // there is nothing to accept
-      if (marking.state.source === "layout") return void leaveUnchecked();
+      if (marking.state.source === "layout") // left as it is
+        return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));
       marking.accept();
       const left = marking.missing;
       const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
-      if (!left.length || warned === tab.name) return void (isSlip ? passSlip() : goNext());
+      if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext());
       marking.select([left[0]]);
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose
     },

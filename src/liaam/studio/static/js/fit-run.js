@@ -22,24 +22,17 @@ export class FitStore {
   async run(source, method, start = null) {
     const key = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
     const changes = this.#changes;
-    const fit = cleaned(await this.#ask(source, method, start));
-    if (changes === this.#changes) this.#keep(key, fit);
-    return fit;
-  }
-
-  async #ask(source, method, start) {
     await source.ready;
-    const { fit } = source; // with the upload
+    const { fit: own } = source; // with the upload
     source.fit = null;
-    if (fit?.method === method && !start) return fit;
     const asked = { ...source.reference, method, start };
-    return this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder }));
-  }
-
-  #keep(key, fit) {
+    const fit = cleaned(own?.method === method && !start ? own
+      : await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
+    if (changes !== this.#changes) return fit;
     this.#kept.delete(key);
     this.#kept.set(key, fit);
     if (this.#kept.size > KEPT) this.#kept.delete(this.#kept.keys().next().value);
+    return fit;
   }
 
   /** The newest fit of a source with a method and the current model, or null. */
@@ -107,11 +100,12 @@ const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${sh
 
 export function factsOf(fit) {
   const { search, fit: fitting } = fit.seconds ?? {};
-  const rows = [["Quality", fit.quality == null ? "unknown" : percent(fit.quality)]];
-  if (fit.error) rows.push(["Error", errorText(fit)]);
-  if (fit.theta_deg != null) rows.push(["θ", `${fit.theta_deg.toFixed(1)}°`]);
-  rows.push(["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)]);
-  return rows;
+  return [
+    ["Quality", fit.quality == null ? "unknown" : percent(fit.quality)],
+    fit.error && ["Error", errorText(fit)],
+    fit.theta_deg != null && ["θ", `${fit.theta_deg.toFixed(1)}°`],
+    ["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)],
+  ].filter(Boolean);
 }
 
 /** Mean distance between two shapes in pixels, over their common points; NaN without any. */

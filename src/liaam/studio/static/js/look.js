@@ -17,6 +17,7 @@ export function shownValue(value, { brightness, contrast, gamma }) {
 class Look extends EventTarget {
   values = NEUTRAL;
   version = 0; // of what is drawn
+  _holder = null; // of the filter, which is an SVG element of the page
 
   /** Use the values that were kept for a folder. */
   open(folder) {
@@ -38,15 +39,10 @@ class Look extends EventTarget {
 
   _paint() {
     const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
-    if (!this._curves) {
-      const holder = h("div.visually-hidden", { "aria-hidden": "true" });
-      const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table"/>`).join("");
-      const filter = `<filter id="look" color-interpolation-filters="sRGB">`;
-      holder.innerHTML = `<svg>${filter}<feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
-      this._curves = [...holder.querySelector("feComponentTransfer").children];
-      document.body.append(holder);
-    }
-    for (const curve of this._curves) curve.setAttribute("tableValues", table);
+    const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table" tableValues="${table}"/>`).join("");
+    this._holder ??= document.body.appendChild(h("div.visually-hidden", { "aria-hidden": "true" }));
+    this._holder.innerHTML = `<svg><filter id="look" color-interpolation-filters="sRGB">
+      <feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
   }
 
   _follow(show) {

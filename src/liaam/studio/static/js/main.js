@@ -3,10 +3,9 @@
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
 import { FitStore } from "./fit-run.js";
-import { Sources } from "./fit-source.js";
+import { PictureStore, Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
-import { PictureStore } from "./picture-store.js";
 import { nameIn, opened, remember, State, tabIn } from "./state.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";

@@ -199,14 +199,11 @@ export class State extends EventTarget {
       if (source.readyState === EventSource.CLOSED) setTimeout(() => this._follow(), 2000);
     });
     source.addEventListener("project", () => this.refresh().catch(() => {}));
-    source.addEventListener("training", (event) => {
-      this.project.training = JSON.parse(event.data);
-      this._say("training", this.project.training);
-    });
-    source.addEventListener("fitting", (event) => {
-      this.project.fitting = JSON.parse(event.data);
-      this._say("fitting");
-    });
+    for (const work of ["training", "fitting"])
+      source.addEventListener(work, (/** @type {any} */ { data }) => {
+        this.project[work] = JSON.parse(data);
+        this._say(work, this.project[work]);
+      });
     source.addEventListener("landmarks", (event) => {
       for (const each of [JSON.parse(event.data)].flat()) this._say("landmarks", each);
     });

@@ -147,9 +147,8 @@ export function mountStrip(root, app) {
 
   const leftOut = () => state.project.model?.left_out ?? {};
 
-  function make(picture) {
+  function make(picture, why) {
     const { name, tag, rank, error, checked, slip, quality } = picture;
-    const why = filters.whyLeftOut(picture, leftOut());
     const what = filters.describe(picture, leftOut()) + (quality == null ? "" : `, ${Math.round(100 * quality)} %`);
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
@@ -175,7 +174,7 @@ export function mountStrip(root, app) {
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
-    items.set(name, { element: make(picture), key });
+    items.set(name, { element: make(picture, why), key });
     return items.get(name).element;
   }
 
