@@ -55,7 +55,6 @@ export function createCommands(tab) {
     app.toast(left || `${allDone(state.folder)} Open Fit to try the model.`, left ? "info" : "good");
   }
 
-  /** Change the selected points that are placed, and say what work() returns. */
   function toChosen(work) {
     const chosen = marking.chosenPlaced;
     if (chosen.length) say(`${called(marking.names, chosen)} ${work()}`);

@@ -1,6 +1,6 @@
 // Drawings of the Annotate tab over the open picture.
 
-import { AxisGrip } from "./drafting.js";
+import { drawAxis } from "./drafting.js";
 import { COLOURS, drawBox, drawFrame, drawLoupe, drawMarks, drawNames, drawPaths, drawText } from "./drawing.js";
 import { discs, drawEllipses, inked, lines, stroked } from "./overlays.js";
 import { bounds, indicesOf } from "./points.js";
@@ -46,7 +46,7 @@ export function drawDrafting(ctx, viewer, tool, drafting) {
   const { draft, selection, active, invisible, axis } = drafting;
   const ghost = tool.gesture?.ghost ?? draft;
   const points = tool.gesture?.ghost ? ghost.points : drafting.points;
-  if (axis !== null) new AxisGrip(viewer, axis).draw(ctx);
+  if (axis !== null) drawAxis(ctx, viewer, axis);
   drawPaths(ctx, viewer, points, ghost.contours, false);
   if (ghost.path >= 0 && !viewer.isLoupe && !tool.gesture && tool.pointer && tool.hovered < 0 && drafting.placing)
     drawNextLine(ctx, viewer, draft, tool.pointer.at);

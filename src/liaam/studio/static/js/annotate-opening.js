@@ -203,7 +203,6 @@ export class FirstMarks {
   }
 }
 
-/** A message in place of a picture that cannot be shown: an icon, a title and a remedy. */
 export class Cover {
   element = h("div.annotate-cover", { hidden: true });
 

@@ -94,7 +94,6 @@ export function createSaving(tab) {
     return null;
   }
 
-  /** Save the marks that an earlier page could not save. */
   async function sendKept() {
     for (const name of saver.unsaved.names()) {
       if (!state.picture(name) || !template() || saver.isDirty(name)) continue;

@@ -3,7 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { measureAll } from "./review.js";
 import { openIn } from "./strip-filters.js";
-import { button, dialog, h, icon } from "./ui.js";
+import { button, dialog, h, icon, listOf } from "./ui.js";
 
 const LEAST = 3; // pictures needed for training
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
@@ -54,8 +54,7 @@ export function nextOf(state, pictures) {
   return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
 }
 
-/** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are
- *  done. */
+/** The picture that helps the model most: by rank, then by position after `current`; null if all are done. */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
@@ -106,8 +105,7 @@ export function mismatch({ model, template }) {
   return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
-/** Create the panel: {element, notes: a panel of notices, sure: the button that says that the mean shape is right,
- *  left(): a picture was left}. @param {App} app */
+/** {element, notes: of notices, sure: button for a right mean shape, left(): a picture was left}. @param {App} app */
 export function createAssist(app, commands) {
   const { api, state } = app;
   let failedAt = null;
@@ -164,10 +162,10 @@ export function createAssist(app, commands) {
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
-    const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`));
+    const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => `${name}: ${slip}`);
     const advice = h("p.small.muted", "Show “Possible slips” in the list for all. Pictures marked as checked are left out.");
     const title = `Points of ${several(wrong.length, "picture")} may be wrong`;
-    const answer = await dialog(title, h("div", h("ul.assist-lines", lines), advice), [
+    const answer = await dialog(title, h("div", listOf(lines), advice), [
       { label: "Train anyway", value: "train" },
       { label: "Look at them", kind: "primary", value: "look", testid: "look-at-slips" },
     ]);
@@ -211,9 +209,8 @@ export function createAssist(app, commands) {
     if (JSON.stringify(groups) === noted) return; // keep an opened list open
     noted = JSON.stringify(groups);
     notes.hidden = !groups.length;
-    const list = (lines) => h("ul.assist-lines", lines.map((line) => h("li", line)));
     notes.replaceChildren(...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0])
-      : h("details.small", h("summary", `${title}: ${lines.length} notices`), list(lines)))));
+      : h("details.small", h("summary", `${title}: ${lines.length} notices`), listOf(lines)))));
   }
 
   function refresh() {

@@ -39,8 +39,7 @@ export async function act({ state, api, toast, saved }, did, names, { more = {},
   return answer.changed;
 }
 
-/** The bar of actions; chosen() -> names; onall(): choose all that are shown; onend(): end the selection; ondone():
- *  after an action. */
+/** The bar of actions; chosen() -> names; onall(): choose all; onend(): end the selection; ondone(): after an action. */
 export function createBulk({ app, chosen, onall, onend, ondone }) {
   let last = null; // {did, names} to undo
   const count = h("span.small.grow", { "aria-live": "polite" });

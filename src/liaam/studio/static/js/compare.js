@@ -19,7 +19,10 @@ class Side {
   constructor(tab, name, method) {
     const options = tab.state.project.methods.map(({ name: value, summary: title }) => h("option", { value, title }, value));
     this.select = h("select.text", {
-      "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => tab.fitAnew(this),
+      "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => {
+        this.take(null);
+        tab.run();
+      },
     }, options);
     this.select.value = method;
     this.badge = h("span.badge", { hidden: true });
@@ -71,7 +74,6 @@ class Side {
     return run === this._run;
   }
 
-  /** Drop a running fit and the result. */
   reset() {
     this._run += 1;
     this.take(null);
@@ -134,20 +136,10 @@ export class Tab extends SourceTab {
   }
 
   swap() {
-    const others = this.sides.map(({ method, fit }) => ({ method, fit })).reverse();
-    for (const side of this.sides) {
-      const { method, fit } = others.shift();
-      side.reset();
-      side.select.value = method;
-      side.take(fit);
-    }
-    this._verdict();
-  }
-
-  /** Fit with another method on a side. */
-  async fitAnew(side) {
-    side.take(null);
-    if (this._works && (await side.run(this.app.fits, this.sources.current))) this._verdict();
+    const [a, b] = this.sides;
+    [a.select.value, b.select.value] = [b.method, a.method];
+    for (const side of this.sides) side.reset();
+    this.run();
   }
 
   _another(source) {

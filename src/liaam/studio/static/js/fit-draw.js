@@ -48,15 +48,6 @@ export class Overlays {
   }
 }
 
-/** A button whose label is hidden if there is little room. */
-export function roomy(element) {
-  const label = element.lastChild;
-  element.setAttribute("aria-label", label.textContent);
-  label.replaceWith(h("span.fit-roomy", label.textContent));
-  return element;
-}
-
-/** Message without a model, with a button to the Annotate tab. */
 export function modelNeeded(app, testid = null) {
   const how = "Place points on a few pictures and train one, or drop a model file (.liaam) on the page.";
   return [
@@ -85,9 +76,8 @@ const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
   const { colour, dash } = verdictOf(fit).isSure ? GOOD : UNSURE;
   const draw = (name, work) => {
-    if (!shown.has(name)) return;
     ctx.globalAlpha = opacity[name] ?? 1;
-    work();
+    if (shown.has(name)) work();
     ctx.globalAlpha = 1;
   };
   draw("mesh", () => drawMesh(ctx, viewer, shape, fit.triangles));

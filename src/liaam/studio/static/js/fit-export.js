@@ -1,7 +1,6 @@
 // Export of a fit to files, or as landmarks of the folder.
 
 import { api } from "./api.js";
-import { roomy } from "./fit-draw.js";
 import { lightQuery } from "./relight.js";
 import { button, h, saveFile } from "./ui.js";
 
@@ -32,9 +31,9 @@ export class ExportMenu {
       popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
       ontoggle: ({ newState }) => newState === "open" && this.panel.querySelector("a").focus(),
     }, groups, h("div.fit-menu-group", this._annotate));
-    this.button = roomy(button("Export", {
-      icon: "download", small: true, disabled: true, testid: "export-menu", popoverTargetElement: this.panel,
-    }));
+    this.button = button("Export", {
+      icon: "download", kind: "roomy", small: true, disabled: true, testid: "export-menu", popoverTargetElement: this.panel,
+    });
     const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
     this.element = h("div", { onfocusout }, this.button, this.panel);
   }
@@ -63,7 +62,6 @@ export class ExportMenu {
     this.close();
   }
 
-  /** Put the menu below its button, with the files of the fit under the current light. */
   _place() {
     const { right, bottom } = this.button.getBoundingClientRect();
     Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });

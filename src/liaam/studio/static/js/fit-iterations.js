@@ -61,22 +61,18 @@ export class Iterations {
     if (this._timer) return this.pause();
     if (this.iterations.length < 2) return;
     if (this.index === this.last) this._go(0);
-    this._timer = setInterval(() => {
+    this.pause(setInterval(() => {
       this._go(this.index + 1);
       if (this.index === this.last) this.pause();
-    }, STEP);
-    this._face(true);
+    }, STEP));
   }
 
-  pause() {
+  /** Pause, or play by a timer. */
+  pause(timer = null) {
     clearInterval(this._timer);
-    this._timer = null;
-    this._face(false);
-  }
-
-  _face(playing) {
-    this.player.replaceChildren(icon(playing ? "pause" : "play"));
-    this.player.setAttribute("aria-label", playing ? "Pause" : "Play the iterations");
+    this._timer = timer;
+    this.player.replaceChildren(icon(timer ? "pause" : "play"));
+    this.player.setAttribute("aria-label", timer ? "Pause" : "Play the iterations");
   }
 
   _draw() {
@@ -124,8 +120,7 @@ export class Iterations {
   }
 }
 
-/** Curves of a fit's cost for a plot of width x height, x being the iteration. Each level has its own scale, because
- *  costs are comparable within a level only. */
+/** Curves of the cost by iteration, for a plot of a size. Costs are comparable within a level only, so each has a scale. */
 export function costRuns(iterations, width, height, margin = 4) {
   const n = iterations.length;
   const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);

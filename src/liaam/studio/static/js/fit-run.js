@@ -2,7 +2,7 @@
 
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
-import { indicesOf } from "./points.js";
+import { distance, indicesOf } from "./points.js";
 
 const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
@@ -111,8 +111,7 @@ export function factsOf(fit) {
 /** Mean distance between two shapes in pixels, over their common points; NaN without any. */
 export function meanDistance(first, second) {
   const both = indicesOf(first).filter((i) => first[i] && second[i]);
-  const distances = both.map((i) => Math.hypot(first[i][0] - second[i][0], first[i][1] - second[i][1]));
-  return distances.reduce((sum, distance) => sum + distance, 0) / both.length;
+  return both.reduce((sum, i) => sum + distance(first[i], second[i]), 0) / both.length;
 }
 
 /** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}, or

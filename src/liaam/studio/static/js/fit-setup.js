@@ -104,7 +104,6 @@ export function guestPanel({ state, openTab }) {
   return { element, show };
 }
 
-/** The result of a fit, and remedies if it failed or has low confidence. */
 export class ResultPanel {
   /** @param {import("./fit.js").Tab} tab */
   constructor(tab) {
@@ -129,7 +128,6 @@ export class ResultPanel {
     this._facts.replaceChildren();
   }
 
-  /** several: whether the picture shows several objects. */
   show(fit, several = false) {
     this.element.hidden = false;
     const { kind, title, advice } = verdictOf(fit);

@@ -149,7 +149,6 @@ export class Sources extends EventTarget {
     }
   }
 
-  /** Open a file: show it at once and upload it. */
   async take(file) {
     const source = new Source(file.name || "pasted picture.png");
     const limit = this.state.project.limits.upload_bytes;

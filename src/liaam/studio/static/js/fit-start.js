@@ -113,8 +113,7 @@ export class BoxTool {
   }
 }
 
-/** The mean shape: dragged, and scaled and rotated by the handles of its frame. It is a document that gestures edit
- *  (see gestures.js). */
+/** The mean shape: a document that gestures edit (see gestures.js) by its frame. */
 export class MeanTool {
   fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
 

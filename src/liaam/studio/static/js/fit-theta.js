@@ -33,14 +33,10 @@ export function sampleChroma({ width, values }, limit = SAMPLED) {
   let stride = Math.max(1, Math.floor(n / limit));
   // A stride with a common factor with the width would sample a few columns only.
   while (commonDivisor(width, stride) > 1) stride += 1;
-  const red = [];
-  const green = [];
-  for (let i = 0; i < n; i += stride) {
-    if (values[2 * i] === MASKED) continue;
-    red.push(values[2 * i] / STEPS);
-    green.push(values[2 * i + 1] / STEPS);
-  }
-  return { red: Float32Array.from(red), green: Float32Array.from(green) };
+  const spaced = Array.from({ length: Math.ceil(n / stride) }, (_, i) => 2 * i * stride);
+  const usable = spaced.filter((at) => values[at] !== MASKED);
+  const channel = (c) => Float32Array.from(usable, (at) => values[at + c] / STEPS);
+  return { red: channel(0), green: channel(1) };
 }
 
 export function measurable({ values }) {
@@ -62,12 +58,10 @@ export function robustRange({ red, green }, theta) {
   return { centre: (low + high) / 2, half: Math.max((high - low) / 2, LEAST_HALF) };
 }
 
-/** Range while theta is dragged: the contrast stays as at the start of the drag, and only the centre follows. So
- *  nothing flickers, and an edge fades because the light cancels, not because the contrast changes. */
+/** Range while theta is dragged: the contrast stays, so that an edge fades only because the light cancels. */
 export const steadyRange = (sample, theta, held) => ({ centre: robustRange(sample, theta).centre, half: held.half });
 
-/** Write the colours of the invariant image into the 32-bit pixels of an ImageData. Unusable pixels are hatched, to
- *  distinguish them from dark ones. */
+/** Write the colours of the invariant image into 32-bit pixels. Unusable ones are hatched, unlike dark ones. */
 export function paintInvariant({ width, height, values }, theta, { centre, half }, colours, out) {
   const gain = 128 / (half * STEPS);
   const c = Math.cos(theta) * gain;

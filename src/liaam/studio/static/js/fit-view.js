@@ -2,7 +2,7 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
+import { drawFit, drawOver, Overlays } from "./fit-draw.js";
 import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
@@ -56,10 +56,10 @@ export class FitView {
     const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
     this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
     this.chooser = this._choice.element;
-    this.splitter = roomy(button("Before | after", {
-      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
+    this.splitter = button("Before | after", {
+      icon: "compare", kind: "roomy", small: true, pressed: false, shortcut: "S", testid: "fit-split",
       title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
-    }));
+    });
     this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
     this.layers = this._layers();
     this._hint = h("p.small.muted.fit-hint");
@@ -159,13 +159,10 @@ export class FitView {
       if (this.fit !== fit) return;
       this._images.set(layer, image);
       this._scales.set(layer, scale);
-      this._dress();
+      this._changed();
     } catch (error) {
-      if (this.fit !== fit) return;
-      this._images.delete(layer);
+      if (this.fit === fit) this._images.delete(layer);
       this._failed(layer, error, fit);
-    } finally {
-      this.viewer.redraw();
     }
   }
 
@@ -175,11 +172,6 @@ export class FitView {
     if (fit && error.status === 404) return this._tab.forgotten(fit);
     this._faults.set(name, error.message);
     return this._changed();
-  }
-
-  _changed() {
-    this._dress();
-    this.viewer.redraw();
   }
 
   /** Show the object under the lamps: what the browser can compute at once, and the exact picture when they rest. */
@@ -254,7 +246,8 @@ export class FitView {
     if (this.name !== "picture") this._setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
-  _dress() {
+  /** Show the view and its controls. */
+  _changed() {
     const view = VIEWS.find(({ name }) => name === this.name);
     const why = this._why(this.name);
     for (const each of this._choice.element.children)
@@ -265,14 +258,15 @@ export class FitView {
     this._layerText.textContent = `${Math.round(100 * this.opacity[this.name])} %`;
     this.invariant.controls.hidden = this.name !== "invariant" || Boolean(why);
     this._hint.textContent = this.source ? why || view.hint || "" : "";
-    this.splitter.disabled = !this.source;
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
     this._hint.hidden = !this.invariant.controls.hidden;
+    this.splitter.disabled = !this.source;
     this._explain(why ? null : this._scales.get(this.name));
     this.light.hidden = this.name !== "relit" || Boolean(why);
     const isSplit = this._split.has(this.name);
     press(this.splitter, isSplit);
     if (isSplit) this.divider.label("Picture", view.after);
+    this.viewer.redraw();
   }
 
   _explain(scale) {

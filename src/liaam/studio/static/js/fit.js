@@ -130,17 +130,12 @@ export class Tab extends SourceTab {
   }
 
   /** Show the picture's fit, or fit it if the start is automatic. */
-  _showFit(source) {
+  async _showFit(source) {
     if (this.fit) return;
     const known = this.app.fits.recall(source, this.method);
     if (known) this._take(known);
-    else if (this.state.project.model && this.start === "auto") this._runAtOnce(source);
-    else this._result();
-  }
-
-  async _runAtOnce(source) {
-    const fit = await this.run();
-    if (fit && !source.ofFolder) this.lastDropMs ??= performance.now() - source.started;
+    else if (!this.state.project.model || this.start !== "auto") this._result();
+    else if ((await this.run()) && !source.ofFolder) this.lastDropMs ??= performance.now() - source.started;
   }
 
   _anotherModel(model) {
@@ -178,10 +173,8 @@ export class Tab extends SourceTab {
   setMethod(name) {
     this.method = name;
     this._take(null);
-    const source = this.sources.current;
-    const known = source && !this.startTool && this.app.fits.recall(source, name);
-    if (known) this._take(known);
-    else this.run();
+    if (this.startTool) this.run();
+    else if (this.sources.current) this._showFit(this.sources.current);
   }
 
   focus() { this.view.viewer.canvas.focus({ preventScroll: true }); }
@@ -206,7 +199,6 @@ export class Tab extends SourceTab {
     return this.result.showMessage("info", model ? what : "");
   }
 
-  /** Show why the fit failed, also where the panel is away. */
   _refused(error) {
     this.result.showMessage("bad", error.message);
     if (document.documentElement.dataset.side === "away") this.app.toast(error, "bad");

@@ -16,7 +16,6 @@ export function shownValue(value, { brightness, contrast, gamma }) {
 
 class Look extends EventTarget {
   values = NEUTRAL;
-  version = 0; // of what is drawn
   _holder = null; // of the filter, which is an SVG element of the page
 
   /** Use the values that were kept for a folder. */
@@ -27,7 +26,6 @@ class Look extends EventTarget {
 
   set(values) {
     this.values = values;
-    this.version += 1;
     this._paint();
     attempt(() => localStorage.setItem(this._key, JSON.stringify(values)));
     this.dispatchEvent(new Event("change"));
@@ -72,14 +70,13 @@ class Look extends EventTarget {
     }, icon("adjust"));
     this._follow(() => face.classList.toggle("on", !this.isNeutral));
     const foot = h("div.row", h("p.small.muted.grow", "Only for looking"), reset);
-    const box = h("details.look", face, h("div.look-box.glass", rows, foot));
-    box.addEventListener("keydown", (event) => {
-      if (event.key === "Escape") {
-        box.open = false;
-        face.focus();
-      }
+    const onkeydown = (event) => {
       if (event.key.startsWith("Arrow") || event.key === "Escape") event.stopPropagation();
-    });
+      if (event.key !== "Escape") return;
+      box.open = false;
+      face.focus();
+    };
+    const box = h("details.look", { onkeydown }, face, h("div.look-box.glass", rows, foot));
     return box;
   }
 }

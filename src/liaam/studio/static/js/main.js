@@ -210,7 +210,6 @@ function waiting() {
   busy.addEventListener("change", () => { line.hidden = busy.count === 0; });
 }
 
-/** Show the model and training in the top bar. */
 function status() {
   const training = h("span.badge.accent", { hidden: true, testid: "top-training" });
   const model = h("span.badge", { testid: "top-model" });

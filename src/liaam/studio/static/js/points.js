@@ -13,6 +13,8 @@ export const rounded = ([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 10
 export const place = (points, index, xy) => points.map((point, i) => (i === index ? rounded(xy) : point));
 export const remove = (points, indices) => points.map((point, i) => (indices.includes(i) ? null : point));
 
+export const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
+
 function change(points, indices, update) {
   const result = points.slice();
   for (const i of indices) if (isPlaced(points[i])) result[i] = update(points[i], i);
@@ -57,7 +59,7 @@ export function nearest(points, xy, radius, preferred = new Set()) {
   let least = radius;
   points.forEach((point, i) => {
     if (!isPlaced(point)) return;
-    const away = Math.hypot(point[0] - xy[0], point[1] - xy[1]) * (preferred.has(i) ? 0.6 : 1);
+    const away = distance(point, xy) * (preferred.has(i) ? 0.6 : 1);
     if (away <= least) [best, least] = [i, away];
   });
   return best;

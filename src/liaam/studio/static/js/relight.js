@@ -81,8 +81,8 @@ export function lightQuery({ lamps, ambient }, size) {
   return { light: JSON.stringify({ lamps: sent, ambient }), ...(size ? { size } : {}) };
 }
 
-/** A lamp on a picture: its direction, as a place over a ball around the object. The parent element is as large as the
- *  ball, or `middle` says where in it the ball is. onmove(direction); further attributes are those of the element. */
+/** A lamp on a picture, over a ball around the object that fills the parent element, or is at `middle` of it.
+ *  onmove(direction); further attributes are those of the element. */
 export function lampHandle({ onmove, middle = [0.5, 0.5], ...attributes }) {
   const [u, v] = middle;
   let direction = [0, 0, 1];

@@ -2,7 +2,7 @@
 
 import { percent } from "./annotate-words.js";
 import { act } from "./bulk.js";
-import { button, dialog, h, menu, saveFile } from "./ui.js";
+import { button, dialog, h, listOf, menu, saveFile } from "./ui.js";
 import { askName, whoAmI } from "./who.js";
 
 const DID = {
@@ -32,7 +32,7 @@ export function createReview(tab) {
   const check = button("Mark as checked", {
     icon: "check", small: true, testid: "check", onclick: (event) => tab.act(event, toggle),
   });
-  const entries = h("ul.assist-lines");
+  const entries = h("div");
   const history = part("history", "History", entries, () => fetchHistory());
   const chart = h("div");
   const accuracy = part("versions", "", chart);
@@ -53,7 +53,7 @@ export function createReview(tab) {
     const lines = await api.get(api.url("pictures", picture, "history"), { quiet: true });
     if (picture !== state.current) return;
     const texts = lines.map((line) => `${sentence(line)}, ${new Date(line.time).toLocaleString()}`);
-    entries.replaceChildren(...(texts.length ? texts : ["Nothing yet"]).map((text) => h("li", text)));
+    entries.replaceChildren(listOf(texts.length ? texts : ["Nothing yet"]));
   }
 
   function draw(versions) {

@@ -3,7 +3,7 @@
 
 import { COLOURS, drawText } from "./drawing.js";
 import { inked, lines } from "./overlays.js";
-import { rounded } from "./points.js";
+import { distance, rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
 
 const UNITS = { "µm": "µm", mm: "mm", cm: "cm", m: "m", in: "inches" };
@@ -81,7 +81,7 @@ export class ScaleBar {
 
   async finish() {
     const { ends, marking: { book } } = this;
-    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) return this.preview([ends[0], null]);
+    if (distance(ends[0], ends[1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
     if (this.marking.book !== book) return;
     this.turn(false);

@@ -22,8 +22,7 @@ export const tabIn = (search) => new URLSearchParams(search).get("tab");
 /** The page is open: from now on, changes of the address are steps of Back and Forward. */
 export function opened() { isOpen = true; }
 
-/** Put the tab or the picture into the address.
- *  @param {{tab?: string, name?: string}} what */
+/** Put the tab or the picture into the address. @param {{tab?: string, name?: string}} what */
 export function remember({ tab, name }) {
   const address = new URL(location.href);
   if (tab !== undefined) address.searchParams.set("tab", tab);
@@ -51,7 +50,6 @@ export class State extends EventTarget {
   _refreshing = null;
   _again = false;
 
-  /** Fetch the project and follow its changes. */
   async open() {
     const wanted = nameIn(location.hash); // before the first picture is selected
     await this.refresh();
@@ -117,7 +115,6 @@ export class State extends EventTarget {
     return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI() }, options));
   }
 
-  /** Update one picture from the answer to a save. */
   update(picture) {
     const known = this.picture(picture.name);
     if (!known) return;

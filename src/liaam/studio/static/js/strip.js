@@ -79,7 +79,6 @@ export function mountStrip(root, app) {
     render();
   }
 
-  /** Make all items again, as those of the list or of the wall. */
   function rebuild() {
     if (wall.on && !wall.onWay) {
       wallTop = 0;
@@ -223,8 +222,7 @@ export function mountStrip(root, app) {
     list.scrollTo(BESIDE.matches || wall.on ? { top: to } : { left: to });
   }
 
-  /** While pictures are added or fitted, and while a person is on the way through the wall, those in the list keep their
-   *  places, and others come after them. */
+  /** While files are added or fitted, and on the way through the wall, pictures keep their places, before new ones. */
   function inPlace(found) {
     if (!state.adding && !state.project.fitting && !wall.on && !wall.onWay) return found;
     const places = new Map(state.order.map((name, i) => [name, i]));
@@ -232,7 +230,6 @@ export function mountStrip(root, app) {
   }
 
   let known = null;
-  /** Show the subfolders to choose from; the choice of one that is gone ends. */
   function showFolders(all) {
     const found = filters.foldersOf(all);
     if (known === JSON.stringify(found)) return;

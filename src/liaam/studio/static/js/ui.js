@@ -4,9 +4,7 @@ import { ICONS } from "../vendor/lucide.js";
 
 /** Create an element: h("p.small.muted", "text") or h("button.wide", {onclick: f, "aria-label": "…", testid: "x"},
  *  "text", child). Attributes that are null or false, and such children, are left out.
- *  @param {string} tag name with classes
- *  @param {...any} rest attributes, if there are any, then children
- *  @returns {any} */
+ *  @param {string} tag; @param {...any} rest; @returns {any} */
 export function h(tag, ...rest) {
   const [name, ...classes] = tag.split(".");
   const element = document.createElement(name);
@@ -52,6 +50,8 @@ export function button(label, options = {}) {
     ...others,
   }, picture && icon(picture), !iconOnly && label);
 }
+
+export const listOf = (lines) => h("ul.assist-lines", lines.map((line) => h("li", line)));
 
 export const iconButton = (label, picture, onclick, options = {}) =>
   button(label, { icon: picture, iconOnly: true, kind: "ghost", onclick, ...options });
@@ -104,8 +104,7 @@ export function segmented(label, choices, value, onchange, testid = null) {
   };
 }
 
-/** A slider's handle that is dragged or moved with keys: onmove(event) while it is dragged; onkey(event) -> whether it
- *  has handled the key. */
+/** A slider's handle that is dragged, onmove(event), or moved with keys, onkey(event) -> whether it was one for it. */
 export function grip(tag, { onmove, onkey, ...attributes }, ...children) {
   const element = h(tag, {
     role: "slider", tabindex: "0", ...attributes, onkeydown: (event) => onkey(event) && consume(event),
@@ -126,11 +125,15 @@ export function dialog(title, body, actions = [{ label: "Close", value: null }],
   return new Promise((resolve) => {
     let chosen = null;
     const close = (value, checks = false) => {
-      if (checks && [...content.querySelectorAll("input")].some((field) => !field.reportValidity())) return;
+      if (checks && !content.reportValidity()) return;
       chosen = value;
       box.close();
     };
-    const content = h("div.dialog-body", typeof body === "string" ? h("p", body) : body);
+    const onsubmit = (event) => { // by Enter in a field
+      event.preventDefault();
+      foot.querySelector(".primary")?.click();
+    };
+    const content = h("form.dialog-body", { onsubmit }, typeof body === "string" ? h("p", body) : body);
     const foot = h("div.dialog-foot",
       actions.map(({ label, value, checks, ...more }) =>
         button(label, { ...more, onclick: () => close(value, checks) })));
@@ -180,7 +183,7 @@ export function toast(message, kind = "info", action = null) {
   return remove;
 }
 
-/** Returns a function that shows an error until it is called with another text, or with "". */
+/** A function that shows an error until it is called with another text, or with "". */
 export function complaints(show = toast) {
   let shown = { text: "", close() {} };
   return (text) => {

@@ -6,6 +6,7 @@
 
 import { look } from "./look.js";
 import { button, h, perFrame, runKey } from "./ui.js";
+import { attempt } from "./unsaved.js";
 
 const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
 const EASE = 0.0016; // zoom per pixel of the wheel
@@ -238,7 +239,7 @@ export class Viewer extends EventTarget {
   /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing. */
   _scaledTo({ width, height }, ratio, x, y) {
     const { source } = this;
-    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.version];
+    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.values];
     const at = [this.left + x, this.top + y].map((v) => v * ratio);
     const before = this._scaled;
     const moved = what.every((value, i) => value === before?.what[i]) && at.map((v, i) => v - before.at[i]);
@@ -295,11 +296,7 @@ export class Viewer extends EventTarget {
   _down(event) {
     this.canvas.focus({ preventScroll: true });
     this._pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    try {
-      this.canvas.setPointerCapture(event.pointerId);
-    } catch {
-      // The pointer may have been released already.
-    }
+    attempt(() => this.canvas.setPointerCapture(event.pointerId)); // it may have been released already
     if (this._pointers.size === 2) { // a second finger ends the tool's gesture
       if (this._taken != null) this.tool?.cancel?.(event);
       this._taken = null;

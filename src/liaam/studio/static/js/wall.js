@@ -12,8 +12,7 @@ export const acceptable = (pictures, least) =>
 
 const keyOf = ({ revision, quality, tag, state }) => [revision, quality, tag, state].join();
 
-/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed; onworst(): the
- *  worst is about to be opened; turn(): show the next page, and return the pictures of this one. */
+/** shown() -> pictures; onworst(): the worst is about to be opened; turn(): go to the next page, -> those of this one. */
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last

@@ -9,14 +9,7 @@ export const whoAmI = () => localStorage.getItem(KEY) ?? "";
 export async function myName(needed) { return needed && !whoAmI() ? askName() : whoAmI(); }
 
 export async function askName() {
-  const save = (event) => {
-    if (event.key !== "Enter" || event.isComposing) return;
-    event.preventDefault(); // the same key press would click the button that gets the focus back
-    input.closest("dialog").querySelector(".primary").click();
-  };
-  const input = h("input.text", {
-    maxlength: "60", value: whoAmI(), "aria-label": "Your name", testid: "who", onkeydown: save,
-  });
+  const input = h("input.text", { maxlength: "60", value: whoAmI(), "aria-label": "Your name", testid: "who" });
   const why = "The history of each picture says who placed and checked its points. This browser remembers the name; " +
     "it is saved with your changes in the folder.";
   const actions = [{ label: "Save", kind: "primary", value: "save", testid: "who-save" }];
