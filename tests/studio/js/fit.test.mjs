@@ -11,7 +11,7 @@ import {
 } from "./modules/fit-run.js";
 import { costRuns } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
-import { useAsAnnotation } from "./modules/fit-export.js";
+import { useAsAnnotation } from "./modules/fit-setup.js";
 import { Sources } from "./modules/fit-source.js";
 import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
 import * as inv from "./modules/fit-theta.js";

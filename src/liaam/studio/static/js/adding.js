@@ -118,7 +118,7 @@ export function createAdding(app) {
     const limit = state.project.limits.upload_bytes;
     const how = `start the studio with --model ${file.name}`;
     if (file.size > limit)
-      throw new Error(`${file.name} is larger than ${Math.round(limit / 1e6)} MB, the limit for dropped models: ${how}`);
+      throw new Error(`${file.name} is larger than ${Math.round(limit / 1e6)} MB, the limit for models: ${how}`);
     await api.upload(api.url("model", "guest", { name: file.name }), file);
     await state.refresh();
     app.openTab("fit");

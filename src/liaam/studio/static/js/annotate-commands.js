@@ -63,7 +63,6 @@ export function createCommands(tab) {
   const commands = {
     escaped: false, // whether Tab leaves the picture
 
-    /** Whether a picture's points can be edited now. */
     get marks() { return !tab.editing && marking.book !== null; },
 
     /** Whether another picture can be opened: one is open, or cannot be opened. */

@@ -140,9 +140,8 @@ export function createOpening(tab, begins) {
       book.key = keyOf(tab.name);
       reload();
     } else if (!tab.editing && isIdle()) {
-      const picture = state.picture(tab.name);
-      const { revision } = tab.saver.entry(tab.name);
-      if (picture && picture.state !== "reading" && picture.revision !== revision) reload(); // changed by another program
+      const { state: progress = "reading", revision } = state.picture(tab.name) ?? {};
+      if (progress !== "reading" && revision !== tab.saver.entry(tab.name).revision) reload(); // by another program
     }
   }
 

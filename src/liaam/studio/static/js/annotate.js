@@ -145,7 +145,6 @@ export class Tab {
 
   leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
-  /** The marks have changed: save and show them. */
   changed() {
     this.saving.change(this.name, this.marking.state);
     this.refresh();
@@ -181,7 +180,6 @@ export class Tab {
     this.viewer.redraw();
   }
 
-  /** Show the point to place in the template, and what to do next. */
   showHint() {
     const { cover, editing, hint, marking, prompt, template } = this;
     hint.hidden = editing || this.ruler.on || !marking.placing || !template?.points || cover.isShown;
@@ -193,7 +191,6 @@ export class Tab {
     if (prompt.textContent !== text) prompt.textContent = text;
   }
 
-  /** Describe the picture for screen readers. */
   describe() {
     const { editing, marking, name, templates } = this;
     this.alternative.textContent = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.`

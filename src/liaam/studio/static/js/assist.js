@@ -158,7 +158,6 @@ export function createAssist(app, commands) {
     h("div.row.assist-go", next), h("div.row.assist-slot", pass, running), h("label.check.small", { title: often }, auto, "Train automatically"),
     sure, failure, why, offered, end);
 
-  /** Ask before training on points that look wrong; return whether to train. */
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
@@ -249,9 +248,9 @@ export function createAssist(app, commands) {
     const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
-    const wait = done < AUTO_FIRST ? `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`
-      : training?.state === "running" ? "After training, the model places points for you."
-      : "Train the model to let it place points for you.";
+    const more = several(AUTO_FIRST - done, "more picture");
+    const wait = done < AUTO_FIRST ? `After ${more} the model can place points for you.` : training?.state === "running"
+      ? "After training, the model places points for you." : "Train the model to let it place points for you.";
     const isOpen = here && here.state !== "done" && here.uncertainty != null && model;
     const ended = left || (done ? allDone(state.folder) : "");
     const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;

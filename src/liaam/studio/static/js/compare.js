@@ -17,7 +17,8 @@ class Side {
 
   /** @param {Tab} tab */
   constructor(tab, name, method) {
-    const options = tab.state.project.methods.map(({ name: value, summary: title }) => h("option", { value, title }, value));
+    const { methods } = tab.state.project;
+    const options = methods.map(({ name: value, summary: title }) => h("option", { value, title }, value));
     this.select = h("select.text", {
       "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => {
         this.take(null);
@@ -161,7 +162,7 @@ export class Tab extends SourceTab {
     if (this.visible) this.run();
   }
 
-  _refused(error) { this._say(error.message, true); }
+  _refused(error) { this._say(error.message, { bad: true }); }
 
   async _truth() {
     const source = this.sources.current;
@@ -174,15 +175,14 @@ export class Tab extends SourceTab {
 
   _verdict() {
     const [a, b] = this.sides.map((side) => side.fit);
-    this._say(a && b ? comparison(a, b, meanDistance(a.shape, b.shape)) : "");
-    const better = a && b ? betterOf(a, b) : null;
-    for (const side of this.sides) side.element.classList.toggle("nearer", better !== null && side.fit === better);
+    if (a && b) this._say(comparison(a, b, meanDistance(a.shape, b.shape)), { better: betterOf(a, b) });
+    else this._say("");
   }
 
-  _say(text, bad = false) {
+  _say(text, { bad = false, better = null } = {}) {
     this._verdictText.textContent = text;
     this._verdictText.classList.toggle("error-text", bad);
-    if (bad || text === "Fitting…") for (const side of this.sides) side.element.classList.remove("nearer");
+    for (const { element, fit } of this.sides) element.classList.toggle("nearer", better !== null && fit === better);
   }
 
   _build(root) {

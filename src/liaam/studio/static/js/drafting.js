@@ -34,7 +34,6 @@ export class Drafting {
     this.history = new History(template ? drafts.draftOf(template, points) : draft);
   }
 
-  /** The saved template has changed: turn the draft into a change of the new one. */
   rebase(template) {
     const draft = drafts.rebased(this.draft, this.saved, template);
     Object.assign(this, { saved: template, shown: null, history: new History(drafts.draftOf(template)) });

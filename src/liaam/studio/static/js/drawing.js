@@ -78,7 +78,6 @@ export function drawFrame(ctx, viewer, points, indices) {
   for (const { kind, at } of frame.handles) drawHandle(ctx, kind, at);
 }
 
-/** Draw a handle that scales, turns or moves. */
 export function drawHandle(ctx, kind, /** @type {number[]} */ [x, y]) {
   ctx.beginPath();
   if (kind === "scale") ctx.rect(x - 5, y - 5, 10, 10);

@@ -1,6 +1,6 @@
 // The first screen, of an empty folder: a photograph of a face under a lamp that follows the pointer, and ways to begin.
 
-import { directionAt, lampHandle } from "./relight.js";
+import { directionAt, lampHandle, pixelsOf } from "./relight.js";
 import { perFrame, button, h, icon } from "./ui.js";
 
 const AMBIENT = [0.05, 0.065, 0.09]; // linear red, green and blue of the light from everywhere
@@ -70,10 +70,8 @@ class RelitFace {
     const [face, light, facts] = await Promise.all([
       load("face.jpg"), load("light.jpg"), fetch("first/light.json").then((answer) => answer.json())]);
     this._face = face;
-    const { width, height } = light;
-    const ctx = new OffscreenCanvas(width, height).getContext("2d");
-    ctx.drawImage(light, 0, 0);
-    this._layers = new Layers(ctx.getImageData(0, 0, width, height).data, facts);
+    const { width } = light;
+    this._layers = new Layers(pixelsOf(light).data, facts);
     this._bright = new OffscreenCanvas(face.width, face.height);
     const bright = this._bright.getContext("2d");
     bright.filter = `brightness(${MOST ** (1 / 2.2)})`;

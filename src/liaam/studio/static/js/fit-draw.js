@@ -56,8 +56,7 @@ export function modelNeeded(app, testid = null) {
   ];
 }
 
-/** Let a select of methods offer those that the model was trained for.
- *  @param {HTMLSelectElement} select; @param {Model | null} model */
+/** Offer the methods that the model was trained for. @param {HTMLSelectElement} select; @param {Model | null} model */
 export function offer(select, model) {
   for (const option of select.options) {
     option.disabled = Boolean(model) && !model.methods.includes(option.value);
@@ -87,7 +86,6 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
   draw("landmarks", () => drawPoints(ctx, viewer, shape, { colour, radius: 3 }));
 }
 
-/** Draw known landmarks as crosses, to distinguish them from a fit's points without colour. */
 export function drawTruth(ctx, viewer, points) {
   lines(ctx, points.filter(Boolean).flatMap((point) => {
     const [x, y] = viewer.toScreen(point);

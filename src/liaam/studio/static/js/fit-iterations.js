@@ -11,7 +11,6 @@ export class Iterations {
   index = 0;
   _timer = null;
 
-  /** `onmove(index, last)` is called to show an iteration. */
   constructor(onmove) {
     this._onmove = onmove;
     this.slider = slider({
@@ -120,7 +119,7 @@ export class Iterations {
   }
 }
 
-/** Curves of the cost by iteration, for a plot of a size. Costs are comparable within a level only, so each has a scale. */
+/** Curves of the cost by iteration, for a plot. Costs are comparable within a level only, so each has a scale. */
 export function costRuns(iterations, width, height, margin = 4) {
   const n = iterations.length;
   const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);

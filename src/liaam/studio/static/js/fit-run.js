@@ -2,7 +2,7 @@
 
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
-import { distance, indicesOf } from "./points.js";
+import { distance, indicesOf, mean } from "./points.js";
 
 const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
@@ -18,7 +18,6 @@ export class FitStore {
     });
   }
 
-  /** Fit a source; start: null, {box} or {shape}. */
   async run(source, method, start = null) {
     const key = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
     const changes = this.#changes;
@@ -65,7 +64,7 @@ export function verdictOf(fit) {
   const { ok, status, quality } = fit;
   const isUnknown = quality == null;
   if (!ok) {
-    const kind = status === "doubtful" || status === "max iterations" ? "warn" : "bad";
+    const kind = ["doubtful", "max iterations"].includes(status) ? "warn" : "bad";
     const advice = "Draw a box around the object, or drag the mean shape onto it:";
     return { kind, title: status, advice, isSure: false };
   }
@@ -111,7 +110,7 @@ export function factsOf(fit) {
 /** Mean distance between two shapes in pixels, over their common points; NaN without any. */
 export function meanDistance(first, second) {
   const both = indicesOf(first).filter((i) => first[i] && second[i]);
-  return both.reduce((sum, i) => sum + distance(first[i], second[i]), 0) / both.length;
+  return mean(both.map((i) => distance(first[i], second[i])));
 }
 
 /** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}, or

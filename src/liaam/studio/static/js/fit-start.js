@@ -127,7 +127,6 @@ export class MeanTool {
     this.clear();
   }
 
-  /** Place the shape in the middle of the picture. */
   clear() {
     const { width, height } = this.viewer;
     this.shown = null; // points during a gesture

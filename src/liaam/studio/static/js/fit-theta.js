@@ -1,8 +1,7 @@
 // The light-invariant image of a picture, with the slider of theta. It is computed in the browser, so that each frame
 // follows the slider:
 //     L(theta) = cos(theta) log R/B + sin(theta) log G/B.
-// The server sends the two logarithms once, as 16-bit integers. Each frame takes two products, a clamp and a look-up
-// per pixel.
+// The server sends the two logarithms once, as 16-bit integers. A frame takes two products and a look-up per pixel.
 
 import { api } from "./api.js";
 import { button, consume, FrameMeter, h, segmented, slider } from "./ui.js";
@@ -40,9 +39,8 @@ export function sampleChroma({ width, values }, limit = SAMPLED) {
 }
 
 export function measurable({ values }) {
-  let count = 0;
-  for (let i = 0; i < values.length; i += 2) if (values[i] !== MASKED) count += 1;
-  return values.length ? (2 * count) / values.length : 0;
+  const usable = values.filter((value, i) => i % 2 === 0 && value !== MASKED).length;
+  return values.length ? (2 * usable) / values.length : 0;
 }
 
 /** Range {centre, half} of the invariant between the 1st and 99th percentile of the pixels. */
@@ -216,7 +214,6 @@ export class InvariantView {
     this.viewer.redraw();
   }
 
-  /** Adapt the contrast to the angle at the end of a drag. */
   _adaptContrast() {
     this._held = null;
     if (!this._chroma) return;

@@ -6,8 +6,7 @@ import { drawFit, drawOver, Overlays } from "./fit-draw.js";
 import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { Light, lightQuery, linearLights } from "./relight.js";
-import { RoughLight } from "./rough-light.js";
+import { Light, lightQuery, numbersOf, RoughLight } from "./relight.js";
 import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -211,7 +210,7 @@ export class FitView {
   /** The rough relit picture while lamps are moved, or else the exact one. */
   _relitImage() {
     if (this._moved) {
-      this._rough.draw(linearLights(this.light));
+      this._rough.draw(numbersOf(this.light));
       this.meter.tick();
       this._isRough = true;
     }
@@ -219,7 +218,6 @@ export class FitView {
     return this._isRough ? this._rough.canvas : this._images.get("relit");
   }
 
-  /** The layers with their opacity: the view, and a button for each overlay. */
   _layers() {
     const opacity = (label, of, testid) => slider({
       min: "0", max: "1", step: "0.05", value: "1", "aria-label": `Opacity: ${label}`, testid: `opacity-${testid}`,
@@ -246,7 +244,6 @@ export class FitView {
     if (this.name !== "picture") this._setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
-  /** Show the view and its controls. */
   _changed() {
     const view = VIEWS.find(({ name }) => name === this.name);
     const why = this._why(this.name);

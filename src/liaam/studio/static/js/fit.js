@@ -1,9 +1,8 @@
 // The Fit tab: fit the model to a picture and inspect the result.
 
 import { mismatch } from "./assist.js";
-import { ExportMenu } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
-import { guestPanel, ResultPanel, SetupPanel } from "./fit-setup.js";
+import { ExportMenu, guestPanel, ResultPanel, SetupPanel } from "./fit-setup.js";
 import { SourceTab } from "./fit-source.js";
 import { BoxTool, MeanTool } from "./fit-start.js";
 import { FitView } from "./fit-view.js";
@@ -129,7 +128,6 @@ export class Tab extends SourceTab {
     if (source && !source.ofFolder) this.setStart("auto");
   }
 
-  /** Show the picture's fit, or fit it if the start is automatic. */
   async _showFit(source) {
     if (this.fit) return;
     const known = this.app.fits.recall(source, this.method);

@@ -43,7 +43,6 @@ export function frameOf(viewer, points, indices) {
 
 export const handleReach = ({ pointerType }) => HANDLE_REACH[pointerType] ?? HANDLE_REACH.mouse;
 
-/** The handle under the pointer, or null. */
 export function handleAt(viewer, doc, event) {
   const frame = frameOf(viewer, doc.points, doc.framed());
   const at = viewer.place(event);
@@ -76,7 +75,6 @@ export function dragging(doc, index, indices, start, isFar = (_at) => true, stil
   };
 }
 
-/** A gesture that scales or rotates points. */
 export function turning(viewer, doc, handle, indices) {
   const before = doc.points;
   const fixed = handle.kind === "scale" ? viewer.toImage(handle.fixed) : middleOf(bounds(before, indices));
@@ -203,7 +201,6 @@ export class PointTool {
     this.viewer.redraw();
   }
 
-  /** A click on an empty place clears the selection. */
   released(event) {
     const { pressed } = this;
     this.pressed = null;

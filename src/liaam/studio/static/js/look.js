@@ -8,7 +8,6 @@ const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // powers of two
 const LABELS = { brightness: "Brightness", contrast: "Contrast", gamma: "Gamma" };
 const LIMIT = 2;
 
-/** The shown value of a pixel value, both from 0 to 1. */
 export function shownValue(value, { brightness, contrast, gamma }) {
   const bright = (value * 2 ** brightness) ** (2 ** -gamma);
   return Math.min(1, Math.max(0, (bright - 0.5) * 2 ** contrast + 0.5));
@@ -18,7 +17,6 @@ class Look extends EventTarget {
   values = NEUTRAL;
   _holder = null; // of the filter, which is an SVG element of the page
 
-  /** Use the values that were kept for a folder. */
   open(folder) {
     this._key = `liaam-look:${folder}`;
     this.set({ ...NEUTRAL, ...attempt(() => JSON.parse(localStorage.getItem(this._key))) });

@@ -9,7 +9,7 @@ import { look } from "./look.js";
 import { nameIn, opened, remember, State, tabIn } from "./state.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
-import { button, consume, h, iconButton, isPlain, isTyping, press, toast } from "./ui.js";
+import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast } from "./ui.js";
 
 const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
@@ -138,21 +138,17 @@ function openTab(name, options = {}) {
 
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
-  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event.key))) event.preventDefault();
+  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event))) event.preventDefault();
 }
 
-function commonKey(key) {
-  const tab = TABS[Number(key) - 1];
-  const panels = PANELS[key.toLowerCase()];
-  if (key === "?") showKeys();
-  else if (tab) openTab(tab.name);
-  else if (panels) window.liaamPanels(panels);
-  else if (key === "g") state.wall.open(!state.wall.on);
-  else if (key === "w") state.wall.openWorst();
-  else if (key === "[" || key === "PageUp") state.step(-1);
-  else if (key === "]" || key === "PageDown") state.step(1);
-  else return false;
-  return true;
+function commonKey(event) {
+  const byNumber = TABS.map(({ name }, i) => [i + 1, () => openTab(name)]);
+  const panels = Object.entries(PANELS).map(([key, names]) => [key, () => window.liaamPanels(names)]);
+  const [back, on] = [() => state.step(-1), () => state.step(1)];
+  return runKey(event, {
+    ...Object.fromEntries([...byNumber, ...panels]), "?": showKeys, "[": back, pageup: back, "]": on, pagedown: on,
+    g: () => state.wall.open(!state.wall.on), w: () => state.wall.openWorst(),
+  });
 }
 
 async function showKeys() {

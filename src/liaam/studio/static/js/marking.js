@@ -76,7 +76,7 @@ export class Marking {
 
   commit(points, what, key = null) { this.change({ points }, what, key); }
 
-  /** One undo step; it accepts a proposal, unless it changes the scale bar, but the mean shape only if a point moves. */
+  /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves. */
   change(change, what, key = null, accepts = false) {
     const before = this.state;
     const { points, invisible, bar = null } = { ...before, ...change };

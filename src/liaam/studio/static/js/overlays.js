@@ -11,7 +11,6 @@ export function inked(ctx, colour, width, dash = []) {
   ctx.setLineDash([]);
 }
 
-/** Stroke the path with a dark rim. */
 export function stroked(ctx, colour, width, dash = []) {
   ctx.lineJoin = "round";
   inked(ctx, RIM, width + 1.8, dash);
@@ -71,7 +70,6 @@ export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255
   inked(ctx, colour, width);
 }
 
-/** Draw the 95 % confidence ellipse of each landmark, all in one path. */
 export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1ff", width = 1.3 } = {}) {
   ctx.beginPath();
   points.forEach((point, i) => {

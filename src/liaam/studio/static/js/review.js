@@ -1,9 +1,8 @@
 // Review of the open picture and of the folder: checks, history, accuracy of the models, and tables of all pictures.
 
 import { percent } from "./annotate-words.js";
-import { act } from "./bulk.js";
+import { act, askName, whoAmI } from "./bulk.js";
 import { button, dialog, h, listOf, menu, saveFile } from "./ui.js";
-import { askName, whoAmI } from "./who.js";
 
 const DID = {
   placed: "placed points", accepted: "accepted proposed points", cleared: "removed all points", checked: "checked it", unchecked: "withdrew the check",

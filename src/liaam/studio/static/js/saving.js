@@ -38,11 +38,10 @@ const DEFAULTS = {
 
 export class Saver {
   /** @param {any} options
-   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. The request should outlive the
-   *  page (keepalive), so that a flush is enough when the page is closed; unsaved: Unsaved;
-   *  template() -> {names, revision} of the current template; onStatus(state, message); onSaved(name, answer);
-   *  onConflict(name, current); onForeign(name): the landmarks were changed elsewhere; onTemplate(name): the server has
-   *  another template: update `template`, then call `rebase`; onLost(name, sentence): unsaved marks cannot be saved */
+   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. It should outlive the page, so
+   *  that a flush is enough on closing; unsaved: Unsaved; template() -> {names, revision}; onStatus(state, message);
+   *  onSaved(name, answer); onConflict(name, current); onForeign(name): the landmarks were changed elsewhere;
+   *  onTemplate(name): update `template`, then call `rebase`; onLost(name, sentence): unsaved marks cannot be saved */
   constructor(options) {
     this.options = { ...DEFAULTS, ...options };
     this.unsaved = options.unsaved;
@@ -132,7 +131,6 @@ export class Saver {
     return Promise.all(names.map((each) => this.send(each)));
   }
 
-  /** Send the unsaved content of a picture; resolves when it is saved or has failed. */
   async send(name) {
     const entry = this.entry(name);
     if (!entry.sent && entry.wanted && entry.state !== "conflict") entry.request = this.sendNow(name, entry);
@@ -192,7 +190,6 @@ export class Saver {
     return this.schedule(name, entry, wait);
   }
 
-  /** The server is reachable again: retry all. */
   retry() {
     for (const [name, { state }] of this.entries) if (state === "offline" || state === "failing") this.send(name);
   }
@@ -210,7 +207,6 @@ export class Saver {
     return this.settle(name, entry);
   }
 
-  /** The server reports a new revision of a picture's landmarks. */
   heard(name, revision) {
     const entry = this.entry(name);
     entry.heard = revision;

@@ -1,10 +1,10 @@
 // The page's copy of the project, updated by the server's events.
 
 import { api, ApiError } from "./api.js";
+import { whoAmI } from "./bulk.js";
 import { isIn } from "./strip-filters.js";
 import { complaints, toast } from "./ui.js";
 import { attempt } from "./unsaved.js";
-import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 
@@ -101,7 +101,6 @@ export class State extends EventTarget {
     this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);
   }
 
-  /** The pictures of the subfolder that the list shows. */
   get pictures() { return this.project.pictures.filter(({ name }) => isIn(name, this.folder)); }
 
   showFolder(folder) {
@@ -109,7 +108,6 @@ export class State extends EventTarget {
     this._say("folder");
   }
 
-  /** Save the marks of a picture in the name of the person who works here. */
   saveMarks(name, marks, options = {}) {
     const address = api.url("pictures", name, "landmarks");
     return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI() }, options));
@@ -138,8 +136,7 @@ export class State extends EventTarget {
     setInterval(look, LOOK_EVERY);
   }
 
-  /** Send a request with the id of the page's folder. If the server now serves another folder, it refuses the request,
-   *  the page is reloaded, and the promise is rejected. */
+  /** Send a request with the id of the page's folder. A server of another folder refuses it, and the page reloads. */
   async send(request) {
     if (this.unsure) await this.refresh(); // otherwise send at once, since the page may be closing
     try {

@@ -30,7 +30,8 @@ export function mountStrip(root, app) {
     }, optionsOf(labels));
   const filter = choose("Show", "filter", labelsOf(filters.FILTERS));
   const order = choose("Sort", "order", filters.ORDERS);
-  const folders = choose("Subfolder", "folder", {}, "Pictures of subfolders are shown because the folder itself has none");
+  const whose = "Pictures of subfolders are shown because the folder itself has none";
+  const folders = choose("Subfolder", "folder", {}, whose);
   const search = h("input.text", {
     type: "search", placeholder: "Search by name", "aria-label": "Search by name", testid: "strip-search",
     oninput: () => show(),
@@ -94,7 +95,6 @@ export function mountStrip(root, app) {
     return list.focus({ preventScroll: true });
   }
 
-  /** Select a picture too, or no longer; with a range, all up to it. */
   function add(name, range) {
     if (!selecting) select(true);
     if (range) mark([...chosen, ...filters.between(state.order, anchor ?? state.current, name)]);
@@ -244,7 +244,8 @@ export function mountStrip(root, app) {
     const all = state.project.pictures;
     document.documentElement.dataset.pictures = all.length ? "some" : "none";
     showFolders(all);
-    const wanted = { text: search.value.trim().toLowerCase(), filter: filter.value, folder: state.folder, order: order.value };
+    const [text, { folder }] = [search.value.trim().toLowerCase(), state];
+    const wanted = { text, filter: filter.value, folder, order: order.value };
     pictures = inPlace(filters.matching(all, wanted, leftOut()));
     state.order = pictures.map(({ name }) => name);
     state.worstFirst = order.value === "quality";

@@ -166,8 +166,7 @@ export function saveFile(blob, name) {
   setTimeout(() => URL.revokeObjectURL(address), 60_000); // the browser may not have read it yet
 }
 
-/** Show a message at the bottom of the page; errors stay until they are closed. `action`: {label, onclick} of a
- *  button. Returns a function that removes it. */
+/** Show a message; errors stay until they are closed. `action`: {label, onclick}. Returns what removes it. */
 export function toast(message, kind = "info", action = null) {
   if (message?.unreachable) return () => {}; // the notice above the page says so
   const box = document.getElementById("toasts");

@@ -12,7 +12,7 @@ export const acceptable = (pictures, least) =>
 
 const keyOf = ({ revision, quality, tag, state }) => [revision, quality, tag, state].join();
 
-/** shown() -> pictures; onworst(): the worst is about to be opened; turn(): go to the next page, -> those of this one. */
+/** shown() -> pictures; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one. */
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last
