@@ -1,6 +1,6 @@
 // The template in the Annotate tab: creating, editing and saving it, and following changes made elsewhere.
 
-import { drawDrafting } from "./annotate-drawing.js";
+import { drawDrafting } from "./drawing.js";
 import { Drafting } from "./drafting.js";
 import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
 import { createTemplatePanel } from "./template-panel.js";

@@ -2,7 +2,6 @@
 // parts.
 
 import { createCommands } from "./annotate-commands.js";
-import { drawGesture, drawMarking } from "./annotate-drawing.js";
 import { createKeys, SHORTCUTS } from "./annotate-keys.js";
 import { Cover, createOpening } from "./annotate-opening.js";
 import { createSaving } from "./annotate-saving.js";
@@ -10,7 +9,7 @@ import { createTemplates } from "./annotate-template.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
 import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
 import { createAssist } from "./assist.js";
-import { drawHint, loupeOver } from "./drawing.js";
+import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
 import { nextMissing } from "./points.js";

@@ -2,9 +2,8 @@
 // document that gestures edit (see gestures.js).
 
 import { called, several } from "./annotate-words.js";
-import { COLOURS, drawText } from "./drawing.js";
+import { gripOf } from "./drawing.js";
 import { History } from "./history.js";
-import { filled, inked, lines } from "./overlays.js";
 import { distance, flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
 
@@ -217,20 +216,4 @@ export class Drafting {
     this.select([]);
     this.apply({ ...this.draft, layout: null }, "put in place");
   }
-}
-
-/** Where on the screen the axis is dragged: near the top, since clicks elsewhere on the line place points. */
-function gripOf(viewer, axis) {
-  const [x, top] = viewer.toScreen([axis, 0]);
-  return [x, Math.min(Math.max(top, 0) + 16, viewer.container.clientHeight - 16)];
-}
-
-export function drawAxis(ctx, viewer, axis) {
-  const [x, y] = gripOf(viewer, axis);
-  lines(ctx, [[[x, 0], [x, viewer.container.clientHeight]]]);
-  inked(ctx, COLOURS.axis, 1.5, [8, 5]);
-  ctx.beginPath();
-  ctx.arc(x, y, 11, 0, 2 * Math.PI);
-  filled(ctx, COLOURS.axis);
-  drawText(ctx, "⇔", x, y, { align: "center" });
 }

@@ -29,6 +29,7 @@ export class LiveSource {
 
   get isOpen() { return Boolean(this.video.srcObject || this.video.src); }
 
+  /** Show the camera; errors have a message for the user. */
   async openCamera() {
     if (!navigator.mediaDevices)
       throw new Error("Browsers allow cameras at 127.0.0.1 or by https only: open the page there.");
@@ -41,6 +42,7 @@ export class LiveSource {
     await this.video.play();
   }
 
+  /** Show a video file; errors have a message for the user. */
   async openFile(file) {
     Object.assign(this, { name: file.name.replace(/\.[^.]*$/, ""), isFile: true });
     this.video.src = URL.createObjectURL(file);
@@ -52,6 +54,7 @@ export class LiveSource {
     }
   }
 
+  /** Stop, and turn the camera off. */
   close() {
     for (const track of /** @type {any} */ (this.video.srcObject)?.getTracks() ?? []) track.stop();
     if (this.video.src) URL.revokeObjectURL(this.video.src);
