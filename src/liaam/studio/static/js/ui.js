@@ -1,6 +1,6 @@
 // Elements and controls shared by all tabs.
 
-import { ICONS } from "../vendor/lucide.js";
+import { ICONS } from "../vendor/lucide/lucide.js";
 
 /** Create an element: h("p.small.muted", "text") or h("button.wide", {onclick: f, "aria-label": "…", testid: "x"},
  *  "text", child). Attributes that are null or false, and such children, are left out.

@@ -1,7 +1,7 @@
 /**
  * @license lucide v1.65.0 - ISC
  *
- * Icons of https://lucide.dev, as in its package but for their names here. See the file LICENSE-lucide.
+ * Icons of https://lucide.dev, as in its package but for their names here. See the file LICENSE.
  */
 
 /** @type {Record<string, [string, Record<string, string>][]>} */
