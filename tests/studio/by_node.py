@@ -19,6 +19,7 @@ def run_by_node(test: str, folder: Path, environment: Mapping[str, str] | None =
         pytest.skip("node is not on this machine; the page's modules are tested in the browser only")
     # Node takes .js for modules where a package.json says so; none is needed beside what is served.
     shutil.copytree(MODULES, folder / "modules")
+    shutil.copytree(MODULES.parent / "vendor", folder / "vendor")
     (folder / "package.json").write_text('{"type": "module"}')
     shutil.copy(HERE / "js" / test, folder)
     ran = subprocess.run(

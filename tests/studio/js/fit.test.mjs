@@ -6,14 +6,16 @@ import { test } from "node:test";
 
 import { fileNameIn } from "./modules/api.js";
 import { shareAfterKey } from "./modules/divider.js";
-import * as geometry from "./modules/fit-geometry.js";
-import { betterOf, cleaned, comparison, duration, factsOf, FitStore, significant, verdictOf } from "./modules/fit-run.js";
+import {
+  betterOf, cleaned, comparison, duration, factsOf, FitStore, meanDistance, significant, verdictOf,
+} from "./modules/fit-run.js";
+import { costRuns } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
-import { useAsAnnotation } from "./modules/fit-export.js";
+import { useAsAnnotation } from "./modules/fit-setup.js";
 import { Sources } from "./modules/fit-source.js";
-import { BoxTool, MeanTool } from "./modules/fit-start.js";
-import * as inv from "./modules/invariant.js";
-import { lightQuery, PRESETS } from "./modules/relight.js";
+import { boxAfterKey, boxBetween, boxMoved, BoxTool, isDrawn, MeanTool } from "./modules/fit-start.js";
+import * as inv from "./modules/fit-theta.js";
+import { directionAfterKey, directionAt, directionInWords, lightQuery, PRESETS } from "./modules/relight.js";
 import { State } from "./modules/state.js";
 
 const close = (a, b, tolerance = 1e-6) => assert.ok(Math.abs(a - b) <= tolerance, `${a} is not ${b}`);
@@ -148,11 +150,11 @@ test("frames are counted over one drag", () => {
 // Geometry
 
 test("a place over the ball is a direction, never behind the object", () => {
-  assert.deepEqual(geometry.directionAt([0, 0]), [0, 0, 1]);
-  const direction = geometry.directionAt([0.3, -0.4]);
+  assert.deepEqual(directionAt([0, 0]), [0, 0, 1]);
+  const direction = directionAt([0.3, -0.4]);
   close(Math.hypot(...direction), 1);
   closePoints([direction.slice(0, 2)], [[0.3, -0.4]]);
-  const grazing = geometry.directionAt([100, 0]);
+  const grazing = directionAt([100, 0]);
   close(Math.hypot(...grazing), 1);
   assert.ok(grazing[0] > 0.99 && grazing[2] > 0 && grazing[2] < 0.1);
 });
@@ -175,23 +177,23 @@ test("lights are sent with colours as numbers, and presets are valid", () => {
 });
 
 test("a light is told in words, and moved by keys", () => {
-  assert.equal(geometry.directionInWords([0, 0, 1]), "from the front");
-  assert.match(geometry.directionInWords([-0.5, -0.5, Math.SQRT1_2]), /^from the upper left, 45°/);
-  assert.match(geometry.directionInWords([0, 0.6, 0.8]), /^from the bottom/);
-  const [x] = geometry.directionAfterKey([0, 0, 1], { key: "ArrowRight" });
+  assert.equal(directionInWords([0, 0, 1]), "from the front");
+  assert.match(directionInWords([-0.5, -0.5, Math.SQRT1_2]), /^from the upper left, 45°/);
+  assert.match(directionInWords([0, 0.6, 0.8]), /^from the bottom/);
+  const [x] = directionAfterKey([0, 0, 1], { key: "ArrowRight" });
   assert.ok(x > 0);
-  assert.equal(geometry.directionAfterKey([0, 0, 1], { key: "q" }), null);
-  assert.deepEqual(geometry.directionAfterKey([0.5, 0, 0.8], { key: "Home" }), [0, 0, 1]);
+  assert.equal(directionAfterKey([0, 0, 1], { key: "q" }), null);
+  assert.deepEqual(directionAfterKey([0.5, 0, 0.8], { key: "Home" }), [0, 0, 1]);
 });
 
 test("a box is what was drawn, in whatever direction, within the picture", () => {
-  const box = geometry.boxBetween([50, -20], [10, 30], 100, 80);
+  const box = boxBetween([50, -20], [10, 30], 100, 80);
   assert.deepEqual(box, [10, 0, 50, 30]);
-  assert.ok(geometry.isDrawn(box) && !geometry.isDrawn([1, 1, 4, 40]));
-  assert.deepEqual(geometry.boxMoved(box, [-30, 5], 100, 80), [0, 5, 40, 35]);
-  assert.deepEqual(geometry.boxAfterKey(box, { key: "ArrowRight", shiftKey: true }, 100, 80), [20, 0, 60, 30]);
-  assert.ok(geometry.isDrawn(geometry.boxAfterKey(null, { key: "." }, 100, 80)));
-  assert.equal(geometry.boxAfterKey(box, { key: "x" }, 100, 80), null);
+  assert.ok(isDrawn(box) && !isDrawn([1, 1, 4, 40]));
+  assert.deepEqual(boxMoved(box, [-30, 5], 100, 80), [0, 5, 40, 35]);
+  assert.deepEqual(boxAfterKey(box, { key: "ArrowRight", shiftKey: true }, 100, 80), [20, 0, 60, 30]);
+  assert.ok(isDrawn(boxAfterKey(null, { key: "." }, 100, 80)));
+  assert.equal(boxAfterKey(box, { key: "x" }, 100, 80), null);
 });
 
 /** A viewer of a picture of 200 x 100 pixels at a scale of 2. */
@@ -279,7 +281,7 @@ test("costs are drawn by level, each to its own scale", () => {
     [1, 200],
     [2, 7],
   ].map(([stage, cost]) => ({ level: stage, cost }));
-  const runs = geometry.costRuns(steps, 100, 50, 5);
+  const runs = costRuns(steps, 100, 50, 5);
   assert.deepEqual(
     runs.map(({ level: stage, points }) => [stage, points.length]),
     [
@@ -296,7 +298,7 @@ test("costs are drawn by level, each to its own scale", () => {
     [...across].sort((a, b) => a - b),
   );
   assert.deepEqual([across[0], across.at(-1)], [5, 95]);
-  for (const { points } of geometry.costRuns(
+  for (const { points } of costRuns(
     [
       { level: 0, cost: null },
       { level: 0, cost: 3 },
@@ -306,12 +308,12 @@ test("costs are drawn by level, each to its own scale", () => {
   )) {
     for (const { x, y } of points) assert.ok(Number.isFinite(x) && Number.isFinite(y));
   }
-  assert.deepEqual(geometry.costRuns([], 100, 50), []);
+  assert.deepEqual(costRuns([], 100, 50), []);
 });
 
 test("distances leave out what either shape lacks", () => {
   close(
-    geometry.meanDistance(
+    meanDistance(
       [[0, 0], [3, 4], null],
       [
         [0, 2],
@@ -321,7 +323,7 @@ test("distances leave out what either shape lacks", () => {
     ),
     3.5,
   );
-  assert.ok(Number.isNaN(geometry.meanDistance([null], [[1, 1]])));
+  assert.ok(Number.isNaN(meanDistance([null], [[1, 1]])));
 });
 
 test("the divider's keys stay within the picture", () => {

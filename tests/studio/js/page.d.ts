@@ -130,11 +130,10 @@ interface App {
   bulk: any;
   /** Resolves once all moved points are saved, or cannot be. */
   saved(): Promise<any>;
-  guest(): boolean;
   /** Indices of the selected points of the open picture. */
   selection(): number[];
   showsPictures(): boolean;
-  pictures: import("../../../src/liaam/studio/static/js/picture-store.js").PictureStore;
+  pictures: import("../../../src/liaam/studio/static/js/fit-source.js").PictureStore;
   /** The picture to fit and the fits, shared by the tabs Fit and Compare. */
   sources: import("../../../src/liaam/studio/static/js/fit-source.js").Sources;
   fits: import("../../../src/liaam/studio/static/js/fit-run.js").FitStore;

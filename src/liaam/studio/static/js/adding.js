@@ -2,7 +2,6 @@
 
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
-import { openModel } from "./fit-only.js";
 import { takeWork } from "./unsaved.js";
 import { baseOf } from "./strip-filters.js";
 import { h, icon, isTyping, toast } from "./ui.js";
@@ -47,7 +46,6 @@ export function namesFor(paths) {
   return paths.map((path) => (clash ? path.split("/").join("_") : baseOf(path)));
 }
 
-/** What has been done with the files. */
 export function summary({ pictures, known, landmarks, placed, refused }) {
   const parts = [
     (pictures || !(known || landmarks)) && `${several(pictures, "picture")} added`,
@@ -81,7 +79,7 @@ export function createAdding(app) {
       else if (item !== model && item !== video) rest.push(item);
     }
     if (rest.length) await add(rest);
-    if (model) await openModel(app, model.file);
+    if (model) await openModel(model.file);
     if (video) app.openTab("live", { file: video.file });
   }
 
@@ -113,7 +111,17 @@ export function createAdding(app) {
     result.placed = state.project.pictures.filter(({ name, placed }) => placed && !before.has(name)).length;
     toast(summary(result), result.refused.length ? "bad" : "good");
     state.dispatchEvent(new Event("added"));
-    if (result.pictures && !app.guest()) app.openTab("annotate");
+    if (result.pictures && !state.guest) app.openTab("annotate");
+  }
+
+  async function openModel(file) {
+    const limit = state.project.limits.upload_bytes;
+    const how = `start the studio with --model ${file.name}`;
+    if (file.size > limit)
+      throw new Error(`${file.name} is larger than ${Math.round(limit / 1e6)} MB, the limit for models: ${how}`);
+    await api.upload(api.url("model", "guest", { name: file.name }), file);
+    await state.refresh();
+    app.openTab("fit");
   }
 
   async function restore(file) {

@@ -15,7 +15,6 @@ export function createCommands(tab) {
   let warned = null; // picture with a warning about missing points
   let closeWarning = () => {};
 
-  /** Scroll a point into view, and announce it. */
   function reveal(index) {
     tab.sayPlace(index);
     const point = marking.points[index];
@@ -25,26 +24,19 @@ export function createCommands(tab) {
     if (x < EDGE || y < EDGE || x > w - EDGE || y > h - EDGE) viewer.panBy(w / 2 - x, h / 2 - y);
   }
 
-  /** Warn once about the open picture. */
   function warn(text) {
     warned = tab.name;
     closeWarning = app.toast(text);
   }
 
-  /** Leave the mean shape as it is: warn once, then mark the picture as not checked. */
-  async function leaveUnchecked() {
+  /** Go on once work(name) has marked the picture as it is; false: it has not. */
+  async function goOnAfter(work) {
     const { name } = tab;
-    if (warned !== name) return warn(UNTOUCHED);
-    await tab.saving.markUnchecked(name);
-    if (tab.name === name) goNext();
+    if ((await work(name)) !== false && tab.name === name) goNext();
   }
 
-  /** Go on from points that look wrong, and were left as they are: the person has checked them. */
-  async function passSlip() {
-    const { name } = tab;
-    const checked = await act(app, "checked", [name]);
-    if (checked.length && tab.name === name) goNext();
-  }
+  /** The person has checked points that look wrong, and were left as they are. */
+  const passSlip = async (name) => (await act(app, "checked", [name])).length > 0;
 
   async function goNext() {
     const { name, saver } = tab;
@@ -63,7 +55,6 @@ export function createCommands(tab) {
     app.toast(left || `${allDone(state.folder)} Open Fit to try the model.`, left ? "info" : "good");
   }
 
-  /** Change the selected points that are placed, and say what work() returns. */
   function toChosen(work) {
     const chosen = tab.tracing.on ? [] : marking.chosenPlaced;
     if (chosen.length) say(`${called(marking.names, chosen)} ${work()}`);
@@ -79,7 +70,6 @@ export function createCommands(tab) {
   const commands = {
     escaped: false, // whether Tab leaves the picture
 
-    /** Whether a picture's points can be edited now. */
     get marks() { return !tab.editing && marking.book !== null; },
 
     /** Whether another picture can be opened: one is open, or cannot be opened. */
@@ -181,16 +171,16 @@ export function createCommands(tab) {
     accept() {
       if (!commands.marks) return commands.skip(); // there is nothing to accept
       if (tab.tracing.on) return tab.tracing.finish();
-      if (marking.state.source === "layout") return void leaveUnchecked();
+      if (marking.state.source === "layout") // left as it is
+        return void (warned === tab.name ? goOnAfter(tab.saving.markUnchecked) : warn(UNTOUCHED));
       marking.accept();
       const left = marking.missing;
       const isSlip = state.picture(tab.name)?.slip && marking.state === marking.book.seen;
-      if (!left.length || warned === tab.name) return void (isSlip ? passSlip() : goNext());
+      if (!left.length || warned === tab.name) return void (isSlip ? goOnAfter(passSlip) : goNext());
       marking.select([left[0]]);
       return warn(missingText(marking.names, left)); // once, since points may be left out on purpose
     },
 
-    /** Save the mean shape as it is, after asking. */
     async confirmLayout() {
       const text = `No point of ${tab.name} was moved from the mean shape. The model will be trained on these points.`;
       if (!(await app.confirm("Are the points right?", text, "Save the points", "primary"))) return;

@@ -98,7 +98,6 @@ export function createOpening(tab, begins) {
     tab.refresh();
   }
 
-  /** Show the server's current marks of the open picture. */
   async function reload() {
     const { name, saver } = tab;
     const own = turn;
@@ -112,14 +111,12 @@ export function createOpening(tab, begins) {
     if (marking.book && chosen.length && chosen.at(-1) < marking.points.length) marking.select(chosen, active);
   }
 
-  /** Fetch the picture at a higher resolution if the zoom needs it. */
   async function sharpen() {
     const { name } = tab;
     const bitmap = await tab.app.pictures.sharper(name, viewer.scale * devicePixelRatio);
     if (bitmap && tab.name === name) viewer.setPicture(bitmap, viewer.width, viewer.height);
   }
 
-  /** Whether neither a gesture nor a save is in progress. */
   const isIdle = () => !tab.saver.isDirty(tab.name) && !tab.tool.gesture;
 
   /** Whether the user has not changed anything, so that newer marks may replace the shown ones. */
@@ -143,9 +140,8 @@ export function createOpening(tab, begins) {
       book.key = keyOf(tab.name);
       reload();
     } else if (!tab.editing && isIdle()) {
-      const picture = state.picture(tab.name);
-      const { revision } = tab.saver.entry(tab.name);
-      if (picture && picture.state !== "reading" && picture.revision !== revision) reload(); // changed by another program
+      const { state: progress = "reading", revision } = state.picture(tab.name) ?? {};
+      if (progress !== "reading" && revision !== tab.saver.entry(tab.name).revision) reload(); // by another program
     }
   }
 
@@ -175,13 +171,11 @@ export class FirstMarks {
     this.shapes = new Map(); // name -> promise of the marks of a done picture
   }
 
-  /** The landmarks of a picture, or of all, have changed. */
   forget(name = null) {
     if (name === null) this.shapes.clear();
     else this.shapes.delete(name);
   }
 
-  /** {points, invisible, source, bar} for a picture, from the server's marks. */
   async of(name, { points, invisible, source, width, height, bar = null }) {
     const { names } = this.state.project.template;
     const fits = points.length === names.length; // a file may belong to another template
@@ -208,7 +202,6 @@ export class FirstMarks {
   }
 }
 
-/** A message in place of a picture that cannot be shown: an icon, a title and a remedy. */
 export class Cover {
   element = h("div.annotate-cover", { hidden: true });
 

@@ -5,7 +5,6 @@ import { Page, Unsaved } from "./unsaved.js";
 
 const KEEPALIVE = 60_000; // largest body in bytes that a browser still sends after the page is closed
 
-/** Dialogs of conflicts with the file on the server. */
 const CHANGED = {
   title: "Changed elsewhere", theirs: "Use the other version", mine: "Keep my version",
   text: "were changed in another tab or by another program since this tab read them.", what: "landmarks",
@@ -20,16 +19,14 @@ export function createSaving(tab) {
   const { api, state, toast, ui } = tab.app;
   const page = new Page();
   let deciding = false;
-  const template = () => state.project?.template ?? null;
   const fetchMarks = (name) => api.get(api.url("pictures", name, "landmarks"));
-  /** Fetch the marks of a picture; null if the request fails. */
   const tryToFetch = (name) => fetchMarks(name).catch(() => null);
 
   const put = (name, body) => state.saveMarks(name, body, { keepalive: JSON.stringify(body).length < KEEPALIVE });
 
   const saver = new Saver({
     put, unsaved: new Unsaved(localStorage, state.project.id, page.name),
-    template: () => template() && { names: template().names, revision: template().revision },
+    template: () => tab.template && { names: tab.template.names, revision: tab.template.revision },
     onStatus: (what, message) => tab.status.show(what, message), onConflict: decide, onTemplate: templateMoved,
     onForeign: (name) => tab.opening.foreign(name), onLost: (_name, sentence) => toast(sentence, "bad"),
     onSaved: (name, { picture }) => {
@@ -38,7 +35,6 @@ export function createSaving(tab) {
     },
   });
 
-  /** Mark a picture whose mean shape was not moved. */
   async function markUnchecked(name) {
     const { revision, points } = await fetchMarks(name);
     const body = { points: points.map(() => null), invisible: [], revision, unchecked: true };
@@ -67,13 +63,12 @@ export function createSaving(tab) {
 
   /** The server refused marks of an earlier template: fetch the new one and convert them. */
   async function templateMoved(name) {
-    const before = template()?.revision;
+    const before = tab.template?.revision;
     await state.refresh().catch(() => {}); // if the server is unreachable, `online` retries
     // If the template has changed, the listener has already converted all unsaved marks.
-    if (template() && template().revision === before) await rebase([name]);
+    if (tab.template && tab.template.revision === before) await rebase([name]);
   }
 
-  /** Convert unsaved marks to the current template. */
   async function rebase(names = saver.dirty, mapping = null) {
     for (const name of names) {
       await saver.entry(name).request; // it has marks of the earlier template, too
@@ -97,10 +92,9 @@ export function createSaving(tab) {
     return null;
   }
 
-  /** Save the marks that an earlier page could not save. */
   async function sendKept() {
     for (const name of saver.unsaved.names()) {
-      if (!state.picture(name) || !template() || saver.isDirty(name)) continue;
+      if (!state.picture(name) || !tab.template || saver.isDirty(name)) continue;
       const isOpen = name === tab.name; // then loading its marks restores those that were not saved
       const marks = isOpen ? null : await tryToFetch(name);
       if (marks) await inherited(name, marks);

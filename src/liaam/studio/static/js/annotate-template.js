@@ -1,6 +1,6 @@
 // The template in the Annotate tab: creating, editing and saving it, and following changes made elsewhere.
 
-import { drawDrafting } from "./annotate-drawing.js";
+import { drawDrafting } from "./drawing.js";
 import { Drafting } from "./drafting.js";
 import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
 import { createTemplatePanel } from "./template-panel.js";
@@ -197,7 +197,6 @@ export function createTemplates(tab) {
   return {
     doc, panel: panel.element, begin, edit, noticed, mayLeave,
     draw: (ctx, tool) => drawDrafting(ctx, viewer, tool, doc),
-    /** Whether the template is edited instead of a picture's points. */
     get editing() { return editing; },
     get prompt() {
       if (doc.layingOut) return "Move the points into place: drag the frame's handles, then single points";
@@ -205,7 +204,6 @@ export function createTemplates(tab) {
       return doc.draft.path < 0 ? "Click the first point of the next path"
         : "Click the next point of this path – C closes it, N starts another";
     },
-    /** Handle a key without modifiers; return whether it was handled. */
     key(letter) {
       keys[letter]?.();
       return letter in keys;

@@ -2,7 +2,6 @@
 
 export const several = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 
-/** A fraction as text, with a space that does not break. */
 export const percent = (fraction) => `${(100 * fraction).toFixed(fraction < 0.01 ? 2 : 1)}\u00a0%`;
 
 /** What to do next with the open picture; "" if nothing. */
@@ -38,7 +37,6 @@ export function placeOf({ names, points, invisible }, index, next = -1) {
   return next < 0 ? here : `${here}. Next: ${names[next]}`;
 }
 
-/** The name of one point, or the number of several. */
 export const called = (names, indices) => (indices.length === 1 ? names[indices[0]] : `${indices.length} points`);
 
 /** Message about missing points, which may be left out on purpose. */

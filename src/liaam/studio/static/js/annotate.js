@@ -2,7 +2,6 @@
 // parts.
 
 import { createCommands } from "./annotate-commands.js";
-import { drawGesture, drawMarking } from "./annotate-drawing.js";
 import { createKeys, SHORTCUTS } from "./annotate-keys.js";
 import { Cover, createOpening } from "./annotate-opening.js";
 import { createSaving } from "./annotate-saving.js";
@@ -10,7 +9,7 @@ import { createTemplates } from "./annotate-template.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
 import { descriptionOf, placeOf, promptOf, several, tallyOf } from "./annotate-words.js";
 import { createAssist } from "./assist.js";
-import { drawHint, loupeOver } from "./drawing.js";
+import { drawGesture, drawHint, drawMarking, loupeOver } from "./drawing.js";
 import { PointTool } from "./gestures.js";
 import { Marking } from "./marking.js";
 import { nextMissing } from "./points.js";
@@ -147,7 +146,6 @@ export class Tab {
 
   leavePicture(name) { this.saver.flush(name).then(() => this.assist.left()); }
 
-  /** The marks have changed: save and show them. */
   changed() {
     this.saving.change(this.name, this.marking.state);
     this.refresh();
@@ -183,7 +181,6 @@ export class Tab {
     this.viewer.redraw();
   }
 
-  /** Show the point to place in the template, and what to do next. */
   showHint() {
     const { cover, drawing, editing, hint, marking, prompt, template } = this;
     hint.hidden = editing || drawing || !marking.placing || !template?.points || cover.isShown;
@@ -195,7 +192,6 @@ export class Tab {
     if (prompt.textContent !== text) prompt.textContent = text;
   }
 
-  /** Describe the picture for screen readers. */
   describe() {
     const { editing, marking, name, templates } = this;
     this.alternative.textContent = editing ? `Editing the template: ${several(templates.doc.names.length, "point")}.`

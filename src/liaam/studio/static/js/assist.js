@@ -3,7 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { measureAll } from "./review.js";
 import { openIn } from "./strip-filters.js";
-import { button, dialog, h, icon } from "./ui.js";
+import { button, dialog, h, icon, listOf } from "./ui.js";
 
 const LEAST = 3; // pictures needed for training
 const AUTO_FIRST = 4; // done pictures after which the first model is trained automatically
@@ -44,7 +44,6 @@ export function unfinished({ pictures, model }) {
   return text && `${text[0].toUpperCase()}${text.slice(1)}.`;
 }
 
-/** That all pictures of a subfolder, or all of them, are done. */
 export const allDone = (folder) => (folder ? `All pictures of ${folder} are done.` : "All pictures are done.");
 
 /** The next picture to open: the worst other one if the list is sorted by quality, or else nextToTeach. */
@@ -55,8 +54,7 @@ export function nextOf(state, pictures) {
   return openIn(listed.map((name) => state.picture(name)))[0] ?? null;
 }
 
-/** The picture that helps the model most: by rank, then by position in the folder after `current`; null if all are
- *  done. */
+/** The picture that helps the model most: by rank, then by position after `current`; null if all are done. */
 export function nextToTeach(pictures, current) {
   const at = pictures.findIndex((picture) => picture.name === current);
   const round = [...pictures.slice(at + 1), ...pictures.slice(0, Math.max(at, 0))];
@@ -67,10 +65,8 @@ export function nextToTeach(pictures, current) {
   return open.reduce((best, picture) => (best === null || rank(picture) < rank(best) ? picture : best), null);
 }
 
-/** An uncertainty as text. Above 1 the value is meaningless. */
 const uncertain = (fraction) => (fraction <= 1 ? percent(fraction) : "over 100\u00a0%");
 
-/** Why this picture comes next. */
 export function reason(picture, pictures, model) {
   if (!picture) return "";
   if (!model) return "Next in the folder. Once there is a model, the picture that helps it most comes first.";
@@ -109,8 +105,7 @@ export function mismatch({ model, template }) {
   return `The model has ${has} points where the template has ${wants}, so it cannot place points here: ${remedy}.`;
 }
 
-/** Create the panel: {element, notes: a panel of notices, sure: the button that says that the mean shape is right,
- *  left(): a picture was left}. @param {App} app */
+/** {element, notes: of notices, sure: button for a right mean shape, left(): a picture was left}. @param {App} app */
 export function createAssist(app, commands) {
   const { api, state } = app;
   let failedAt = null;
@@ -163,14 +158,13 @@ export function createAssist(app, commands) {
     h("div.row.assist-go", next), h("div.row.assist-slot", pass, running), h("label.check.small", { title: often }, auto, "Train automatically"),
     sure, failure, why, offered, end);
 
-  /** Ask before training on points that look wrong; return whether to train. */
   async function mayTrain() {
     const wrong = slipped(state.project.pictures);
     if (!wrong.length) return true;
-    const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => h("li", `${name}: ${slip}`));
+    const lines = wrong.slice(0, SHOWN).map(({ name, slip }) => `${name}: ${slip}`);
     const advice = h("p.small.muted", "Show “Possible slips” in the list for all. Pictures marked as checked are left out.");
     const title = `Points of ${several(wrong.length, "picture")} may be wrong`;
-    const answer = await dialog(title, h("div", h("ul.assist-lines", lines), advice), [
+    const answer = await dialog(title, h("div", listOf(lines), advice), [
       { label: "Train anyway", value: "train" },
       { label: "Look at them", kind: "primary", value: "look", testid: "look-at-slips" },
     ]);
@@ -209,17 +203,13 @@ export function createAssist(app, commands) {
     failure.hidden = !text;
   }
 
-  /** Show notices; lists of several are collapsed. */
   function note(project) {
     const groups = notices(project);
-    const key = JSON.stringify(groups);
-    if (key === noted) return; // keep an opened list open
-    noted = key;
+    if (JSON.stringify(groups) === noted) return; // keep an opened list open
+    noted = JSON.stringify(groups);
     notes.hidden = !groups.length;
-    const list = (title, lines) => h("details.small", h("summary", `${title}: ${lines.length} notices`),
-      h("ul.assist-lines", lines.map((line) => h("li", line))));
-    notes.replaceChildren(
-      ...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0]) : list(title, lines))));
+    notes.replaceChildren(...groups.map(({ title, lines }) => (lines.length === 1 ? h("p.small", lines[0])
+      : h("details.small", h("summary", `${title}: ${lines.length} notices`), listOf(lines)))));
   }
 
   function refresh() {
@@ -234,10 +224,10 @@ export function createAssist(app, commands) {
     offered.hidden = !project.offered || model?.source !== "face";
     const runs = training?.state === "running";
     running.hidden = !runs;
-    if (training?.total) progress.value = Math.round((100 * training.done) / training.total);
+    const { total = 0, done: ready = 0, what: doing = "" } = training ?? {};
+    if (total) progress.value = Math.round((100 * ready) / total);
     else progress.removeAttribute("value");
-    const doing = training?.what || "Training";
-    what.textContent = training?.total ? `${doing} (${training.done} of ${training.total})` : `${doing}…`;
+    what.textContent = `${doing || "Training"}${total ? ` (${ready} of ${total})` : "…"}`;
     train.disabled = runs || asking || done < LEAST;
     const stale = model?.stale && `${several(model.stale, "picture")} completed or changed since the last training`;
     train.title = done < LEAST ? `Needs ${LEAST} done pictures; there ${done === 1 ? "is" : "are"} ${done}`
@@ -254,19 +244,17 @@ export function createAssist(app, commands) {
     const then = nextOf(state, state.pictures);
     const left = unfinished({ pictures: state.pictures, model });
     const without = model?.left_out?.[here?.name];
-    const slip = here?.slip ? `Possible slip: ${here.slip}. ${SLIP}` : "";
+    const slip = here?.slip && `Possible slip: ${here.slip}. ${SLIP}`;
     const fault = without ? `The model leaves this picture out, because ${without}.` : (here?.error ?? slip);
     pass.disabled = !then;
     why.classList.toggle("warn-text", Boolean(fault));
-    if (fault) why.textContent = fault;
-    else if (here && here.state !== "done" && here.uncertainty != null && model)
-      why.textContent = reason(here, pictures, model);
-    else if (!then) why.textContent = left || (done ? allDone(state.folder) : "");
-    else if (model) why.textContent = `Next: ${then.name}. ${reason(then, pictures, model)}`;
-    else if (done < AUTO_FIRST)
-      why.textContent = `After ${several(AUTO_FIRST - done, "more picture")} the model can place points for you.`;
-    else if (training?.state === "running") why.textContent = "After training, the model places points for you.";
-    else why.textContent = "Train the model to let it place points for you.";
+    const more = several(AUTO_FIRST - done, "more picture");
+    const wait = done < AUTO_FIRST ? `After ${more} the model can place points for you.` : training?.state === "running"
+      ? "After training, the model places points for you." : "Train the model to let it place points for you.";
+    const isOpen = here && here.state !== "done" && here.uncertainty != null && model;
+    const ended = left || (done ? allDone(state.folder) : "");
+    const next = !then ? ended : model ? `Next: ${then.name}. ${reason(then, pictures, model)}` : wait;
+    why.textContent = fault || (isOpen ? reason(here, pictures, model) : next);
   }
 
   /** Train between two pictures, when no point is being moved. */

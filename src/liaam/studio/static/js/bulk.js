@@ -1,8 +1,25 @@
-// Actions on several pictures of the list, and their undo.
+// Actions on several pictures of the list, and their undo; and who does them: the name of the person who works here.
 
 import { several } from "./annotate-words.js";
-import { button, h, iconButton, labelsOf, menu } from "./ui.js";
-import { myName } from "./who.js";
+import { button, dialog, h, iconButton, labelsOf, menu } from "./ui.js";
+
+const KEY = "liaam-studio:who";
+export const whoAmI = () => localStorage.getItem(KEY) ?? "";
+
+/** The name, asked for if it is needed and was never given; "" if it is not given, null if the dialog was closed. */
+async function myName(needed) { return needed && !whoAmI() ? askName() : whoAmI(); }
+
+export async function askName() {
+  const input = h("input.text", { maxlength: "60", value: whoAmI(), "aria-label": "Your name", testid: "who" });
+  const why = "The history of each picture says who placed and checked its points. This browser remembers the name; " +
+    "it is saved with your changes in the folder.";
+  const actions = [{ label: "Save", kind: "primary", value: "save", testid: "who-save" }];
+  const answer = dialog("Your name", h("div.column", why, input), actions);
+  input.select();
+  if ((await answer) === null) return null;
+  localStorage.setItem(KEY, input.value.trim());
+  return whoAmI();
+}
 
 /** By name in the server's log: the label, what was done to so many pictures, and the action that undoes it. */
 const ACTIONS = {
@@ -21,7 +38,6 @@ const ACTIONS = {
 
 const pictures = ({ length }) => several(length, "picture");
 
-/** Message about the answer to an action. */
 export function outcome(did, { changed, refused }) {
   const reasons = Object.values(refused);
   const done = changed.length && `${ACTIONS[did].done(pictures(changed))}.`;
@@ -40,8 +56,7 @@ export async function act({ state, api, toast, saved }, did, names, { more = {},
   return answer.changed;
 }
 
-/** The bar of actions; chosen() -> names; onall(): choose all that are shown; onend(): end the selection; ondone():
- *  after an action. */
+/** The bar of actions; chosen() -> names; onall(): choose all; onend(): choose none; ondone(): after an action. */
 export function createBulk({ app, chosen, onall, onend, ondone }) {
   let last = null; // {did, names} to undo
   const count = h("span.small.grow", { "aria-live": "polite" });
@@ -57,7 +72,6 @@ export function createBulk({ app, chosen, onall, onend, ondone }) {
     h("div.row", count, small("All", onall, "bulk-all"), small("End", onend, "bulk-end")),
     h("div.row", choice, undo));
 
-  /** Whether landmarks may be deleted. */
   function mayDelete(names) {
     const some = names.map((name) => app.state.picture(name)).filter((one) => one?.placed || one?.state === "reading");
     const text = `The landmarks of ${pictures(some)} will be deleted. Undo brings them back.`;

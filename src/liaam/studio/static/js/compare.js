@@ -2,8 +2,7 @@
 
 import { api } from "./api.js";
 import { drawFit, drawTruth, entries, modelNeeded, offer, Overlays } from "./fit-draw.js";
-import { meanDistance } from "./fit-geometry.js";
-import { betterOf, comparison, factsOf, verdictOf } from "./fit-run.js";
+import { betterOf, comparison, factsOf, meanDistance, verdictOf } from "./fit-run.js";
 import { SourceTab } from "./fit-source.js";
 import { bounds } from "./points.js";
 import { button, h, icon, isPlain, press, runKey } from "./ui.js";
@@ -12,21 +11,30 @@ import { Viewer } from "./viewer.js";
 const FAMILIAR = ["rgb", "grey"]; // methods to compare the default with at first: the best known
 const SMALL = 300; // css pixels of height below which the object fills a view
 
-/** One side: its method, its viewer and its result. */
 class Side {
-  constructor(name, methods, method, { onmethod, draw }) {
-    this.fit = null;
-    this._run = 0;
+  fit = null;
+  _run = 0;
+
+  /** @param {Tab} tab */
+  constructor(tab, name, method) {
+    const { methods } = tab.state.project;
+    const options = methods.map(({ name: value, summary: title }) => h("option", { value, title }, value));
     this.select = h("select.text", {
-      "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => onmethod(this),
-    }, methods.map(({ name: value, summary: title }) => h("option", { value, title }, value)));
+      "aria-label": `Method on the ${name}`, testid: `compare-method-${name}`, onchange: () => {
+        this.take(null);
+        tab.run();
+      },
+    }, options);
     this.select.value = method;
     this.badge = h("span.badge", { hidden: true });
     this.facts = h("dl.fit-facts.compare-facts");
     this.message = h("p.small.muted.compare-message");
     this.container = h("div.fit-viewer");
     this.viewer = new Viewer(this.container, { label: `Picture, fitted with the method on the ${name}` });
-    this.viewer.addLayer((ctx, viewer) => draw(ctx, viewer, this));
+    this.viewer.addLayer((ctx, viewer) => {
+      if (tab.truth && tab.showTruth) drawTruth(ctx, viewer, tab.truth);
+      if (this.fit) drawFit(ctx, viewer, this.fit, tab.overlays.shown);
+    });
     this.element = h("section.compare-side", { "aria-label": `Method on the ${name}`, testid: `compare-${name}` },
       h("div.compare-head", this.select, this.badge), this.container,
       h("div.compare-result", { role: "status", "aria-live": "polite" }, this.facts, this.message));
@@ -67,7 +75,6 @@ class Side {
     return run === this._run;
   }
 
-  /** Drop a running fit and the result. */
   reset() {
     this._run += 1;
     this.take(null);
@@ -89,13 +96,7 @@ export class Tab extends SourceTab {
     const { methods, default_method: first } = this.state.project;
     const known = this.state.project.model?.methods ?? methods.map(({ name }) => name);
     const other = [...FAMILIAR, first].find((name) => known.includes(name)) ?? first;
-    this.sides = [["left", first], ["right", other]].map(([name, method]) => new Side(name, methods, method, {
-      onmethod: (side) => this._method(side),
-      draw: (ctx, viewer, side) => {
-        if (this.truth && this.showTruth) drawTruth(ctx, viewer, this.truth);
-        if (side.fit) drawFit(ctx, viewer, side.fit, this.overlays.shown);
-      },
-    }));
+    this.sides = [new Side(this, "left", first), new Side(this, "right", other)];
     this.left = this.sides[0];
     this.right = this.sides[1];
     this._build(root);
@@ -112,7 +113,6 @@ export class Tab extends SourceTab {
     window.liaamStudio.compare = { left: this.left, right: this.right };
   }
 
-  /** Whether there are a picture and a model to fit. */
   get _works() { return Boolean(this.sources.current && this.state.project.model); }
 
   key(event) {
@@ -133,22 +133,14 @@ export class Tab extends SourceTab {
     const [{ viewer }, shape] = [this.left, this.sides.find(({ fit }) => fit?.ok)?.fit.shape];
     if (!shape || viewer.container.clientHeight > SMALL || !viewer.view._fitted) return;
     const box = bounds(shape);
-    viewer.fitTo(box, 0.08 * (box[3] - box[1]));
+    viewer.fitTo(box, 0.07 * viewer.container.clientHeight);
   }
 
   swap() {
-    const others = this.sides.map(({ method, fit }) => ({ method, fit })).reverse();
-    this.sides.forEach((side, i) => {
-      side.reset();
-      side.select.value = others[i].method;
-      side.take(others[i].fit);
-    });
-    this._verdict();
-  }
-
-  async _method(side) {
-    side.take(null);
-    if (this._works && (await side.run(this.app.fits, this.sources.current))) this._verdict();
+    const [a, b] = this.sides;
+    [a.select.value, b.select.value] = [b.method, a.method];
+    for (const side of this.sides) side.reset();
+    this.run();
   }
 
   _another(source) {
@@ -166,11 +158,11 @@ export class Tab extends SourceTab {
   }
 
   _anotherModel() {
-    this.sides.forEach((side) => side.reset());
+    for (const side of this.sides) side.reset();
     if (this.visible) this.run();
   }
 
-  _refused(error) { this._say(error.message, true); }
+  _refused(error) { this._say(error.message, { bad: true }); }
 
   async _truth() {
     const source = this.sources.current;
@@ -183,44 +175,36 @@ export class Tab extends SourceTab {
 
   _verdict() {
     const [a, b] = this.sides.map((side) => side.fit);
-    this._say(a && b ? comparison(a, b, meanDistance(a.shape, b.shape)) : "");
-    const better = a && b ? betterOf(a, b) : null;
-    for (const side of this.sides) side.element.classList.toggle("nearer", better !== null && side.fit === better);
+    if (a && b) this._say(comparison(a, b, meanDistance(a.shape, b.shape)), { better: betterOf(a, b) });
+    else this._say("");
   }
 
-  _say(text, bad = false) {
+  _say(text, { bad = false, better = null } = {}) {
     this._verdictText.textContent = text;
     this._verdictText.classList.toggle("error-text", bad);
-    if (bad || text === "Fitting…") for (const side of this.sides) side.element.classList.remove("nearer");
+    for (const { element, fit } of this.sides) element.classList.toggle("nearer", better !== null && fit === better);
   }
 
   _build(root) {
     this.overlays = new Overlays(["contours", "landmarks"], () => this._redraw(), "compare");
-    this._truthButton = button("Ground truth", {
-      small: true, shortcut: "T", pressed: this.showTruth, disabled: true, testid: "compare-truth",
-      title: "Show the known landmarks of the picture as crosses", onclick: () => this._toggleTruth(),
+    const tool = (label, shortcut, name, onclick, more) =>
+      button(label, { small: true, shortcut, testid: `compare-${name}`, onclick, ...more });
+    this._truthButton = tool("Ground truth", "T", "truth", () => this._toggleTruth(), {
+      pressed: this.showTruth, disabled: true, title: "Show the known landmarks of the picture as crosses",
     });
-    this._runButton = button("Fit both", {
-      icon: "target", kind: "primary", small: true, shortcut: "Enter", testid: "compare-run", onclick: () => this.run(),
-    });
-    const swap = button("Swap", {
-      icon: "swap", small: true, shortcut: "X", testid: "compare-swap", onclick: () => this.swap(),
-    });
-    this._verdictText = h("p.compare-verdict.grow", {
-      role: "status", "aria-live": "polite", testid: "compare-verdict",
-    });
+    this._runButton = tool("Fit both", "Enter", "run", () => this.run(), { icon: "target", kind: "primary" });
+    const swap = tool("Swap", "X", "swap", () => this.swap(), { icon: "swap" });
+    this._verdictText = h("p.compare-verdict.grow", { role: "status", testid: "compare-verdict" });
     this._name = h("span.fit-source-name");
-    const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "Compare" },
-      this._runButton, swap, h("span.rule"), this.overlays.buttons, this._truthButton, h("span.grow"), this._name);
     this._pair = h("div.compare-pair", this.left.element, this.right.element);
     this._empty = h("div.empty.big");
-    const foot = h("div.compare-foot", this._verdictText);
-    root.append(h("div.workspace.compare-tab", toolbar, this._pair, this._empty, foot));
+    root.append(h("div.workspace.compare-tab",
+      h("div.toolbar", { role: "toolbar", "aria-label": "Compare" }, this._runButton, swap, h("span.rule"),
+        this.overlays.buttons, this._truthButton, h("span.grow"), this._name),
+      this._pair, this._empty, h("div.compare-foot", this._verdictText)));
   }
 
-  _redraw() {
-    for (const { viewer } of this.sides) viewer.redraw();
-  }
+  _redraw() { for (const { viewer } of this.sides) viewer.redraw(); }
 
   _toggleTruth() {
     this.showTruth = !this.showTruth;
@@ -231,9 +215,8 @@ export class Tab extends SourceTab {
   _emptiness() {
     const works = this._works;
     this.sides.forEach((side) => offer(side.select, this.state.project.model));
-    this._pair.hidden = !works;
+    this._pair.hidden = this._runButton.disabled = !works;
     this._empty.hidden = works;
-    this._runButton.disabled = !works;
     this._name.textContent = this._name.title = this.sources.current?.name ?? "";
     if (works) return;
     const select = h("p", "Select a picture in the list, or drop one here.");

@@ -34,7 +34,6 @@ export class Divider {
   get visible() { return !this.element.hidden; }
   set visible(now) { this.element.hidden = !now; }
 
-  /** Position of the line in the canvas, css pixels. */
   get x() { return this.share * this.viewer.container.clientWidth; }
 
   label(before, after) {

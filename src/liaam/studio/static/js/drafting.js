@@ -2,10 +2,9 @@
 // document that gestures edit (see gestures.js).
 
 import { called, several } from "./annotate-words.js";
-import { COLOURS, drawText } from "./drawing.js";
+import { gripOf } from "./drawing.js";
 import { History } from "./history.js";
-import { filled, inked } from "./overlays.js";
-import { flip, indicesOf, place, samePoint, withTwins } from "./points.js";
+import { distance, flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
 
 const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on it
@@ -15,8 +14,7 @@ export class Drafting {
   editable = true;
   invisible = new Set();
 
-  /** onchange(): the draft or its display has changed; onselect(): the selection has changed; say(text): announce to
-   *  screen readers. */
+  /** onchange(): the draft or its display has changed; say(text): announce to screen readers. */
   constructor({ viewer, onchange = () => {}, onselect = () => {}, say = (_text) => {} }) {
     this.viewer = viewer;
     this.onchange = onchange;
@@ -32,25 +30,21 @@ export class Drafting {
     this.axis = null; // x of the mirror line while mirroring
     this.choose([]);
     this.shown = null; // points during a gesture
-    this.draft = template ? drafts.draftOf(template, points) : draft;
-    this.history = new History(this.draft);
+    this.history = new History(template ? drafts.draftOf(template, points) : draft);
   }
 
-  /** The saved template has changed: turn the draft into a change of the new one. */
   rebase(template) {
-    this.draft = drafts.rebased(this.draft, this.saved, template);
-    this.saved = template;
-    this.history = new History(drafts.draftOf(template));
-    this.history.push(this.draft, "earlier changes");
-    this.shown = null;
-    this.changed();
+    const draft = drafts.rebased(this.draft, this.saved, template);
+    Object.assign(this, { saved: template, shown: null, history: new History(drafts.draftOf(template)) });
+    this.apply(draft, "earlier changes");
   }
+
+  get draft() { return this.history.state; }
 
   /** {file, points} of a loaded template whose layout as a whole is being placed; otherwise null. It is a part of the
    *  draft, so that it is undone and stored with it. */
   get layout() { return (this.started && this.draft.layout) || null; }
   get layingOut() { return this.layout !== null; }
-  /** Whether the points still lie where they were loaded. */
   get isUnmoved() {
     return this.layingOut && this.draft.points.every((p) => this.layout.points.some((q) => samePoint(p, q)));
   }
@@ -68,7 +62,6 @@ export class Drafting {
 
   apply(next, what, key = null) {
     this.history.push(next, what, key);
-    this.draft = next;
     this.changed();
   }
 
@@ -79,9 +72,7 @@ export class Drafting {
   }
 
   travel(way) {
-    const state = this.history[way]();
-    if (!state) return;
-    this.draft = state;
+    if (!this.history[way]()) return;
     this.shown = null;
     this.changed();
   }
@@ -112,7 +103,8 @@ export class Drafting {
   }
 
   adding(xy) {
-    if (this.axis !== null && new AxisGrip(this.viewer, this.axis).isAt(xy)) return this.draggingAxis();
+    const { viewer, axis } = this;
+    if (axis !== null && distance(gripOf(viewer, axis), viewer.toScreen(xy)) <= GRIP_REACH) return this.draggingAxis();
     if (this.layingOut) return null;
     const unplaced = this.draft.points.findIndex((point) => !point);
     const index = unplaced >= 0 ? unplaced : this.names.length;
@@ -173,7 +165,6 @@ export class Drafting {
 
   flip() { this.apply({ ...this.draft, points: flip(this.draft.points, this.draft.mirror) }, "flip"); }
 
-  /** Add a point in the middle of the view, to be moved with keys. */
   addInTheMiddle() {
     if (this.layingOut) return;
     const { clientWidth, clientHeight } = this.viewer.container;
@@ -191,7 +182,6 @@ export class Drafting {
     this.say(`${what} deleted`);
   }
 
-  /** Move a point to another position in the order. */
   shift(from, to) {
     if (to < 0 || to >= this.names.length || from === to) return;
     this.apply(drafts.reorder(this.draft, from, to), "reorder");
@@ -199,7 +189,6 @@ export class Drafting {
     this.say(`${this.names[to]} is now number ${to + 1}`);
   }
 
-  /** Start or end mirroring; return whether it is on. */
   toggleMirror() {
     const on = this.axis === null;
     this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
@@ -208,7 +197,6 @@ export class Drafting {
     return on;
   }
 
-  /** Arrow keys move the axis if no point is selected. */
   shiftAxis(event) {
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (this.axis === null || !by) return false;
@@ -217,7 +205,6 @@ export class Drafting {
     return true;
   }
 
-  /** Start with the points of a file, at `points` on the picture. */
   load(file, template, points) {
     this.choose([]);
     const draft = drafts.draftOf(template, points);
@@ -225,38 +212,8 @@ export class Drafting {
     this.say(`${several(template.names.length, "point")} loaded. Move them into place`);
   }
 
-  /** The loaded points are in place: edit single points from now on. */
   endLayout() {
     this.select([]);
     this.apply({ ...this.draft, layout: null }, "put in place");
-  }
-}
-
-/** The axis of symmetry over the picture. It is dragged by a grip near the top, since clicks elsewhere on the line
- *  place points. */
-export class AxisGrip {
-  /** x: of the axis, in pixels of the picture. */
-  constructor(viewer, x) {
-    this.viewer = viewer;
-    const top = viewer.toScreen([0, 0])[1];
-    this.at = [viewer.toScreen([x, 0])[0], Math.min(Math.max(top, 0) + 16, viewer.container.clientHeight - 16)];
-  }
-
-  /** Whether a position in the picture lies under the grip. */
-  isAt(xy) {
-    const [x, y] = this.viewer.toScreen(xy);
-    return Math.hypot(x - this.at[0], y - this.at[1]) <= GRIP_REACH;
-  }
-
-  draw(ctx) {
-    const [x, y] = this.at;
-    ctx.beginPath();
-    ctx.moveTo(x, 0);
-    ctx.lineTo(x, this.viewer.container.clientHeight);
-    inked(ctx, COLOURS.axis, 1.5, [8, 5]);
-    ctx.beginPath();
-    ctx.arc(x, y, 11, 0, 2 * Math.PI);
-    filled(ctx, COLOURS.axis);
-    drawText(ctx, "⇔", x, y, { align: "center" });
   }
 }

@@ -1,7 +1,6 @@
 // The first screen, of an empty folder: a photograph of a face under a lamp that follows the pointer, and ways to begin.
 
-import { directionAt } from "./fit-geometry.js";
-import { LampHandle } from "./relight.js";
+import { directionAt, lampHandle, pixelsOf } from "./relight.js";
 import { perFrame, button, h, icon } from "./ui.js";
 
 const AMBIENT = [0.05, 0.065, 0.09]; // linear red, green and blue of the light from everywhere
@@ -34,7 +33,6 @@ export class Layers {
       near.reduce((sum, each, j) => sum + each * this.coefficients[j][k], 0) / total);
   }
 
-  /** Write the light under a lamp as RGBA, with MOST as white. */
   draw(at, target) {
     const { values, n, size } = this;
     const weights = Float32Array.from([0, ...this.mixed(at)]);
@@ -59,12 +57,12 @@ class RelitFace {
 
   constructor() {
     this.canvas = h("canvas.first-face", { width: 640, height: 640, "aria-hidden": "true" });
-    const move = (direction) => this._move(direction);
-    this.lamp = new LampHandle({ class: "first-lamp", "aria-label": "Lamp", testid: "first-lamp", middle: MIDDLE, onmove: move });
-    this.element = h("div.first-picture", { testid: "first-picture" }, this.canvas, this.lamp.element);
+    this.lamp = lampHandle({
+      class: "first-lamp", "aria-label": "Lamp", testid: "first-lamp", middle: MIDDLE, onmove: (to) => this._move(to),
+    });
     const follow = perFrame((event) => this._move(this.lamp.at(event)));
-    this.element.addEventListener("pointermove", follow);
-    this.element.addEventListener("pointerdown", follow);
+    this.element = h("div.first-picture", { testid: "first-picture", onpointermove: follow, onpointerdown: follow },
+      this.canvas, this.lamp.element);
     this.ready = this._load();
   }
 
@@ -72,10 +70,8 @@ class RelitFace {
     const [face, light, facts] = await Promise.all([
       load("face.jpg"), load("light.jpg"), fetch("first/light.json").then((answer) => answer.json())]);
     this._face = face;
-    const { width, height } = light;
-    const ctx = new OffscreenCanvas(width, height).getContext("2d");
-    ctx.drawImage(light, 0, 0);
-    this._layers = new Layers(ctx.getImageData(0, 0, width, height).data, facts);
+    const { width } = light;
+    this._layers = new Layers(pixelsOf(light).data, facts);
     this._bright = new OffscreenCanvas(face.width, face.height);
     const bright = this._bright.getContext("2d");
     bright.filter = `brightness(${MOST ** (1 / 2.2)})`;

@@ -1,7 +1,7 @@
 // Drawing of fits for the tabs Fit and Compare.
 
 import { verdictOf } from "./fit-run.js";
-import { drawContours, drawEllipses, drawMesh, drawPoints, stroked } from "./overlays.js";
+import { drawContours, drawEllipses, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
 import { button, h, press } from "./ui.js";
 
 const OVERLAYS = [
@@ -34,14 +34,12 @@ export class Overlays {
     this._onchange();
   }
 
-  /** Handle a key; return whether it was handled. */
   key({ key }) {
     const overlay = OVERLAYS.find((each) => each.key === key.toUpperCase());
     if (overlay) this.toggle(overlay.name);
     return Boolean(overlay);
   }
 
-  /** Whether the model has contours to draw. */
   set hasContours(has) {
     const [contours] = this.buttons;
     contours.disabled = !has;
@@ -50,15 +48,6 @@ export class Overlays {
   }
 }
 
-/** A button whose label is hidden if there is little room. */
-export function roomy(element) {
-  const label = element.lastChild;
-  element.setAttribute("aria-label", label.textContent);
-  label.replaceWith(h("span.fit-roomy", label.textContent));
-  return element;
-}
-
-/** Message without a model, with a button to the Annotate tab. */
 export function modelNeeded(app, testid = null) {
   const how = "Place points on a few pictures and train one, or drop a model file (.liaam) on the page.";
   return [
@@ -67,8 +56,7 @@ export function modelNeeded(app, testid = null) {
   ];
 }
 
-/** Let a select of methods offer those that the model was trained for.
- *  @param {HTMLSelectElement} select; @param {Model | null} model */
+/** Offer the methods that the model was trained for. @param {HTMLSelectElement} select; @param {Model | null} model */
 export function offer(select, model) {
   for (const option of select.options) {
     option.disabled = Boolean(model) && !model.methods.includes(option.value);
@@ -76,7 +64,6 @@ export function offer(select, model) {
   }
 }
 
-/** Terms and values as the entries of a <dl>. */
 export const entries = (rows) => rows.map(([term, value]) => h("div", h("dt", term), h("dd.number", value)));
 const FAR = 1e4; // css pixels
 
@@ -88,9 +75,8 @@ const UNSURE = { colour: "#ff8c5a", dash: [6, 4] };
 export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = true, opacity = {} } = {}) {
   const { colour, dash } = verdictOf(fit).isSure ? GOOD : UNSURE;
   const draw = (name, work) => {
-    if (!shown.has(name)) return;
     ctx.globalAlpha = opacity[name] ?? 1;
-    work();
+    if (shown.has(name)) work();
     ctx.globalAlpha = 1;
   };
   draw("mesh", () => drawMesh(ctx, viewer, shape, fit.triangles));
@@ -100,18 +86,11 @@ export function drawFit(ctx, viewer, fit, shown, { shape = fit.shape, final = tr
   draw("landmarks", () => drawPoints(ctx, viewer, shape, { colour, radius: 3 }));
 }
 
-/** Draw known landmarks as crosses, to distinguish them from a fit's points without colour. */
 export function drawTruth(ctx, viewer, points) {
-  const arm = 5;
-  ctx.beginPath();
-  for (const point of points) {
-    if (!point) continue;
+  lines(ctx, points.filter(Boolean).flatMap((point) => {
     const [x, y] = viewer.toScreen(point);
-    ctx.moveTo(x - arm, y - arm);
-    ctx.lineTo(x + arm, y + arm);
-    ctx.moveTo(x - arm, y + arm);
-    ctx.lineTo(x + arm, y - arm);
-  }
+    return [[[x - 5, y - 5], [x + 5, y + 5]], [[x - 5, y + 5], [x + 5, y - 5]]];
+  }));
   stroked(ctx, "#6df2a4", 1.6);
 }
 

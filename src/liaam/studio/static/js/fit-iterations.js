@@ -1,6 +1,5 @@
 // The iterations of a fit: a slider, a play button, and a plot of the cost.
 
-import { costRuns } from "./fit-geometry.js";
 import { significant } from "./fit-run.js";
 import { button, h, icon, slider, svg } from "./ui.js";
 
@@ -12,7 +11,6 @@ export class Iterations {
   index = 0;
   _timer = null;
 
-  /** `onmove(index, last)` is called to show an iteration. */
   constructor(onmove) {
     this._onmove = onmove;
     this.slider = slider({
@@ -35,7 +33,6 @@ export class Iterations {
 
   get last() { return this.iterations.length - 1; }
 
-  /** Show a fit's iterations, starting with the last. */
   show(iterations) {
     this.pause();
     this.iterations = iterations;
@@ -63,22 +60,18 @@ export class Iterations {
     if (this._timer) return this.pause();
     if (this.iterations.length < 2) return;
     if (this.index === this.last) this._go(0);
-    this._timer = setInterval(() => {
+    this.pause(setInterval(() => {
       this._go(this.index + 1);
       if (this.index === this.last) this.pause();
-    }, STEP);
-    this._face(true);
+    }, STEP));
   }
 
-  pause() {
+  /** Pause, or play by a timer. */
+  pause(timer = null) {
     clearInterval(this._timer);
-    this._timer = null;
-    this._face(false);
-  }
-
-  _face(playing) {
-    this.player.replaceChildren(icon(playing ? "pause" : "play"));
-    this.player.setAttribute("aria-label", playing ? "Pause" : "Play the iterations");
+    this._timer = timer;
+    this.player.replaceChildren(icon(timer ? "pause" : "play"));
+    this.player.setAttribute("aria-label", timer ? "Pause" : "Play the iterations");
   }
 
   _draw() {
@@ -124,4 +117,25 @@ export class Iterations {
     const nearest = this._points.reduce((best, each) => (Math.abs(each.x - x) < Math.abs(best.x - x) ? each : best));
     this.step(nearest.index - this.index);
   }
+}
+
+/** Curves of the cost by iteration, for a plot. Costs are comparable within a level only, so each has a scale. */
+export function costRuns(iterations, width, height, margin = 4) {
+  const n = iterations.length;
+  const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);
+  const runs = [];
+  iterations.forEach(({ level, cost }, index) => {
+    if (runs.at(-1)?.level !== level) runs.push({ level, points: [] });
+    runs.at(-1).points.push({ index, cost });
+  });
+  for (const run of runs) {
+    const costs = run.points.map((p) => p.cost).filter(Number.isFinite);
+    const [low, high] = [Math.min(...costs), Math.max(...costs)];
+    for (const point of run.points) {
+      const relative = high > low && Number.isFinite(point.cost) ? (point.cost - low) / (high - low) : 0;
+      point.x = across(point.index);
+      point.y = height - margin - relative * (height - 2 * margin);
+    }
+  }
+  return runs;
 }

@@ -2,6 +2,7 @@
 
 import { several } from "./annotate-words.js";
 import { api } from "./api.js";
+import { distance, indicesOf, mean } from "./points.js";
 
 const KEPT = 32; // fits, so that an earlier picture shows its fit at once; the server keeps 64
 
@@ -17,28 +18,20 @@ export class FitStore {
     });
   }
 
-  /** Fit a source; start: null, {box} or {shape}. */
   async run(source, method, start = null) {
     const key = this.#key(source, method); // of the model that is asked, which may be replaced meanwhile
     const changes = this.#changes;
-    const fit = cleaned(await this.#ask(source, method, start));
-    if (changes === this.#changes) this.#keep(key, fit);
-    return fit;
-  }
-
-  async #ask(source, method, start) {
     await source.ready;
-    const { fit } = source; // with the upload
+    const { fit: own } = source; // with the upload
     source.fit = null;
-    if (fit?.method === method && !start) return fit;
     const asked = { ...source.reference, method, start };
-    return this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder }));
-  }
-
-  #keep(key, fit) {
+    const fit = cleaned(own?.method === method && !start ? own
+      : await this.state.send((folder) => api.post(api.url("fits"), { ...asked, folder })));
+    if (changes !== this.#changes) return fit;
     this.#kept.delete(key);
     this.#kept.set(key, fit);
     if (this.#kept.size > KEPT) this.#kept.delete(this.#kept.keys().next().value);
+    return fit;
   }
 
   /** The newest fit of a source with a method and the current model, or null. */
@@ -71,7 +64,7 @@ export function verdictOf(fit) {
   const { ok, status, quality } = fit;
   const isUnknown = quality == null;
   if (!ok) {
-    const kind = status === "doubtful" || status === "max iterations" ? "warn" : "bad";
+    const kind = ["doubtful", "max iterations"].includes(status) ? "warn" : "bad";
     const advice = "Draw a box around the object, or drag the mean shape onto it:";
     return { kind, title: status, advice, isSure: false };
   }
@@ -87,7 +80,6 @@ export function verdictOf(fit) {
   return { kind: "warn", title, advice: "Check the points. If they are wrong, draw a box around the object:", isSure };
 }
 
-/** Seconds as text: "38 ms", "1.2 s". */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return "–";
   return seconds < 1 ? `${Math.round(1000 * seconds)} ms` : `${seconds.toFixed(1)} s`;
@@ -105,14 +97,20 @@ export function significant(value, digits = 3) {
 const short = (value) => value < 0.01 ? "< 0.01" : String(Number(value.toFixed(2)));
 const errorText = ({ error: { pixels, percent } }) => `${short(pixels)} px (${short(percent)} %)`;
 
-/** Facts about a fit as rows [term, value]. */
 export function factsOf(fit) {
   const { search, fit: fitting } = fit.seconds ?? {};
-  const rows = [["Quality", fit.quality == null ? "unknown" : percent(fit.quality)]];
-  if (fit.error) rows.push(["Error", errorText(fit)]);
-  if (fit.theta_deg != null) rows.push(["θ", `${fit.theta_deg.toFixed(1)}°`]);
-  rows.push(["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)]);
-  return rows;
+  return [
+    ["Quality", fit.quality == null ? "unknown" : percent(fit.quality)],
+    fit.error && ["Error", errorText(fit)],
+    fit.theta_deg != null && ["θ", `${fit.theta_deg.toFixed(1)}°`],
+    ["Time", search ? `${duration(search)} search + ${duration(fitting)} fit` : duration(fitting)],
+  ].filter(Boolean);
+}
+
+/** Mean distance between two shapes in pixels, over their common points; NaN without any. */
+export function meanDistance(first, second) {
+  const both = indicesOf(first).filter((i) => first[i] && second[i]);
+  return mean(both.map((i) => distance(first[i], second[i])));
 }
 
 /** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}, or

@@ -1,8 +1,10 @@
-// The Fit tab's panels: for the picture, the start and the method, and with the result.
+// The Fit tab's panels: for a guest model, the picture, the start and the method, and with the result; and its exports.
 
+import { api } from "./api.js";
 import { entries, modelNeeded, offer } from "./fit-draw.js";
 import { factsOf, verdictOf } from "./fit-run.js";
-import { button, h, iconButton, segmented } from "./ui.js";
+import { lightQuery } from "./relight.js";
+import { button, h, iconButton, saveFile, segmented } from "./ui.js";
 
 const STARTS = [
   { value: "auto", label: "Automatic", title: "Search the picture for the object", hint: "" },
@@ -18,17 +20,23 @@ const STARTS = [
 ];
 
 export class SetupPanel {
-  /** onback(): show the folder's picture; onopen(): open a file; onstart(value), onmethod(name): chosen; onclick(): a
-   *  start was clicked, not chosen by keys; onrun().
-   *  @param {{app: App, [handler: string]: any}} options */
-  constructor({ app, onback, onopen, onstart, onclick, onmethod, onrun }) {
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    this._tab = tab;
+    const { app } = tab;
     this._label = h("span.fit-source-name.grow");
+    const onback = () => tab.sources.backToFolder();
     this._back = iconButton("Back to the folder", "left", onback, { small: true, hidden: true });
     const open = button("Open…", {
-      icon: "image", small: true, title: "Open another picture without adding it to the folder", onclick: onopen,
+      icon: "image", small: true, title: "Open another picture without adding it to the folder",
+      onclick: () => tab.file.click(),
     });
-    this._starts = segmented("Start", STARTS, "auto", onstart, "start");
-    this._starts.element.addEventListener("click", onclick);
+    this._starts = segmented("Start", STARTS, "auto", (value) => tab.setStart(value), "start");
+    this._starts.element.addEventListener("click", ({ detail, target }) => {
+      if (!detail || !target.value) return; // chosen by keys
+      tab.setStart(target.value);
+      if (tab.startTool) tab.focus();
+    });
     this._hint = h("p.small.muted", { hidden: true });
     const { methods, default_method: first } = app.state.project;
     const sorted = [...methods].sort((a, b) => Number(b.name === first) - Number(a.name === first));
@@ -39,17 +47,18 @@ export class SetupPanel {
       return chosen.name;
     };
     const method = this._method = h("select.text", {
-      "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => onmethod(summarise()),
+      "aria-describedby": "fit-method-summary", testid: "fit-method", onchange: () => tab.setMethod(summarise()),
     }, sorted.map(({ name }) => h("option", { value: name }, name)));
     summarise();
-    const look = { icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run" };
-    this._run = button("Fit", { ...look, onclick: onrun });
-    this._run.append(h("kbd.kbd", "Enter"));
+    this.runner = button("Fit", {
+      icon: "target", kind: "primary", shortcut: "Enter", testid: "fit-run", onclick: () => tab.run(),
+    });
+    this.runner.append(h("kbd.kbd", "Enter"));
     this._mismatch = h("p.small.error-text", { hidden: true, testid: "fit-mismatch" });
     this._needsModel = h("div.column", modelNeeded(app, "fit-to-annotate"));
     this._withModel = h("div.column",
       h("div.column.tight", this._starts.element, this._hint),
-      h("div.row.fit-method", h("label.field.grow", "Method", method), this._run), summary);
+      h("div.row.fit-method", h("label.field.grow", "Method", method), this.runner), summary);
     this.element = h("section.panel", { "aria-label": "Fit" },
       h("div.row.fit-source", this._back, this._label, open), this._needsModel, this._mismatch, this._withModel);
   }
@@ -60,31 +69,54 @@ export class SetupPanel {
     this._hint.hidden = !this._hint.textContent;
   }
 
-  set canRun(can) { this._run.disabled = !can; }
-
-  /** source: the picture, or null; canGoBack: whether it hides a picture of the folder; mismatch: why the model does
-   *  not match the template, or "". */
-  show({ source, model, canGoBack, mismatch }) {
+  show() {
+    const { sources: { current: source }, state, mismatch } = this._tab;
+    const { model } = state.project;
     this._label.textContent = this._label.title = source?.name ?? "No picture";
-    this._back.hidden = !canGoBack;
+    this._back.hidden = !source || source.ofFolder || !state.current;
     this._needsModel.hidden = Boolean(model);
     this._withModel.hidden = !model;
     offer(this._method, model);
     this._mismatch.textContent = mismatch;
     this._mismatch.hidden = !mismatch;
-    this.canRun = Boolean(source);
+    this.runner.disabled = !source;
   }
 }
 
-/** The result of a fit, and remedies if it failed or has low confidence. */
+/** The panel that says that the page only fits, with a model that was dropped on it, and ends that. */
+export function guestPanel({ state, openTab }) {
+  const words = h("p.small.guest-words");
+  const onclick = async () => {
+    await api.delete(api.url("model", "guest"));
+    await state.refresh();
+    openTab("annotate");
+  };
+  const leave = button("Leave", {
+    small: true, testid: "leave-guest", title: "Use the model of the folder again", onclick,
+  });
+  const element = h("section.panel", { "aria-label": "Fit only", testid: "guest" },
+    h("div.panel-title", h("h2.grow", "Fit only"), leave), words);
+  const show = () => {
+    element.hidden = !state.guest;
+    const { name, n_points: count } = state.project.model ?? {};
+    words.textContent = `Pictures are fitted with ${name}.liaam (${count} points). Nothing is trained, and no ` +
+      "landmarks are saved.";
+  };
+  return { element, show };
+}
+
 export class ResultPanel {
-  /** onstart(value): start from a "box" or the "mean" shape; onnext(): fit the picture's next object. */
-  constructor({ onstart, onnext }) {
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    const start = (value) => {
+      tab.setStart(value);
+      tab.focus();
+    };
     this._status = h("div.column.tight.fit-status", { role: "status", "aria-live": "polite", testid: "fit-status" });
-    this._next = button("Next object", { icon: "right", small: true, onclick: onnext });
+    this._next = button("Next object", { icon: "right", small: true, onclick: () => tab.next() });
     this._remedies = h("div.row.tight.fit-remedies", { hidden: true }, this._next,
-      button("Draw a box", { icon: "box", small: true, onclick: () => onstart("box") }),
-      button("Drag the mean shape", { icon: "target", small: true, onclick: () => onstart("mean") }));
+      button("Draw a box", { icon: "box", small: true, onclick: () => start("box") }),
+      button("Drag the mean shape", { icon: "target", small: true, onclick: () => start("mean") }));
     this._facts = h("dl.fit-facts");
     this.element = h("section.panel.fit-result", { "aria-label": "Result" }, this._status, this._remedies, this._facts);
   }
@@ -97,7 +129,6 @@ export class ResultPanel {
     this._facts.replaceChildren();
   }
 
-  /** several: whether the picture shows several objects. */
   show(fit, several = false) {
     this.element.hidden = false;
     const { kind, title, advice } = verdictOf(fit);
@@ -112,4 +143,91 @@ export class ResultPanel {
     this._next.hidden = !several;
     this._facts.replaceChildren(...entries(factsOf(fit)));
   }
+}
+
+const EXPORTS = {
+  Landmarks: { pts: "Landmarks .pts", ljson: "Landmarks .ljson", csv: "Table .csv", json: "Fit .json" },
+  Pictures: {
+    overlay: "Picture with the fit", flat: "Without shading", shading: "Shading", relit: "Under the new light",
+  },
+};
+const NEEDS = { flat: "flat", shading: "shading", relit: "flat" }; // a layer of the fit
+
+export class ExportMenu {
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    this._tab = tab;
+    this._annotate = button("Use as annotation", {
+      icon: "edit", kind: "ghost", small: true, testid: "export-annotation",
+      title: "Save these landmarks beside the picture",
+      onclick: () => {
+        this.close();
+        useAsAnnotation(tab.app, tab.fit);
+      },
+    });
+    const groups = Object.entries(EXPORTS).map(([title, items]) =>
+      h("div.fit-menu-group", h("h3.small.muted", title), Object.entries(items).map((item) => this._item(...item))));
+    // The browser closes it with Escape, or by a press elsewhere.
+    this.panel = h("div.fit-menu", {
+      popover: "auto", role: "group", "aria-label": "Export", onbeforetoggle: () => this._place(),
+      ontoggle: ({ newState }) => newState === "open" && this.panel.querySelector("a").focus(),
+    }, groups, h("div.fit-menu-group", this._annotate));
+    this.button = button("Export", {
+      icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.panel,
+    });
+    const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
+    this.element = h("div", { onfocusout }, this.button, this.panel);
+  }
+
+  show() {
+    const { fit, sources: { current }, state, mismatch } = this._tab;
+    this.button.disabled = !fit;
+    this._annotate.hidden = !current?.ofFolder || state.guest || Boolean(mismatch);
+    if (!fit) this.close();
+  }
+
+  close() { if (this.panel.isConnected) this.panel.hidePopover(); }
+
+  _item(what, label) {
+    const onclick = (event) => {
+      event.preventDefault(); // a plain link would show neither progress nor errors
+      if (!event.target.ariaBusy) this._save(event.target);
+    };
+    return h("a.button.ghost.small", { download: "", dataset: { what, testid: `export-${what}` }, onclick }, label);
+  }
+
+  async _save(link) {
+    link.ariaBusy = "true";
+    const file = await api.file(link.getAttribute("href")).finally(() => { link.ariaBusy = null; });
+    saveFile(...file);
+    this.close();
+  }
+
+  _place() {
+    const { right, bottom } = this.button.getBoundingClientRect();
+    Object.assign(this.panel.style, { right: `${innerWidth - right}px`, top: `${bottom + 6}px` });
+    const { fit, view } = this._tab;
+    for (const link of fit ? this.panel.querySelectorAll("a") : []) {
+      const { what } = link.dataset;
+      link.href = api.url("fits", fit.id, "export", { what, ...(what === "relit" && lightQuery(view.light)) });
+      link.hidden = what in NEEDS && !fit.layers.includes(NEEDS[what]);
+    }
+  }
+}
+
+/** Save a fit's landmarks for its picture; ask before replacing others. */
+export async function useAsAnnotation(app, fit) {
+  const { state } = app;
+  const known = await api.get(api.url("pictures", fit.picture, "landmarks"));
+  const placed = known.source === "file" && known.points.some(Boolean);
+  const text = `${fit.picture} already has landmarks (${known.file ?? "in its file"}).`;
+  const replace = () =>
+    app.confirm("Replace the landmarks?", `${text} They will be replaced by those of the fit.`, "Replace");
+  if (placed && !(await replace())) return;
+  const saved = await state.saveMarks(fit.picture, {
+    points: fit.shape, invisible: placed ? known.invisible : [], revision: known.revision,
+    template: state.project.template?.revision,
+  });
+  state.update(saved.picture);
+  app.toast(`Saved as the landmarks of ${fit.picture}.`, "good");
 }

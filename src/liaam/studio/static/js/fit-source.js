@@ -1,7 +1,66 @@
-// The picture of the tabs Fit and Compare: one of the folder, or one that was dropped, pasted or opened.
+// A cache of the folder's pictures, and the picture of the tabs Fit and Compare: one of these, or one that was dropped,
+// pasted or opened.
 
 import { api } from "./api.js";
-import { bitmapOf, SHOWN_SIZE } from "./picture-store.js";
+
+const SHOWN_SIZE = 2048; // longest side at first
+const SHARP_SIZE = 8192; // longest side after zooming in
+const KEPT = 4;
+
+async function bitmapOf(address) {
+  const blob = await api.blob(address);
+  return createImageBitmap(blob).catch(() => {
+    throw new Error("The browser cannot show this picture: reload the page.");
+  });
+}
+
+/** The last few pictures, which are fetched at a higher resolution for zooming in. */
+export class PictureStore {
+  constructor(state) {
+    this.state = state;
+    this.pictures = new Map(); // name -> {bitmap, sharp, width, height, tag: of the file}
+  }
+
+  /** Fetch a picture: {bitmap, width, height}, with the size of landmark coordinates. */
+  async fetch(name) {
+    const known = this.pictures.get(name);
+    return known && known.tag === this.state.picture(name)?.tag ? known : this.load(name, SHOWN_SIZE);
+  }
+
+  /** Fetch a sharper bitmap if `scale` (screen pixels per picture pixel) needs one; null otherwise. */
+  async sharper(name, scale) {
+    const picture = this.pictures.get(name);
+    if (!picture || picture.sharp) return null;
+    const shown = picture.bitmap.width / picture.width; // bitmap pixels per picture pixel
+    if (shown >= 1 || scale < 1.3 * shown) return null;
+    picture.sharp = true; // request it once
+    try {
+      return (await this.load(name, SHARP_SIZE)).bitmap;
+    } catch {
+      picture.sharp = false; // the next zoom retries
+      return null;
+    }
+  }
+
+  async load(name, size) {
+    const { tag } = this.state.picture(name);
+    const bitmap = await bitmapOf(api.url("pictures", name, "image", { size, tag }));
+    const { width, height } = await this.sizeOf(name, bitmap);
+    const picture = { bitmap, sharp: size > SHOWN_SIZE, width, height, tag };
+    this.pictures.set(name, picture);
+    for (const [other, { sharp }] of this.pictures) // keep only one sharp picture, which may take a hundred megabytes
+      if (other !== name && (this.pictures.size > KEPT || (sharp && picture.sharp))) this.pictures.delete(other);
+    return picture;
+  }
+
+  /** The picture's size, also if the project lacks it: that of the bitmap, unless it was scaled down. */
+  async sizeOf(name, bitmap) {
+    const known = this.state.picture(name);
+    if (known?.width) return known;
+    const isWhole = Math.max(bitmap.width, bitmap.height) < SHOWN_SIZE;
+    return isWhole ? bitmap : api.get(api.url("pictures", name, "landmarks"));
+  }
+}
 
 /** A picture to fit. `ready` resolves once the server has it; `image` is the displayed copy. */
 export class Source {
@@ -58,7 +117,6 @@ export class Sources extends EventTarget {
 
   leave(tab) { this._watchers.delete(tab); }
 
-  /** Show the selected picture of the folder again after an opened file. */
   backToFolder() {
     this.current = this._wanted = null;
     this._follow();
@@ -91,15 +149,12 @@ export class Sources extends EventTarget {
     }
   }
 
-  /** Open a file: show it at once and upload it. */
   async take(file) {
     const source = new Source(file.name || "pasted picture.png");
     const limit = this.state.project.limits.upload_bytes;
-    if (file.size > limit) {
-      const what = `${source.name} has ${megabytes(file.size)}, more than the limit of ${megabytes(limit)}`;
-      this._say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`) });
-      return;
-    }
+    const what = `${source.name} has ${megabytes(file.size)}, more than the limit of ${megabytes(limit)}`;
+    if (file.size > limit)
+      return this._say("failed", { error: new Error(`${what}: put it into the folder, or make it smaller.`) });
     const before = this.current;
     this._wanted = source;
     this._chosen = false;

@@ -1,9 +1,8 @@
 // Starts of a fit: a drawn box, or the model's mean shape dragged onto the object.
 
 import { drawFrame, drawHandle } from "./drawing.js";
-import { boxAfterKey, boxBetween, boxMoved, cornersOf, GROWTH, isDrawn } from "./fit-geometry.js";
 import { CURSORS, dragging, frameOf, handleAt, handleReach, turning } from "./gestures.js";
-import { drawContours, drawMesh, drawPoints, stroked } from "./overlays.js";
+import { drawContours, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
 import { ARROWS, bounds, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
 
 const COLOUR = "#5ad1ff";
@@ -11,6 +10,42 @@ const SMALLEST = 12; // longer side of the placed mean shape, picture pixels
 
 const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]} */ [x, y]) =>
   x > x0 && x < x1 && y > y0 && y < y1;
+
+/** Whether a key enlarges (1) or shrinks (-1) the start. */
+const GROWTH = { ",": -1, "<": -1, ".": 1, ">": 1 };
+
+/** Corners of a box, clockwise from the upper left. */
+const cornersOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+
+/** Box between two corners in any order, clipped to the picture. */
+export function boxBetween(/** @type {number[]} */ [ax, ay], /** @type {number[]} */ [bx, by], width, height) {
+  const inside = (value, size) => Math.min(Math.max(value, 0), size - 1);
+  return [
+    inside(Math.min(ax, bx), width), inside(Math.min(ay, by), height),
+    inside(Math.max(ax, bx), width), inside(Math.max(ay, by), height),
+  ];
+}
+
+/** Whether a box is large enough to be intended. @param {number[]} box */
+export const isDrawn = ([x0, y0, x1, y1], least = 8) => x1 - x0 >= least && y1 - y0 >= least;
+
+/** Box after a key: arrows move it, comma and full stop resize it; null for other keys. */
+export function boxAfterKey(box, { key, shiftKey = false }, width, height) {
+  const step = shiftKey ? 10 : 1;
+  const [x0, y0, x1, y1] = box ?? [0.25 * width, 0.2 * height, 0.75 * width, 0.8 * height];
+  const move = ARROWS[key];
+  const grow = step * GROWTH[key];
+  if (move) return boxMoved([x0, y0, x1, y1], move.map((by) => step * by), width, height);
+  if (!grow) return null;
+  const grown = [x0 - grow, y0 - grow, x1 + grow, y1 + grow];
+  return isDrawn(grown) ? boxBetween(grown.slice(0, 2), grown.slice(2), width, height) : [x0, y0, x1, y1];
+}
+
+export function boxMoved([x0, y0, x1, y1], /** @type {number[]} */ [dx, dy], width, height) {
+  const mx = Math.min(Math.max(dx, -x0), width - 1 - x1);
+  const my = Math.min(Math.max(dy, -y0), height - 1 - y1);
+  return [x0 + mx, y0 + my, x1 + mx, y1 + my];
+}
 
 /** A box around the object; `ready` is called when it has been drawn. */
 export class BoxTool {
@@ -72,16 +107,13 @@ export class BoxTool {
   draw(ctx, viewer) {
     if (!this.box) return;
     const corners = cornersOf(this.box).map((corner) => viewer.toScreen(corner));
-    ctx.beginPath();
-    corners.forEach(([x, y]) => ctx.lineTo(x, y));
-    ctx.closePath();
+    lines(ctx, [[...corners, corners[0]]]);
     stroked(ctx, COLOUR, 1.6);
     for (const at of corners) drawHandle(ctx, "scale", at);
   }
 }
 
-/** The mean shape: dragged, and scaled and rotated by the handles of its frame. It is a document that gestures edit
- *  (see gestures.js). */
+/** The mean shape: a document that gestures edit (see gestures.js) by its frame. */
 export class MeanTool {
   fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
 
@@ -90,13 +122,11 @@ export class MeanTool {
     this.use(null);
   }
 
-  /** Use the mean shape of a model, or of none. */
   use(model) {
     this.model = model;
     this.clear();
   }
 
-  /** Place the shape in the middle of the picture. */
   clear() {
     const { width, height } = this.viewer;
     this.shown = null; // points during a gesture
@@ -107,7 +137,6 @@ export class MeanTool {
 
   get start() { return this.placed && { shape: this.placed }; }
 
-  /** Whether the last fit is hidden while the shape is placed. */
   get hidesFit() { return !this.fitted && this.placed !== null; }
   get points() { return this.shown ?? this.placed ?? []; }
   framed() { return indicesOf(this.points); }

@@ -2,12 +2,11 @@
 
 import { api } from "./api.js";
 import { Divider } from "./divider.js";
-import { drawFit, drawOver, Overlays, roomy } from "./fit-draw.js";
+import { drawFit, drawOver, Overlays } from "./fit-draw.js";
 import { significant } from "./fit-run.js";
 import { InvariantView } from "./fit-theta.js";
 import { look } from "./look.js";
-import { Light, lightQuery, linearLights } from "./relight.js";
-import { RoughLight } from "./rough-light.js";
+import { Light, lightQuery, numbersOf, RoughLight } from "./relight.js";
 import { button, FrameMeter, h, press, segmented, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
@@ -43,23 +42,23 @@ export class FitView {
   _scales = new Map(); // view -> {limit, what} of its colours
   _split = new Set(["flat", "relit"]); // views that are shown beside the picture
 
-  /** `gone(fit)` is called when the server no longer has the fit; `ambient`: fraction of ambient light at first. */
-  constructor({ gone, ambient }) {
-    this._gone = gone;
+  /** @param {import("./fit.js").Tab} tab */
+  constructor(tab) {
+    this._tab = tab;
     this.container = h("div.fit-viewer", { testid: "fit-viewer" });
     this.viewer = new Viewer(this.container, { label: "Picture to fit" });
     this.divider = new Divider(this.viewer, () => this.viewer.redraw());
     this.invariant = new InvariantView(this.viewer);
-    this.light = new Light(ambient);
+    this.light = new Light(tab.state.project.default_ambient);
     this.container.append(this.light.stage);
     this.light.addEventListener("change", () => this._relight());
     const choices = VIEWS.map(({ name, label, hint }) => ({ value: name, label, title: hint }));
     this._choice = segmented("View", choices, this.name, (name) => this.show(name), "layer");
     this.chooser = this._choice.element;
-    this.splitter = roomy(button("Before | after", {
-      icon: "compare", small: true, pressed: false, shortcut: "S", testid: "fit-split",
+    this.splitter = button("Before | after", {
+      icon: "compare", kind: "roomy", small: true, pressed: false, shortcut: "S", testid: "fit-split",
       title: "Show the picture on the left of a line and the view on its right", onclick: () => this.toggleSplit(),
-    }));
+    });
     this.overlays = new Overlays([], () => this.viewer.redraw(), "layer");
     this.layers = this._layers();
     this._hint = h("p.small.muted.fit-hint");
@@ -69,7 +68,6 @@ export class FitView {
     this.show("picture");
   }
 
-  /** Show another picture; its layers are fetched when needed. */
   setSource(source) {
     const another = source?.key !== this.source?.key;
     this.source = source;
@@ -104,13 +102,11 @@ export class FitView {
     this._changed();
   }
 
-  /** Choose the next or previous available view. */
   cycle(by) {
     const can = VIEWS.map((view) => view.name).filter((name) => !this._why(name));
     this.show(can[(can.indexOf(this.name) + by + can.length) % can.length] ?? "picture");
   }
 
-  /** Show the view beside the picture, or alone. */
   toggleSplit() {
     if (!this.source) return;
     // The picture has no counterpart: switch to the most useful view.
@@ -162,28 +158,19 @@ export class FitView {
       if (this.fit !== fit) return;
       this._images.set(layer, image);
       this._scales.set(layer, scale);
-      this._dress();
+      this._changed();
     } catch (error) {
-      if (this.fit !== fit) return;
-      this._images.delete(layer);
+      if (this.fit === fit) this._images.delete(layer);
       this._failed(layer, error, fit);
-    } finally {
-      this.viewer.redraw();
     }
   }
 
   /** Show the error of a view. If the server no longer has the fit, it is fitted again. */
   _failed(name, error, fit = null) {
     if (fit && fit !== this.fit) return;
-    if (fit && error.status === 404) return this._gone(fit);
+    if (fit && error.status === 404) return this._tab.forgotten(fit);
     this._faults.set(name, error.message);
     return this._changed();
-  }
-
-  /** Show the view, and its controls. */
-  _changed() {
-    this._dress();
-    this.viewer.redraw();
   }
 
   /** Show the object under the lamps: what the browser can compute at once, and the exact picture when they rest. */
@@ -199,7 +186,6 @@ export class FitView {
     this.viewer.redraw();
   }
 
-  /** Drop the exact picture that is awaited. */
   _dropRelit() {
     clearTimeout(this._awaited);
     this._awaited = null;
@@ -224,7 +210,7 @@ export class FitView {
   /** The rough relit picture while lamps are moved, or else the exact one. */
   _relitImage() {
     if (this._moved) {
-      this._rough.draw(linearLights(this.light));
+      this._rough.draw(numbersOf(this.light));
       this.meter.tick();
       this._isRough = true;
     }
@@ -232,7 +218,6 @@ export class FitView {
     return this._isRough ? this._rough.canvas : this._images.get("relit");
   }
 
-  /** The layers with their opacity: the view, and a button for each overlay. */
   _layers() {
     const opacity = (label, of, testid) => slider({
       min: "0", max: "1", step: "0.05", value: "1", "aria-label": `Opacity: ${label}`, testid: `opacity-${testid}`,
@@ -259,29 +244,28 @@ export class FitView {
     if (this.name !== "picture") this._setOpacity(this.name, opacity > 0.25 ? opacity - 0.25 : 1);
   }
 
-  /** Update the controls for the view. */
-  _dress() {
+  _changed() {
     const view = VIEWS.find(({ name }) => name === this.name);
     const why = this._why(this.name);
     for (const each of this._choice.element.children)
-      each.classList.toggle("unavailable", Boolean(this._why(each.dataset.value)));
+      each.classList.toggle("unavailable", Boolean(this._why(each.value)));
     this._layerName.textContent = view.label;
     this._slider.disabled = this.name === "picture";
     this._slider.value = String(this.opacity[this.name]);
     this._layerText.textContent = `${Math.round(100 * this.opacity[this.name])} %`;
     this.invariant.controls.hidden = this.name !== "invariant" || Boolean(why);
     this._hint.textContent = this.source ? why || view.hint || "" : "";
-    this.splitter.disabled = !this.source;
     this._hint.classList.toggle("error-text", this._faults.has(this.name));
     this._hint.hidden = !this.invariant.controls.hidden;
+    this.splitter.disabled = !this.source;
     this._explain(why ? null : this._scales.get(this.name));
     this.light.hidden = this.name !== "relit" || Boolean(why);
     const isSplit = this._split.has(this.name);
     press(this.splitter, isSplit);
     if (isSplit) this.divider.label("Picture", view.after);
+    this.viewer.redraw();
   }
 
-  /** Show the colour scale of a layer. */
   _explain(scale) {
     this._legend.hidden = !scale;
     if (!scale) return;

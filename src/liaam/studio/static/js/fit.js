@@ -1,14 +1,12 @@
 // The Fit tab: fit the model to a picture and inspect the result.
 
 import { mismatch } from "./assist.js";
-import { ExportMenu, useAsAnnotation } from "./fit-export.js";
 import { Iterations } from "./fit-iterations.js";
-import { emptyStage, guestPanel, isGuest } from "./fit-only.js";
-import { ResultPanel, SetupPanel } from "./fit-setup.js";
+import { ExportMenu, guestPanel, ResultPanel, SetupPanel } from "./fit-setup.js";
 import { SourceTab } from "./fit-source.js";
 import { BoxTool, MeanTool } from "./fit-start.js";
 import { FitView } from "./fit-view.js";
-import { afterPaint, fileField, h, isPlain, runKey } from "./ui.js";
+import { afterPaint, button, fileField, h, icon, isPlain, runKey } from "./ui.js";
 
 export class Tab extends SourceTab {
   shortcuts = [
@@ -31,29 +29,16 @@ export class Tab extends SourceTab {
   constructor(root, app) {
     super(app);
     this.method = this.state.project.default_method;
-    this.view = new FitView({ gone: (fit) => this._forgotten(fit), ambient: this.state.project.default_ambient });
+    this.view = new FitView(this);
     this.overlays = this.view.overlays;
     this.box = new BoxTool(this.view.viewer, () => this.run());
     this.mean = new MeanTool(this.view.viewer);
     this.iterations = new Iterations((index, last) =>
       this.view.setIteration(last ? null : { shape: this.fit.iterations[index].shape, final: false }));
-    this.exports = new ExportMenu({ light: () => this.view.light, annotate: () => useAsAnnotation(app, this.fit) });
+    this.exports = new ExportMenu(this);
     this.guest = guestPanel(app);
-    this.result = new ResultPanel({
-      onstart: (value) => {
-        this._setStart(value);
-        this._focus();
-      },
-      onnext: () => { // of those that a search has found in the picture
-        this._objects.push(this._objects.shift());
-        this.run({ box: this._objects[0] });
-      },
-    });
-    this.setup = new SetupPanel({
-      app, onback: () => this.sources.backToFolder(), onopen: () => this._file.click(),
-      onstart: (value) => this._setStart(value), onclick: () => this._startTool() && this._focus(),
-      onmethod: (name) => this._setMethod(name), onrun: () => this.run(),
-    });
+    this.result = new ResultPanel(this);
+    this.setup = new SetupPanel(this);
     this._build(root);
     this.sources.addEventListener("taken", (/** @type {any} */ { detail }) => {
       this.lastDropMs = null;
@@ -80,7 +65,7 @@ export class Tab extends SourceTab {
   }
 
   key(event) {
-    return isPlain(event) && (this._startTool()?.key(event) || runKey(event, {
+    return isPlain(event) && (this.startTool?.key(event) || runKey(event, {
       enter: () => this.run(), f: () => this.run(), v: () => this.view.cycle(event.shiftKey ? -1 : 1),
       s: () => this.view.toggleSplit(), o: () => this.view.fade(), p: () => this.iterations.toggle(),
       ",": () => this.iterations.step(-1), ".": () => this.iterations.step(1),
@@ -91,7 +76,7 @@ export class Tab extends SourceTab {
   async run(given = null) {
     const source = this.sources.current;
     if (!source || !this.state.project.model) return null;
-    const tool = this._startTool();
+    const tool = this.startTool;
     const start = given ?? tool?.start ?? null;
     if (tool && !start) {
       this.result.showMessage("info", "Draw a box around the object first.");
@@ -113,8 +98,7 @@ export class Tab extends SourceTab {
     }
   }
 
-  /** The tool of a manual start, or null. */
-  _startTool() { return { box: this.box, mean: this.mean }[this.start] ?? null; }
+  get startTool() { return { box: this.box, mean: this.mean }[this.start] ?? null; }
 
   _take(fit) {
     this.fit = fit;
@@ -122,12 +106,12 @@ export class Tab extends SourceTab {
     this.view.setFit(fit);
     this.view.invariant.mark({ model: this.state.project.model?.theta_deg, fit: fit?.theta_deg });
     this.iterations.show(fit?.iterations ?? []);
-    this._offerExport();
+    this.exports.show();
     this._result();
     this.mean.fitted = Boolean(fit);
   }
 
-  _forgotten(fit) {
+  forgotten(fit) {
     this.app.fits.forget(fit);
     this.app.toast("The server no longer has this fit, so the picture is fitted again.");
     this.run();
@@ -141,21 +125,15 @@ export class Tab extends SourceTab {
     this.box.clear();
     this.mean.clear();
     this._take(null);
-    if (source && !source.ofFolder) this._setStart("auto");
+    if (source && !source.ofFolder) this.setStart("auto");
   }
 
-  /** Show the picture's fit, or fit it if the start is automatic. */
-  _showFit(source) {
+  async _showFit(source) {
     if (this.fit) return;
     const known = this.app.fits.recall(source, this.method);
     if (known) this._take(known);
-    else if (this.state.project.model && this.start === "auto") this._runAtOnce(source);
-    else this._result();
-  }
-
-  async _runAtOnce(source) {
-    const fit = await this.run();
-    if (fit && !source.ofFolder) this.lastDropMs ??= performance.now() - source.started;
+    else if (!this.state.project.model || this.start !== "auto") this._result();
+    else if ((await this.run()) && !source.ofFolder) this.lastDropMs ??= performance.now() - source.started;
   }
 
   _anotherModel(model) {
@@ -165,45 +143,50 @@ export class Tab extends SourceTab {
     this._source();
   }
 
+  /** Fit the next of the objects that a search has found in the picture. */
+  next() {
+    this._objects.push(this._objects.shift());
+    this.run({ box: this._objects[0] });
+  }
+
   _build(root) {
-    this._file = fileField((file) => this.app.adding.take([{ file, path: file.name }]), {
+    this.file = fileField((file) => this.app.adding.take([{ file, path: file.name }]), {
       accept: "image/*,.tif,.tiff,.ppm,.pgm,.bmp,.liaam", testid: "fit-file", "aria-label": "Open a picture to fit",
     });
     const toolbar = h("div.toolbar", { role: "toolbar", "aria-label": "View" },
       this.view.chooser, this.view.splitter, h("span.grow"), this.exports.element);
-    this._empty = emptyStage(this.app, () => this._file.click());
-    const stage = h("div.fit-stage", this.view.container, this._empty.element);
+    this._words = h("p");
+    this._empty = h("div.empty.big.fit-empty", icon("image", 56), h("h2", "A picture to fit"), this._words,
+      button("Open a picture…", { icon: "upload", kind: "primary", onclick: () => this.file.click() }));
+    const stage = h("div.fit-stage", this.view.container, this._empty);
     this._ofFits = [
       h("section.panel", { "aria-label": "Layers and their opacity" }, this.view.layers),
       h("section.panel", { "aria-label": "Iterations" }, this.iterations.element),
     ];
     const panels = [this.view.light, this.guest, this.setup, this.result].map(({ element }) => element);
     root.append(h("div.fit-tab", { testid: "fit-drop" },
-      h("div.workspace", toolbar, stage, this.view.bar), h("div.side.fit-side", panels, this._ofFits), this._file));
+      h("div.workspace", toolbar, stage, this.view.bar), h("div.side.fit-side", panels, this._ofFits), this.file));
   }
 
-  _setMethod(name) {
+  setMethod(name) {
     this.method = name;
     this._take(null);
-    const source = this.sources.current;
-    const known = source && !this._startTool() && this.app.fits.recall(source, name);
-    if (known) this._take(known);
-    else this.run();
+    if (this.startTool) this.run();
+    else if (this.sources.current) this._showFit(this.sources.current);
   }
 
-  /** Focus the picture, for its keys. */
-  _focus() { this.view.viewer.canvas.focus({ preventScroll: true }); }
+  focus() { this.view.viewer.canvas.focus({ preventScroll: true }); }
 
-  _setStart(value) {
+  setStart(value) {
     this.start = value;
     this.setup.start = value;
     this.mean.fitted = false;
-    this.view.viewer.tool = this._startTool();
+    this.view.viewer.tool = this.startTool;
     this.view.viewer.redraw();
   }
 
   _busy(now) {
-    this.setup.canRun = !now && Boolean(this.sources.current);
+    this.setup.runner.disabled = now || !this.sources.current;
     if (now && !this.fit) this.result.showMessage("info", "Fitting…");
   }
 
@@ -214,31 +197,26 @@ export class Tab extends SourceTab {
     return this.result.showMessage("info", model ? what : "");
   }
 
-  /** Show why the fit failed, also where the panel is away. */
   _refused(error) {
     this.result.showMessage("bad", error.message);
     if (document.documentElement.dataset.side === "away") this.app.toast(error, "bad");
   }
 
   /** Why the model does not match the folder's template, or "". */
-  get _mismatch() { return isGuest(this.state.project) ? "" : mismatch(this.state.project); }
-
-  _offerExport() {
-    const canAnnotate = this.sources.current?.ofFolder && !isGuest(this.state.project) && !this._mismatch;
-    this.exports.show(this.fit, Boolean(canAnnotate));
-  }
+  get mismatch() { return this.state.guest ? "" : mismatch(this.state.project); }
 
   _emptiness() {
     const source = this.sources.current;
-    const { model } = this.state.project;
-    this.guest.show(this.state.project);
-    const canGoBack = source && !source.ofFolder && Boolean(this.state.current);
-    this.setup.show({ source, model, canGoBack, mismatch: this._mismatch });
-    this._offerExport();
+    const { model, pictures } = this.state.project;
+    this.guest.show();
+    this.setup.show();
+    this.exports.show();
     for (const panel of this._ofFits) panel.hidden = !model;
     this.view.container.classList.toggle("without", !source);
     this.view.bar.hidden = !source;
-    this._empty.show(!source);
+    this._empty.hidden = Boolean(source);
+    const where = `${pictures.length ? "select one on the left, " : ""}drop one here, or open one`;
+    this._words.textContent = `Use any picture of the model's object: ${where}. It stays on this machine.`;
   }
 
   /** Hooks for browser tests and benchmarks: the displayed values, and frames per second of the newest drag. */
@@ -253,7 +231,7 @@ export class Tab extends SourceTab {
       get theta() { return view.invariant.theta; },
       get light() { return { lamps: view.light.lamps, ambient: view.light.ambient, selected: view.light.selected }; },
       get relightBusy() { return view._awaited !== null; },
-      get start() { return tab._startTool()?.start ?? null; },
+      get start() { return tab.startTool?.start ?? null; },
       get shownShape() { return view.iteration?.shape ?? tab.fit?.shape ?? null; },
     };
   }

@@ -10,7 +10,7 @@
 //   framed() -> indices                          the points with a frame and handles
 // A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
 
-import { ARROWS, bounds, centroid, inBox, middleOf, move, nearest, turn } from "./points.js";
+import { ARROWS, bounds, centroid, distance, inBox, middleOf, move, nearest, turn } from "./points.js";
 
 const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels around a point that hit it
 const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing, so that points can be close together
@@ -22,7 +22,6 @@ const NUDGED = 1200; // milliseconds that the loupe stays after a key
 const STILL = 4; // maximum movement of a click, css pixels
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
 const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
-const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
 
 /** The frame of `indices` in css pixels: its box, and handles {kind, at, fixed} (fixed: the corner that stays). */
 export function frameOf(viewer, points, indices) {
@@ -44,7 +43,6 @@ export function frameOf(viewer, points, indices) {
 
 export const handleReach = ({ pointerType }) => HANDLE_REACH[pointerType] ?? HANDLE_REACH.mouse;
 
-/** The handle under the pointer, or null. */
 export function handleAt(viewer, doc, event) {
   const frame = frameOf(viewer, doc.points, doc.framed());
   const at = viewer.place(event);
@@ -84,7 +82,6 @@ export function dragging(doc, index, indices, start, isFar = (_at) => true, stil
   };
 }
 
-/** A gesture that scales or rotates points. */
 export function turning(viewer, doc, handle, indices) {
   const before = doc.points;
   const fixed = handle.kind === "scale" ? viewer.toImage(handle.fixed) : middleOf(bounds(before, indices));
@@ -211,7 +208,6 @@ export class PointTool {
     this.viewer.redraw();
   }
 
-  /** A click on an empty place clears the selection. */
   released(event) {
     const { pressed } = this;
     this.pressed = null;

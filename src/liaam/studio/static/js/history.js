@@ -31,13 +31,11 @@ export class History {
   get canUndo() { return this.past.length > 0; }
   get canRedo() { return this.future.length > 0; }
 
-  /** Description of the step to undo, for the tooltip. */
   get undoes() { return this.past.at(-1)?.what ?? ""; }
   get redoes() { return this.future.at(-1)?.what ?? ""; }
   undo() { return this.travel(this.past, this.future); }
   redo() { return this.travel(this.future, this.past); }
 
-  /** Take a step from one list to the other; returns its state, or null if there is none. */
   travel(from, to) {
     if (!from.length) return null;
     const { state, what } = from.pop();

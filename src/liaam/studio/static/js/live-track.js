@@ -8,7 +8,6 @@ const MOST = 480_000; // pixels of a frame that is sent: at four bytes each, les
 const JUMP = 0.5; // seconds between two frames from which on the object is searched anew
 const SLOW = 15; // frames per second below which the user sees a message
 
-/** Size at which a video's frames are sent. */
 export function sentSize(width, height) {
   const factor = Math.min(1, Math.sqrt(MOST / (width * height)));
   return { width: Math.floor(width * factor), height: Math.floor(height * factor) };

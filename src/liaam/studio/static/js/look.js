@@ -8,7 +8,6 @@ const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // powers of two
 const LABELS = { brightness: "Brightness", contrast: "Contrast", gamma: "Gamma" };
 const LIMIT = 2;
 
-/** The shown value of a pixel value, both from 0 to 1. */
 export function shownValue(value, { brightness, contrast, gamma }) {
   const bright = (value * 2 ** brightness) ** (2 ** -gamma);
   return Math.min(1, Math.max(0, (bright - 0.5) * 2 ** contrast + 0.5));
@@ -16,9 +15,8 @@ export function shownValue(value, { brightness, contrast, gamma }) {
 
 class Look extends EventTarget {
   values = NEUTRAL;
-  version = 0; // of what is drawn
+  _holder = null; // of the filter, which is an SVG element of the page
 
-  /** Use the values that were kept for a folder. */
   open(folder) {
     this._key = `liaam-look:${folder}`;
     this.set({ ...NEUTRAL, ...attempt(() => JSON.parse(localStorage.getItem(this._key))) });
@@ -26,7 +24,6 @@ class Look extends EventTarget {
 
   set(values) {
     this.values = values;
-    this.version += 1;
     this._paint();
     attempt(() => localStorage.setItem(this._key, JSON.stringify(values)));
     this.dispatchEvent(new Event("change"));
@@ -34,21 +31,14 @@ class Look extends EventTarget {
 
   get isNeutral() { return Object.values(this.values).every((value) => value === 0); }
 
-  /** The filter for drawing a picture on a canvas. */
   get filter() { return this.isNeutral ? "none" : "url(#look)"; }
 
-  /** Update the filter, which is an SVG element of the page. */
   _paint() {
     const table = Array.from({ length: 256 }, (_, i) => shownValue(i / 255, this.values).toFixed(4)).join(" ");
-    if (!this._curves) {
-      const holder = h("div.visually-hidden", { "aria-hidden": "true" });
-      const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table"/>`).join("");
-      const filter = `<filter id="look" color-interpolation-filters="sRGB">`;
-      holder.innerHTML = `<svg>${filter}<feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
-      this._curves = [...holder.querySelector("feComponentTransfer").children];
-      document.body.append(holder);
-    }
-    for (const curve of this._curves) curve.setAttribute("tableValues", table);
+    const curves = ["R", "G", "B"].map((channel) => `<feFunc${channel} type="table" tableValues="${table}"/>`).join("");
+    this._holder ??= document.body.appendChild(h("div.visually-hidden", { "aria-hidden": "true" }));
+    this._holder.innerHTML = `<svg><filter id="look" color-interpolation-filters="sRGB">
+      <feComponentTransfer>${curves}</feComponentTransfer></filter></svg>`;
   }
 
   _follow(show) {
@@ -56,7 +46,6 @@ class Look extends EventTarget {
     show();
   }
 
-  /** A button that opens the sliders. */
   control() {
     const rows = Object.entries(LABELS).map(([name, label]) => {
       const input = slider({
@@ -79,14 +68,13 @@ class Look extends EventTarget {
     }, icon("adjust"));
     this._follow(() => face.classList.toggle("on", !this.isNeutral));
     const foot = h("div.row", h("p.small.muted.grow", "Only for looking"), reset);
-    const box = h("details.look", face, h("div.look-box.glass", rows, foot));
-    box.addEventListener("keydown", (event) => {
-      if (event.key === "Escape") {
-        box.open = false;
-        face.focus();
-      }
+    const onkeydown = (event) => {
       if (event.key.startsWith("Arrow") || event.key === "Escape") event.stopPropagation();
-    });
+      if (event.key !== "Escape") return;
+      box.open = false;
+      face.focus();
+    };
+    const box = h("details.look", { onkeydown }, face, h("div.look-box.glass", rows, foot));
     return box;
   }
 }

@@ -2,16 +2,14 @@
 
 import { api, ApiError, busy } from "./api.js";
 import { acceptFiles, createAdding } from "./adding.js";
-import { isGuest } from "./fit-only.js";
 import { FitStore } from "./fit-run.js";
-import { Sources } from "./fit-source.js";
+import { PictureStore, Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
-import { PictureStore } from "./picture-store.js";
 import { nameIn, opened, remember, State, tabIn } from "./state.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
-import { button, consume, h, iconButton, isPlain, isTyping, press, toast } from "./ui.js";
+import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast } from "./ui.js";
 
 const TABS = [
   { name: "annotate", label: "Annotate", what: "Place landmarks with the help of the model" },
@@ -40,9 +38,9 @@ let wanted = null; // tab requested while the page was loading
 
 const pictures = new PictureStore(state);
 const app = {
-  state, api, ui, toast, confirm: ui.confirm, openTab, pictures, guest: () => isGuest(state.project),
+  state, api, ui, toast, confirm: ui.confirm, openTab, pictures,
   /** Whether the open tab shows a picture that is not in the folder. */
-  showsPictures: () => ["fit", "compare"].includes(open) || isGuest(state.project), sources: new Sources(state, pictures),
+  showsPictures: () => ["fit", "compare"].includes(open) || state.guest, sources: new Sources(state, pictures),
   fits: new FitStore(state), adding: null, bulk: null, selection: () => [],
   saved: async () => {},
 };
@@ -114,7 +112,7 @@ async function mountTabs() {
 
 /** A guest only fits, so the tab Annotate is hidden. */
 function followGuest() {
-  const guest = isGuest(state.project);
+  const guest = state.guest;
   tabs.get("annotate").button.hidden = guest;
   if (guest && open === "annotate") openTab("fit");
 }
@@ -124,7 +122,7 @@ function openTab(name, options = {}) {
   wanted = name;
   if (!tabs.size) return;
   if (!tabs.has(name)) name = "annotate";
-  if (name === "annotate" && isGuest(state.project)) name = "fit";
+  if (name === "annotate" && state.guest) name = "fit";
   if (open === name) return tabs.get(name).tab.show?.(options);
   tabs.get(open)?.tab.hide?.();
   open = name;
@@ -140,21 +138,17 @@ function openTab(name, options = {}) {
 
 function keys(event) {
   if (event.defaultPrevented || isTyping(event) || document.querySelector("dialog[open]")) return;
-  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event.key))) event.preventDefault();
+  if (tabs.get(open)?.tab.key?.(event) || (isPlain(event) && commonKey(event))) event.preventDefault();
 }
 
-function commonKey(key) {
-  const tab = TABS[Number(key) - 1];
-  const panels = PANELS[key.toLowerCase()];
-  if (key === "?") showKeys();
-  else if (tab) openTab(tab.name);
-  else if (panels) window.liaamPanels(panels);
-  else if (key === "g") state.wall.open(!state.wall.on);
-  else if (key === "w") state.wall.openWorst();
-  else if (key === "[" || key === "PageUp") state.step(-1);
-  else if (key === "]" || key === "PageDown") state.step(1);
-  else return false;
-  return true;
+function commonKey(event) {
+  const byNumber = TABS.map(({ name }, i) => [i + 1, () => openTab(name)]);
+  const panels = Object.entries(PANELS).map(([key, names]) => [key, () => window.liaamPanels(names)]);
+  const [back, on] = [() => state.step(-1), () => state.step(1)];
+  return runKey(event, {
+    ...Object.fromEntries([...byNumber, ...panels]), "?": showKeys, "[": back, pageup: back, "]": on, pagedown: on,
+    g: () => state.wall.open(!state.wall.on), w: () => state.wall.openWorst(),
+  });
 }
 
 async function showKeys() {
@@ -212,7 +206,6 @@ function waiting() {
   busy.addEventListener("change", () => { line.hidden = busy.count === 0; });
 }
 
-/** Show the model and training in the top bar. */
 function status() {
   const training = h("span.badge.accent", { hidden: true, testid: "top-training" });
   const model = h("span.badge", { testid: "top-model" });
@@ -224,7 +217,7 @@ function status() {
     const percent = now.total ? ` ${Math.round((100 * now.done) / now.total)} %` : "…";
     training.hidden = now === learning && learning.state !== "running";
     training.textContent = `${adding ? "Adding" : fitting ? "Placing points" : "Training"}${percent}`;
-    const guest = isGuest(state.project);
+    const guest = state.guest;
     model.textContent = guest ? `Fit only: ${has.name}` : has?.source === "face" ? "Face model" : has ? `Model: ${has.n_images} pictures` : "No model yet";
     model.className = has ? "badge good" : "badge";
   };

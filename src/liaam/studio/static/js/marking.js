@@ -40,7 +40,6 @@ export class Marking {
   get suggested() {
     return this.state !== null && (this.state.source === "proposal" || this.state.source === "layout");
   }
-  /** Whether a click places the selected point. */
   get placing() {
     return this.book !== null && this.active >= 0 && this.active < this.points.length && !this.points[this.active];
   }
@@ -48,7 +47,6 @@ export class Marking {
   get chosenPlaced() { return this.chosen.filter((i) => this.points[i]); }
   get missing() { return missing(this.points); }
 
-  /** The points with a frame and handles. */
   framed() {
     if (this.selection.size > 1) return [...this.selection].filter((i) => this.points[i]);
     return this.state?.source === "layout" ? placed(this.points) : [];
@@ -77,11 +75,9 @@ export class Marking {
     this.onpreview();
   }
 
-  /** Change the points in one undo step. */
   commit(points, what, key = null) { this.change({ points }, what, key); }
 
-  /** Change the marks in one undo step. This accepts a proposal, unless it changes the scale bar, but the mean shape only
-   *  if a point moves. */
+  /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves. */
   change(change, what, key = null, accepts = false) {
     const before = this.state;
     const { points, invisible, bar = null } = { ...before, ...change };
@@ -139,7 +135,6 @@ export class Marking {
     this.change({ points: flip(this.points, mirror), invisible: flipIndices(this.state.invisible, mirror) }, "flip");
   }
 
-  /** Toggle the visibility of the selected points; return whether they are invisible now. */
   toggleInvisible() {
     const chosen = this.chosenPlaced;
     const invisible = toggle(this.state.invisible, chosen);

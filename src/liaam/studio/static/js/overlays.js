@@ -11,11 +11,16 @@ export function inked(ctx, colour, width, dash = []) {
   ctx.setLineDash([]);
 }
 
-/** Stroke the path with a dark rim. */
 export function stroked(ctx, colour, width, dash = []) {
   ctx.lineJoin = "round";
   inked(ctx, RIM, width + 1.8, dash);
   inked(ctx, colour, width, dash);
+}
+
+/** Make a path of chains of places on the screen: [[x, y], ...] each. */
+export function lines(ctx, chains) {
+  ctx.beginPath();
+  for (const chain of chains) chain.forEach(([x, y], i) => ctx[i ? "lineTo" : "moveTo"](x, y));
 }
 
 export function filled(ctx, colour) {
@@ -60,18 +65,11 @@ export function discs(ctx, viewer, points, radius) {
 
 export function drawMesh(ctx, viewer, points, triangles, { colour = "rgb(255 255 255 / 70%)", width = 1 } = {}) {
   const at = points.map((point) => point && viewer.toScreen(point));
-  ctx.beginPath();
-  for (const [a, b, c] of triangles) {
-    if (!at[a] || !at[b] || !at[c]) continue;
-    ctx.moveTo(...at[a]);
-    ctx.lineTo(...at[b]);
-    ctx.lineTo(...at[c]);
-    ctx.closePath();
-  }
+  const whole = triangles.filter((corners) => corners.every((i) => at[i]));
+  lines(ctx, whole.map(([a, b, c]) => [at[a], at[b], at[c], at[a]]));
   inked(ctx, colour, width);
 }
 
-/** Draw the 95 % confidence ellipse of each landmark, all in one path. */
 export function drawEllipses(ctx, viewer, points, covariances, { colour = "#5ad1ff", width = 1.3 } = {}) {
   ctx.beginPath();
   points.forEach((point, i) => {

@@ -77,7 +77,6 @@ function pointList(onchoose) {
 
   return {
     element,
-    /** Update the items whose state has changed. */
     render(names, stateOf) {
       while (items.length > names.length) items.pop().element.remove();
       names.forEach((name, i) => {

@@ -13,6 +13,9 @@ export const rounded = ([x, y]) => [Math.round(x * 100) / 100, Math.round(y * 10
 export const place = (points, index, xy) => points.map((point, i) => (i === index ? rounded(xy) : point));
 export const remove = (points, indices) => points.map((point, i) => (indices.includes(i) ? null : point));
 
+export const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+export const distance = (p, q) => Math.hypot(p[0] - q[0], p[1] - q[1]);
+
 function change(points, indices, update) {
   const result = points.slice();
   for (const i of indices) if (isPlaced(points[i])) result[i] = update(points[i], i);
@@ -41,7 +44,7 @@ export const middleOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [(x0 + x1)
 
 export function centroid(points, indices = placed(points)) {
   const own = indices.map((i) => points[i]).filter(isPlaced);
-  return own.length ? [0, 1].map((axis) => own.reduce((sum, point) => sum + point[axis], 0) / own.length) : null;
+  return own.length ? [0, 1].map((axis) => mean(own.map((point) => point[axis]))) : null;
 }
 
 /** The placed points in a box of two opposite corners. @param {number[][]} points; @param {number[]} corners */
@@ -57,7 +60,7 @@ export function nearest(points, xy, radius, preferred = new Set()) {
   let least = radius;
   points.forEach((point, i) => {
     if (!isPlaced(point)) return;
-    const away = Math.hypot(point[0] - xy[0], point[1] - xy[1]) * (preferred.has(i) ? 0.6 : 1);
+    const away = distance(point, xy) * (preferred.has(i) ? 0.6 : 1);
     if (away <= least) [best, least] = [i, away];
   });
   return best;
@@ -105,8 +108,7 @@ export function fitInto(layout, width, height, share = 0.6) {
   return layout.map((p) => p && rounded([width / 2 + scale * (p[0] - cx), height / 2 + scale * (p[1] - cy)]));
 }
 
-/** A layout placed on a picture: unchanged if it lies inside (but for `slack` pixels) and is large enough, otherwise
- *  centred; null without a layout. */
+/** A layout on a picture, or null: unchanged if it is large and inside (but for `slack` pixels), else centred. */
 export function layoutIn(layout, width, height, slack = 0) {
   const box = layout && bounds(layout);
   if (!box) return null;
@@ -115,31 +117,24 @@ export function layoutIn(layout, width, height, slack = 0) {
   return inside && large ? layout : fitInto(layout, width, height);
 }
 
-const spread = (points, centre) =>
-  Math.sqrt(points.reduce((sum, [x, y]) => sum + (x - centre[0]) ** 2 + (y - centre[1]) ** 2, 0) / points.length);
+const spread = (points, centre) => Math.sqrt(mean(points.map((point) => distance(point, centre) ** 2)));
 
-/** The mean of complete shapes, placed in a picture at their mean relative position. Shapes are aligned first, so that
- *  rotations do not blur the mean.
+/** The mean of complete shapes, aligned so that rotations do not blur it, in a picture at their mean relative position.
  *  @param {{points: number[][], width: number, height: number}[]} shapes */
 export function meanLayout(shapes, width, height) {
   const whole = shapes.filter((shape) => shape.points.length > 0 && shape.points.every(isPlaced));
   if (whole.length === 0) return null;
   const first = whole[0].points;
   const aligned = whole.map((shape) => expected(shape.points, first));
-  const mean = first.map((_, i) => [0, 1].map((axis) => aligned.reduce((s, p) => s + p[i][axis], 0) / aligned.length));
-  let [x, y, size, cos, sin] = [0, 0, 0, 0, 0];
-  for (const shape of whole) {
-    const middle = centroid(shape.points);
-    const { a, b } = similarity(mean, shape.points);
-    x += middle[0] / shape.width / whole.length;
-    y += middle[1] / shape.height / whole.length;
-    size += spread(shape.points, middle) / Math.hypot(shape.width, shape.height) / whole.length;
-    cos += a / Math.hypot(a, b);
-    sin += b / Math.hypot(a, b);
-  }
-  const middle = centroid(mean);
-  const factor = (size * Math.hypot(width, height)) / Math.max(spread(mean, middle), 1e-9);
-  const turned = turn(mean, indicesOf(mean), middle, Math.atan2(sin, cos), factor);
+  const shape = first.map((_, i) => [0, 1].map((axis) => mean(aligned.map((points) => points[i][axis]))));
+  const middles = whole.map(({ points }) => centroid(points));
+  const [x, y] = ["width", "height"].map((side, axis) => mean(whole.map((each, k) => middles[k][axis] / each[side])));
+  const size = mean(whole.map((each, k) => spread(each.points, middles[k]) / Math.hypot(each.width, each.height)));
+  const turns = whole.map(({ points }) => similarity(shape, points));
+  const [cos, sin] = ["a", "b"].map((part) => mean(turns.map((map) => map[part] / Math.hypot(map.a, map.b))));
+  const middle = centroid(shape);
+  const factor = (size * Math.hypot(width, height)) / Math.max(spread(shape, middle), 1e-9);
+  const turned = turn(shape, indicesOf(shape), middle, Math.atan2(sin, cos), factor);
   return move(turned, indicesOf(turned), x * width - middle[0], y * height - middle[1]);
 }
 
@@ -197,7 +192,6 @@ export function toggle(indices, changed) {
 export const samePoint = (p, q) => p === q || (isPlaced(p) && isPlaced(q) && p[0] === q[0] && p[1] === q[1]);
 export const samePoints = (p, q) => p.length === q.length && p.every((point, i) => samePoint(point, q[i]));
 
-/** Whether two scale bars, or none, are the same. */
 export const sameBar = (one, other) => JSON.stringify(one ?? null) === JSON.stringify(other ?? null);
 
 /** Whether two contents of a landmark file are equal up to rounding in the file. */

@@ -1,7 +1,7 @@
-// Lamps that are moved over the object in the picture, and the relit picture.
+// Lamps that are moved over the object in the picture, and the object under them, as far as the browser can compute it
+// at once: Lambert's law on the server's normals, as in relighting/relighter.py, but for noise, and light beyond white.
 
-import { directionAfterKey, directionAt, directionInWords } from "./fit-geometry.js";
-import { bounds, middleOf } from "./points.js";
+import { ARROWS, bounds, middleOf } from "./points.js";
 import { button, grip, h, menu, slider } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
@@ -12,12 +12,39 @@ const LEAST = 120; // css pixels of its diameter
 const EDGE = 20; // css pixels between a lamp and the border of the view, if there is room
 const MOST = 8; // lamps that the server takes
 
-/** Sliders of a lamp, and of all light. */
 const SLIDERS = [
   { key: "strength", label: "Strength", max: "3", what: "Strength of the lamp" },
   { key: "softness", label: "Softness", max: "1", what: "Softness of the lamp: a large lamp wraps around the object" },
   { key: "ambient", label: "Ambient", max: "1", what: "Ambient light: from all directions" },
 ];
+
+/** Sine of the largest angle of a light: at 90 degrees it would not reach the front. */
+const RIM = Math.sin((85 * Math.PI) / 180);
+
+/** Unit direction to a lamp (x right, y down, z to the viewer) at [x, y] over a unit ball. @param {number[]} place */
+export function directionAt([x, y]) {
+  const r = Math.hypot(x, y);
+  if (r > RIM) [x, y] = [(x * RIM) / r, (y * RIM) / r];
+  return [x, y, Math.sqrt(Math.max(0, 1 - x * x - y * y))];
+}
+
+export function directionAfterKey(direction, { key, shiftKey = false }) {
+  const step = shiftKey ? 0.15 : 0.04;
+  const move = ARROWS[key];
+  if (key === "Home") return [0, 0, 1];
+  if (!move) return null;
+  return directionAt([direction[0] + step * move[0], direction[1] + step * move[1]]);
+}
+
+/** Direction in words: "from the upper left, 42° off the view". @param {number[]} direction */
+export function directionInWords([x, y, z]) {
+  const angle = Math.round((Math.acos(Math.min(1, Math.max(-1, z))) * 180) / Math.PI);
+  if (angle < 5) return "from the front";
+  const vertical = y < -0.38 * Math.hypot(x, y) ? "upper " : y > 0.38 * Math.hypot(x, y) ? "lower " : "";
+  const horizontal = x < -0.38 * Math.hypot(x, y) ? "left" : x > 0.38 * Math.hypot(x, y) ? "right" : "";
+  const side = `${vertical}${horizontal}`.trim();
+  return `from the ${{ upper: "top", lower: "bottom" }[side] ?? side}, ${angle}° off the view`;
+}
 
 /** A lamp at [x, y] over the object, from -1 to 1. */
 function lampAt([x, y], colour = "#ffffff", strength = 1, softness = 0) {
@@ -37,60 +64,50 @@ export const PRESETS = {
   Overcast: { lamps: [lampAt([0, -0.6], "#f2f6ff", 1, 1)], ambient: 0.5 },
 };
 
-/** Red, green and blue of "#rrggbb", 0 to 1. */
 const channelsOf = (colour) => [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16) / 255);
 
-/** Lights for the computation in the browser: {lamps: [{direction, channels: linear light, softness}], ambient}. */
-export const linearLights = ({ lamps, ambient }) => ({
-  ambient, lamps: lamps.map(({ direction, colour, strength, softness }) =>
-    ({ direction, softness, channels: channelsOf(colour).map((value) => strength * value ** 2.2) })),
-});
-
-/** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
-export function lightQuery({ lamps, ambient }, size) {
+/** Lights with colours as numbers, for the server and for the computation in the browser. @param {Lights} lights */
+export function numbersOf({ lamps, ambient }) {
   const round = (value) => Number(value.toFixed(4));
   const sent = lamps.map(({ direction, colour, strength, softness }) => ({
     direction: direction.map(round), colour: channelsOf(colour).map(round), strength, softness,
   }));
-  return { light: JSON.stringify({ lamps: sent, ambient }), ...(size ? { size } : {}) };
+  return { lamps: sent, ambient };
 }
 
-/** A lamp on a picture: its direction, as a place over a ball around the object. The parent element is as large as the
- *  ball, or `middle` says where in it the ball is. onmove(direction); further attributes are those of the element. */
-export class LampHandle {
-  direction = [0, 0, 1];
+/** Query of a picture under lights. @param {Lights} lights @param {number} [size] */
+export const lightQuery = (lights, size) => ({ light: JSON.stringify(numbersOf(lights)), ...(size ? { size } : {}) });
 
-  constructor({ onmove, middle = [0.5, 0.5], ...attributes }) {
-    this.middle = middle;
-    this._onmove = onmove;
-    this.element = grip("div.lamp", {
-      "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
-      onkey: (event) => this.key(event), onmove: (event) => onmove(this.at(event)), ...attributes,
-    });
-  }
+/** A lamp on a picture, over a ball around the object that fills the parent element, or is at `middle` of it.
+ *  onmove(direction); further attributes are those of the element. */
+export function lampHandle({ onmove, middle = [0.5, 0.5], ...attributes }) {
+  const [u, v] = middle;
+  let direction = [0, 0, 1];
+  const element = grip("div.lamp", {
+    "aria-roledescription": "movable lamp", "aria-valuemin": "0", "aria-valuemax": "90",
+    onkey: key, onmove: (event) => onmove(at(event)), ...attributes,
+  });
 
-  /** Direction to a place on the page. */
-  at({ clientX, clientY }) {
-    const { left, top, width, height } = this.element.parentElement.getBoundingClientRect();
-    const [u, v] = this.middle;
+  function at({ clientX, clientY }) {
+    const { left, top, width, height } = element.parentElement.getBoundingClientRect();
     return directionAt([(2 * (clientX - left)) / width - 2 * u, (2 * (clientY - top)) / height - 2 * v]);
   }
 
-  show(direction) {
-    this.direction = direction;
-    const [x, y, z] = direction;
-    this.element.style.left = `${100 * (this.middle[0] + x / 2)}%`;
-    this.element.style.top = `${100 * (this.middle[1] + y / 2)}%`;
-    this.element.setAttribute("aria-valuetext", directionInWords(direction));
-    this.element.setAttribute("aria-valuenow", String(Math.round((Math.acos(Math.min(z, 1)) * 180) / Math.PI)));
+  function show(to) {
+    direction = to;
+    const [x, y, z] = to;
+    element.style.left = `${100 * (u + x / 2)}%`;
+    element.style.top = `${100 * (v + y / 2)}%`;
+    element.setAttribute("aria-valuetext", directionInWords(to));
+    element.setAttribute("aria-valuenow", String(Math.round((Math.acos(Math.min(z, 1)) * 180) / Math.PI)));
   }
 
-  /** Move by an arrow key; return whether it was one. */
-  key(event) {
-    const next = directionAfterKey(this.direction, event);
-    if (next) this._onmove(next);
+  function key(event) {
+    const next = directionAfterKey(direction, event);
+    if (next) onmove(next);
     return next !== null;
   }
+  return { element, at, show, key };
 }
 
 /** The lamps over the picture, in `stage`, and the panel with their values. Event: "change". */
@@ -171,7 +188,7 @@ export class Light extends EventTarget {
   }
 
   _handle() {
-    const handle = new LampHandle({
+    const handle = lampHandle({
       class: "light-lamp", title: "Drag the lamp; arrow keys move it", testid: "lamp",
       onmove: (direction) => this._edit("direction", direction),
       onfocus: () => {
@@ -219,3 +236,86 @@ export class Light extends EventTarget {
   }
 }
 
+const DARKEST = 0.02; // least light
+const LONGEST = 1.5; // largest exposure
+const GAMMA = 2.2;
+const INSIDE = 250; // share of light, of 255, from which a pixel counts as the object's
+const LONGEST_SIDE = 800; // pixels
+
+/** Light of a lamp from the cosine between normal and lamp. */
+const lit = (facing, softness) =>
+  Math.abs(facing) < softness ? (facing + softness) ** 2 / (4 * softness) : Math.max(facing, 0);
+
+export const pixelsOf = (image) => {
+  const ctx = new OffscreenCanvas(image.width, image.height).getContext("2d");
+  ctx.drawImage(image, 0, 0);
+  return ctx.getImageData(0, 0, image.width, image.height);
+};
+
+export class RoughLight {
+  /** flat: the picture without shading; normals: x and y in red and green, the share of light in blue; box: [left, top,
+   *  width, height] of these in the picture, as fractions. */
+  constructor(flat, normals, box) {
+    const factor = Math.min(1, LONGEST_SIDE / Math.max(flat.width, flat.height));
+    const [width, height] = [flat.width, flat.height].map((side) => Math.round(factor * side));
+    this.canvas = Object.assign(document.createElement("canvas"), { width, height });
+    this._flat = new OffscreenCanvas(width, height);
+    this._flat.getContext("2d").drawImage(flat, 0, 0, width, height);
+    this._box = box.map((side, i) => side * [width, height][i % 2]);
+    this._darker = pixelsOf(normals); // factors below 1, by which the picture is multiplied
+    this._brighter = pixelsOf(normals); // 1 - 1 / factor of those above 1, with which it is dodged
+    this._layer = new OffscreenCanvas(normals.width, normals.height);
+    const { data } = pixelsOf(normals);
+    this._n = data.length / 4;
+    const part = (of) => Float32Array.from({ length: this._n }, (_, i) => of(data.subarray(4 * i)));
+    this._x = part(([red]) => (red - 128) / 127);
+    this._y = part(([, green]) => (green - 128) / 127);
+    this._z = this._x.map((x, i) => Math.sqrt(Math.max(1 - x * x - this._y[i] ** 2, 0)));
+    this._share = part(([, , blue]) => blue / 255);
+    this._light = new Float32Array(3 * this._n);
+    this._frontal = new Float32Array(this._n);
+  }
+
+  /** Paint the object under lights with colours as numbers. */
+  draw({ lamps, ambient }) {
+    const ctx = this.canvas.getContext("2d");
+    this._compute(lamps, ambient);
+    ctx.globalCompositeOperation = "copy";
+    ctx.drawImage(this._flat, 0, 0);
+    this._blend(ctx, "multiply", this._darker);
+    this._blend(ctx, "color-dodge", this._brighter);
+  }
+
+  /** @param {GlobalCompositeOperation} how */
+  _blend(ctx, how, factors) {
+    this._layer.getContext("2d").putImageData(factors, 0, 0);
+    ctx.globalCompositeOperation = how;
+    ctx.drawImage(this._layer, ...this._box);
+  }
+
+  _compute(lamps, ambient) {
+    const { _n: n, _x: x, _y: y, _z: z, _share: share, _light: light, _frontal: frontal } = this;
+    const linear = lamps.map(({ colour, strength, ...lamp }) =>
+      ({ ...lamp, channels: colour.map((value) => strength * value ** GAMMA) }));
+    const [darker, brighter, sums] = [this._darker.data, this._brighter.data, { frontal: 0, light: 0 }];
+    for (let i = 0; i < n; i += 1) {
+      frontal[i] = Math.max(ambient + (1 - ambient) * z[i], DARKEST);
+      for (let c = 0; c < 3; c += 1) light[3 * i + c] = ambient;
+      for (const { direction: [u, v, w], channels, softness } of linear) {
+        const from = (1 - ambient) * lit(u * x[i] + v * y[i] + w * z[i], softness);
+        for (let c = 0; c < 3; c += 1) light[3 * i + c] += from * channels[c];
+      }
+      for (let c = 0; c < 3; c += 1) light[3 * i + c] = Math.max(light[3 * i + c], DARKEST);
+      if (share[i] < INSIDE / 255) continue;
+      sums.frontal += frontal[i];
+      sums.light += (light[3 * i] + light[3 * i + 1] + light[3 * i + 2]) / 3;
+    }
+    const exposure = Math.min(Math.sqrt(sums.frontal / Math.max(sums.light, 1e-6)), LONGEST);
+    for (let i = 0; i < n; i += 1)
+      for (let c = 0; c < 3; c += 1) {
+        const factor = share[i] ? ((exposure * light[3 * i + c]) / frontal[i]) ** (share[i] / GAMMA) : 1;
+        darker[4 * i + c] = 255 * Math.min(factor, 1);
+        brighter[4 * i + c] = 255 * (1 - 1 / Math.max(factor, 1));
+      }
+  }
+}

@@ -1,9 +1,8 @@
 // Review of the open picture and of the folder: checks, history, accuracy of the models, and tables of all pictures.
 
 import { percent } from "./annotate-words.js";
-import { act } from "./bulk.js";
-import { button, dialog, h, menu, saveFile } from "./ui.js";
-import { askName, whoAmI } from "./who.js";
+import { act, askName, whoAmI } from "./bulk.js";
+import { button, dialog, h, listOf, menu, saveFile } from "./ui.js";
 
 const DID = {
   placed: "placed points", accepted: "accepted proposed points", cleared: "removed all points", checked: "checked it", unchecked: "withdrew the check",
@@ -14,7 +13,6 @@ const DID = {
 const EXPORTS = { pts: ".pts files (zip)", coco: "COCO keypoints", tps: "tpsDig (.tps)", csv: "Table (.csv)", measure: "Measurements (.csv)…" };
 export const sentence = ({ who, did }) => `${who || "Someone"} ${DID[did]}`;
 
-/** What the newest bar of the chart means. */
 export function accuracyText(versions) {
   const { held_out: count } = versions.at(-1);
   const others = versions.some(({ same }) => !same) ? " Pale bars: measured on other pictures." : "";
@@ -33,7 +31,7 @@ export function createReview(tab) {
   const check = button("Mark as checked", {
     icon: "check", small: true, testid: "check", onclick: (event) => tab.act(event, toggle),
   });
-  const entries = h("ul.assist-lines");
+  const entries = h("div");
   const history = part("history", "History", entries, () => fetchHistory());
   const chart = h("div");
   const accuracy = part("versions", "", chart);
@@ -54,7 +52,7 @@ export function createReview(tab) {
     const lines = await api.get(api.url("pictures", picture, "history"), { quiet: true });
     if (picture !== state.current) return;
     const texts = lines.map((line) => `${sentence(line)}, ${new Date(line.time).toLocaleString()}`);
-    entries.replaceChildren(...(texts.length ? texts : ["Nothing yet"]).map((text) => h("li", text)));
+    entries.replaceChildren(listOf(texts.length ? texts : ["Nothing yet"]));
   }
 
   function draw(versions) {
@@ -92,7 +90,6 @@ const KINDS = { 2: "distance", 3: "angle" }; // of so many selected points; more
 /** The measure of points with indices from 0, as liaam measure takes it. */
 const measureOf = (indices) => `${KINDS[indices.length] ?? "area"}:${indices.map((i) => i + 1).join("-")}`;
 
-/** Ask what to measure, and save the table. */
 export async function measureAll({ api, state, selection }) {
   const key = `liaam-studio:measures:${state.project.id}`;
   const [known = "", scaled = ""] = JSON.parse(localStorage.getItem(key) ?? "[]");

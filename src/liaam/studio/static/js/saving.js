@@ -38,11 +38,10 @@ const DEFAULTS = {
 
 export class Saver {
   /** @param {any} options
-   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. The request should outlive the
-   *  page (keepalive), so that a flush is enough when the page is closed; unsaved: Unsaved;
-   *  template() -> {names, revision} of the current template; onStatus(state, message); onSaved(name, answer);
-   *  onConflict(name, current); onForeign(name): the landmarks were changed elsewhere; onTemplate(name): the server has
-   *  another template: update `template`, then call `rebase`; onLost(name, sentence): unsaved marks cannot be saved */
+   *  put(name, body) -> Promise of {revision}; rejects with {status, message, body}. It should outlive the page, so
+   *  that a flush is enough on closing; unsaved: Unsaved; template() -> {names, revision}; onStatus(state, message);
+   *  onSaved(name, answer); onConflict(name, current); onForeign(name): the landmarks were changed elsewhere;
+   *  onTemplate(name): update `template`, then call `rebase`; onLost(name, sentence): unsaved marks cannot be saved */
   constructor(options) {
     this.options = { ...DEFAULTS, ...options };
     this.unsaved = options.unsaved;
@@ -51,21 +50,17 @@ export class Saver {
   }
 
   entry(name) {
-    if (!this.entries.has(name)) {
-      this.entries.set(name, {
-        revision: null, template: null, size: null, deleted: false, saved: null, wanted: null, sent: null, timer: null,
-        retries: 0, state: "saved", message: "", heard: null, request: null,
-      });
-    }
+    const fresh = {
+      revision: null, template: null, size: null, deleted: false, saved: null, wanted: null, sent: null, timer: null,
+      retries: 0, state: "saved", message: "", heard: null, request: null,
+    };
+    if (!this.entries.has(name)) this.entries.set(name, fresh);
     return this.entries.get(name);
   }
 
-  /** Record the server's current content. */
   known(name, revision, content, size = null) {
     const entry = this.entry(name);
-    entry.revision = revision;
-    entry.saved = content;
-    entry.size = size ?? entry.size;
+    Object.assign(entry, { revision, saved: content, size: size ?? entry.size });
   }
 
   /** The content that is not on the server yet, or null. */
@@ -74,7 +69,6 @@ export class Saver {
     return entry?.wanted ?? entry?.sent ?? null;
   }
 
-  /** Whether a picture has unsaved content. */
   isDirty(name) { return this.pending(name) !== null; }
 
   /** Whether the unsaved content of a picture belongs to an earlier template. */
@@ -82,10 +76,8 @@ export class Saver {
     return this.isDirty(name) && this.entry(name).template?.revision !== this.template()?.revision;
   }
 
-  /** Names of all pictures with unsaved content. */
   get dirty() { return [...this.entries.keys()].filter((name) => this.isDirty(name)); }
 
-  /** A picture with an unresolved conflict, or null. */
   get conflicted() { return [...this.entries].find(([, entry]) => entry.state === "conflict")?.[0] ?? null; }
 
   change(name, content) {
@@ -108,19 +100,13 @@ export class Saver {
     }, delay);
   }
 
-  unschedule(entry) {
-    this.options.clearTimer(entry.timer);
-    entry.timer = null;
-  }
-
   keep(name, entry) {
     const { wanted, sent, revision, saved, template, size } = entry;
     this.unsaved.set(name, { wanted: wanted ?? sent, sent, revision, saved, template, size });
   }
 
   mark(entry, state, message = "") {
-    entry.state = state;
-    entry.message = message;
+    Object.assign(entry, { state, message });
     this.report();
   }
 
@@ -129,7 +115,6 @@ export class Saver {
     this.options.onConflict(name, current);
   }
 
-  /** There is nothing to save any more. */
   settle(name, entry) {
     this.unsaved.delete(name);
     this.mark(entry, "saved");
@@ -146,7 +131,6 @@ export class Saver {
     return Promise.all(names.map((each) => this.send(each)));
   }
 
-  /** Send the unsaved content of a picture; resolves when it is saved or has failed. */
   async send(name) {
     const entry = this.entry(name);
     if (!entry.sent && entry.wanted && entry.state !== "conflict") entry.request = this.sendNow(name, entry);
@@ -154,9 +138,8 @@ export class Saver {
   }
 
   async sendNow(name, entry) {
-    this.unschedule(entry);
-    entry.sent = entry.wanted;
-    entry.wanted = null;
+    this.options.clearTimer(entry.timer);
+    Object.assign(entry, { timer: null, sent: entry.wanted, wanted: null });
     this.keep(name, entry);
     try {
       await this.landed(name, entry, await this.options.put(name, body(entry)));
@@ -166,10 +149,7 @@ export class Saver {
   }
 
   landed(name, entry, answer) {
-    entry.revision = answer.revision;
-    entry.saved = entry.sent;
-    entry.sent = null;
-    entry.retries = 0;
+    Object.assign(entry, { revision: answer.revision, saved: entry.sent, sent: null, retries: 0 });
     this.options.onSaved(name, answer);
     if (entry.wanted) {
       this.keep(name, entry);
@@ -210,21 +190,15 @@ export class Saver {
     return this.schedule(name, entry, wait);
   }
 
-  /** The server is reachable again: retry all. */
   retry() {
-    for (const [name, entry] of this.entries) {
-      if (entry.state !== "offline" && entry.state !== "failing") continue;
-      this.unschedule(entry);
-      this.send(name);
-    }
+    for (const [name, { state }] of this.entries) if (state === "offline" || state === "failing") this.send(name);
   }
 
   /** Resolve a conflict: "mine" overwrites the server's version, "theirs" discards the version of this page. */
   async resolveConflict(name, which) {
     const entry = this.entry(name);
     if (entry.state !== "conflict") return undefined;
-    entry.state = "saving";
-    entry.deleted = false;
+    Object.assign(entry, { state: "saving", deleted: false });
     if (which === "mine") {
       this.keep(name, entry);
       return this.send(name);
@@ -233,7 +207,6 @@ export class Saver {
     return this.settle(name, entry);
   }
 
-  /** The server reports a new revision of a picture's landmarks. */
   heard(name, revision) {
     const entry = this.entry(name);
     entry.heard = revision;
@@ -255,15 +228,12 @@ export class Saver {
     const origins = this.isStale(name) ? mapping : null; // it may have been converted already
     const moved = this.carry(name, { wanted: content, saved: entry.saved, template: entry.template }, current, origins);
     this.known(name, current.revision, contentOf(current), sizeOf(current));
-    entry.template = this.template();
-    entry.state = "saving";
-    entry.retries = 0;
-    this.unschedule(entry);
+    this.options.clearTimer(entry.timer);
+    Object.assign(entry, { template: this.template(), state: "saving", retries: 0, timer: null });
     this.resume(name, entry, moved, current);
   }
 
-  /** Convert marks of another template to the current one: {wanted, ours}; wanted is null if no point can be
-   *  converted. */
+  /** Convert marks of another template to the current one: {wanted: null if no point can be converted, ours}. */
   carry(name, { wanted, saved, template }, current, mapping = null) {
     const now = contentOf(current);
     const names = this.template()?.names ?? [];
@@ -293,8 +263,7 @@ export class Saver {
     return wanted;
   }
 
-  /** Restore marks that an earlier page could not save. `current`: the server's marks. Returns the content to show, or
-   *  null if there is nothing to restore. */
+  /** Restore marks that an earlier page could not save; return the content to show, or null if there is none. */
   restore(name, current) {
     const kept = this.unsaved.get(name);
     const content = contentOf(current);

@@ -3,8 +3,8 @@
 
 import { COLOURS, drawText } from "./drawing.js";
 import { placing } from "./gestures.js";
-import { inked } from "./overlays.js";
-import { rounded } from "./points.js";
+import { inked, lines } from "./overlays.js";
+import { distance, rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
 
 const UNITS = { "µm": "µm", mm: "mm", cm: "cm", m: "m", in: "inches" };
@@ -75,7 +75,7 @@ export class ScaleBar {
 
   async finish() {
     const { ends, marking: { book } } = this;
-    if (Math.hypot(ends[0][0] - ends[1][0], ends[0][1] - ends[1][1]) < LEAST) return this.preview([ends[0], null]);
+    if (distance(ends[0], ends[1]) < LEAST) return this.preview([ends[0], null]);
     const [answer, bar] = await this.ask(known());
     if (this.marking.book !== book) return;
     this.turn(false);
@@ -89,7 +89,6 @@ export class ScaleBar {
     if (answer === "share") this.onshare(bar, anyway);
   }
 
-  /** Ask for the length; resolves to the answer and {length, unit}. */
   async ask(bar, more = []) {
     const length = h("input.text", {
       type: "number", step: "any", value: String(bar.length), testid: "scale-length", "aria-label": "Length",
@@ -117,13 +116,8 @@ export class ScaleBar {
     const [[x0, y0], [x1, y1]] = [ends[0], ends.at(-1)];
     const away = Math.hypot(x1 - x0, y1 - y0) || 1;
     const [nx, ny] = [(TICK * (y1 - y0)) / away, (TICK * (x0 - x1)) / away];
-    ctx.beginPath();
-    for (const [x, y] of ends) {
-      ctx.moveTo(x - (nx || (ny ? 0 : TICK)), y - ny);
-      ctx.lineTo(x + (nx || (ny ? 0 : TICK)), y + ny);
-    }
-    ctx.moveTo(x0, y0);
-    ctx.lineTo(x1, y1);
+    const across = nx || (ny ? 0 : TICK); // a single end is a tick
+    lines(ctx, [...ends.map(([x, y]) => [[x - across, y - ny], [x + across, y + ny]]), [[x0, y0], [x1, y1]]]);
     inked(ctx, "rgb(0 0 0 / 75%)", 4.5);
     inked(ctx, COLOURS.placed, 2);
     if (this.on || !this.bar) return;

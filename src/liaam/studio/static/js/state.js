@@ -1,10 +1,10 @@
 // The page's copy of the project, updated by the server's events.
 
 import { api, ApiError } from "./api.js";
+import { whoAmI } from "./bulk.js";
 import { isIn } from "./strip-filters.js";
 import { complaints, toast } from "./ui.js";
 import { attempt } from "./unsaved.js";
-import { whoAmI } from "./who.js";
 
 const LOOK_EVERY = 4000; // milliseconds between checks of the folder
 
@@ -22,8 +22,7 @@ export const tabIn = (search) => new URLSearchParams(search).get("tab");
 /** The page is open: from now on, changes of the address are steps of Back and Forward. */
 export function opened() { isOpen = true; }
 
-/** Put the tab or the picture into the address.
- *  @param {{tab?: string, name?: string}} what */
+/** Put the tab or the picture into the address. @param {{tab?: string, name?: string}} what */
 export function remember({ tab, name }) {
   const address = new URL(location.href);
   if (tab !== undefined) address.searchParams.set("tab", tab);
@@ -51,7 +50,6 @@ export class State extends EventTarget {
   _refreshing = null;
   _again = false;
 
-  /** Fetch the project and follow its changes. */
   async open() {
     const wanted = nameIn(location.hash); // before the first picture is selected
     await this.refresh();
@@ -59,6 +57,9 @@ export class State extends EventTarget {
     this._follow();
     this._watch();
   }
+
+  /** Whether a model was dropped on the page, which then only fits. */
+  get guest() { return this.project?.model?.source === "guest"; }
 
   picture(name = this.current) {
     if (this._indexed !== this.project) {
@@ -100,7 +101,6 @@ export class State extends EventTarget {
     this.select(names[Math.min(Math.max(at + by, 0), names.length - 1)]);
   }
 
-  /** The pictures of the subfolder that the list shows. */
   get pictures() { return this.project.pictures.filter(({ name }) => isIn(name, this.folder)); }
 
   showFolder(folder) {
@@ -108,13 +108,11 @@ export class State extends EventTarget {
     this._say("folder");
   }
 
-  /** Save the marks of a picture in the name of the person who works here. */
   saveMarks(name, marks, options = {}) {
     const address = api.url("pictures", name, "landmarks");
     return this.send((folder) => api.put(address, { ...marks, folder, who: whoAmI() }, options));
   }
 
-  /** Update one picture from the answer to a save. */
   update(picture) {
     const known = this.picture(picture.name);
     if (!known) return;
@@ -138,8 +136,7 @@ export class State extends EventTarget {
     setInterval(look, LOOK_EVERY);
   }
 
-  /** Send a request with the id of the page's folder. If the server now serves another folder, it refuses the request,
-   *  the page is reloaded, and the promise is rejected. */
+  /** Send a request with the id of the page's folder. A server of another folder refuses it, and the page reloads. */
   async send(request) {
     if (this.unsure) await this.refresh(); // otherwise send at once, since the page may be closing
     try {
@@ -196,14 +193,11 @@ export class State extends EventTarget {
       if (source.readyState === EventSource.CLOSED) setTimeout(() => this._follow(), 2000);
     });
     source.addEventListener("project", () => this.refresh().catch(() => {}));
-    source.addEventListener("training", (event) => {
-      this.project.training = JSON.parse(event.data);
-      this._say("training", this.project.training);
-    });
-    source.addEventListener("fitting", (event) => {
-      this.project.fitting = JSON.parse(event.data);
-      this._say("fitting");
-    });
+    for (const work of ["training", "fitting"])
+      source.addEventListener(work, (/** @type {any} */ { data }) => {
+        this.project[work] = JSON.parse(data);
+        this._say(work, this.project[work]);
+      });
     source.addEventListener("landmarks", (event) => {
       for (const each of [JSON.parse(event.data)].flat()) this._say("landmarks", each);
     });

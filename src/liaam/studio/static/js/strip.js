@@ -15,7 +15,6 @@ const REST = 90; // milliseconds without scrolling until thumbnails are fetched
 
 export function mountStrip(root, app) {
   const { api, state } = app;
-  const wanted = { text: "", filter: "all", order: "name" };
   const items = new Map(); // name -> {element, key} of the items that exist
   let pictures = []; // as filtered and sorted
   let resting = 0; // timer until the list rests
@@ -24,18 +23,18 @@ export function mountStrip(root, app) {
   let anchor = null; // where a range of them begins
   let wallTop = 0; // how far the wall was scrolled
 
-  const choose = (label, name, onchange, labels = {}) =>
+  const choose = (label, name, labels = {}, title = null) =>
     h("select.text", {
-      "aria-label": label, testid: `strip-${name}`,
-      onchange: ({ target }) => { onchange(target.value); wall.onWay = false; show(); },
+      "aria-label": label, title, testid: `strip-${name}`,
+      onchange: () => { state.showFolder(folders.value); wall.onWay = false; show(); },
     }, optionsOf(labels));
-  const filter = choose("Show", "filter", (value) => { wanted.filter = value; }, labelsOf(filters.FILTERS));
-  const order = choose("Sort", "order", (value) => { wanted.order = value; }, filters.ORDERS);
-  const folders = choose("Subfolder", "folder", (value) => state.showFolder(value));
-  folders.title = "Pictures of subfolders are shown because the folder itself has none";
+  const filter = choose("Show", "filter", labelsOf(filters.FILTERS));
+  const order = choose("Sort", "order", filters.ORDERS);
+  const whose = "Pictures of subfolders are shown because the folder itself has none";
+  const folders = choose("Subfolder", "folder", {}, whose);
   const search = h("input.text", {
     type: "search", placeholder: "Search by name", "aria-label": "Search by name", testid: "strip-search",
-    oninput: () => { wanted.text = search.value.trim().toLowerCase(); show(); },
+    oninput: () => show(),
   });
   const several = iconButton("Select several", "check", () => select(!selecting), {
     small: true, pressed: false, testid: "strip-several",
@@ -67,7 +66,6 @@ export function mountStrip(root, app) {
       h("div.row.strip-count", count, adder, several)),
     wall.element, bulk.element, list);
 
-  /** Begin or end the selection of several pictures. */
   function select(on) {
     selecting = on;
     press(several, on);
@@ -82,11 +80,10 @@ export function mountStrip(root, app) {
     render();
   }
 
-  /** Make all items again, as those of the list or of the wall. */
   function rebuild() {
     if (wall.on && !wall.onWay) {
       wallTop = 0;
-      wanted.order = order.value = "quality";
+      order.value = "quality";
       state.order = []; // sorted anew, and then it stays
     }
     items.clear();
@@ -98,7 +95,6 @@ export function mountStrip(root, app) {
     return list.focus({ preventScroll: true });
   }
 
-  /** Select a picture too, or no longer; with a range, all up to it. */
   function add(name, range) {
     if (!selecting) select(true);
     if (range) mark([...chosen, ...filters.between(state.order, anchor ?? state.current, name)]);
@@ -113,7 +109,6 @@ export function mountStrip(root, app) {
     else enter(name);
   }
 
-  /** Open a picture; the wall gives way to it. */
   function enter(name) {
     wall.onWay = wall.on;
     wall.open(false);
@@ -151,9 +146,8 @@ export function mountStrip(root, app) {
 
   const leftOut = () => state.project.model?.left_out ?? {};
 
-  function make(picture) {
+  function make(picture, why) {
     const { name, tag, rank, error, checked, slip, quality } = picture;
-    const why = filters.whyLeftOut(picture, leftOut());
     const what = filters.describe(picture, leftOut()) + (quality == null ? "" : `, ${Math.round(100 * quality)} %`);
     const folder = filters.folderOf(name);
     const face = picture.state === "broken"
@@ -179,7 +173,7 @@ export function mountStrip(root, app) {
     const known = items.get(name);
     if (known?.key === key) return known.element;
     known?.element.remove();
-    items.set(name, { element: make(picture), key });
+    items.set(name, { element: make(picture, why), key });
     return items.get(name).element;
   }
 
@@ -191,7 +185,6 @@ export function mountStrip(root, app) {
     return { size: SIZES.row, at: list.scrollLeft, room: list.clientWidth, columns: 1 };
   }
 
-  /** Put the visible items into the list. */
   function render() {
     const { size, at, room, columns } = along();
     const first = Math.max(0, Math.floor(at / size) - AHEAD) * columns;
@@ -210,9 +203,7 @@ export function mountStrip(root, app) {
       element.setAttribute("aria-current", String(name === state.current));
       if (space.children[i] !== element) space.insertBefore(element, space.children[i] ?? null);
     });
-    const current = items.get(state.current)?.element;
-    if (current) list.setAttribute("aria-activedescendant", current.id);
-    else list.removeAttribute("aria-activedescendant");
+    list.setAttribute("aria-activedescendant", items.get(state.current)?.element.id ?? "");
     clearTimeout(resting);
     resting = setTimeout(fetchFaces, REST);
   }
@@ -223,7 +214,6 @@ export function mountStrip(root, app) {
     for (const item of space.children) wall.outline(state.picture(item.dataset.name), item.firstChild);
   }
 
-  /** Scroll the current picture into view. */
   function reveal() {
     const { size, at, room, columns } = along();
     const index = Math.floor(state.order.indexOf(state.current) / columns);
@@ -232,8 +222,7 @@ export function mountStrip(root, app) {
     list.scrollTo(BESIDE.matches || wall.on ? { top: to } : { left: to });
   }
 
-  /** While pictures are added or fitted, and while a person is on the way through the wall, those in the list keep their
-   *  places, and others come after them. */
+  /** While files are added or fitted, and on the way through the wall, pictures keep their places, before new ones. */
   function inPlace(found) {
     if (!state.adding && !state.project.fitting && !wall.on && !wall.onWay) return found;
     const places = new Map(state.order.map((name, i) => [name, i]));
@@ -241,7 +230,6 @@ export function mountStrip(root, app) {
   }
 
   let known = null;
-  /** Show the subfolders to choose from; the choice of one that is gone ends. */
   function showFolders(all) {
     const found = filters.foldersOf(all);
     if (known === JSON.stringify(found)) return;
@@ -256,9 +244,11 @@ export function mountStrip(root, app) {
     const all = state.project.pictures;
     document.documentElement.dataset.pictures = all.length ? "some" : "none";
     showFolders(all);
-    pictures = inPlace(filters.matching(all, { ...wanted, folder: state.folder }, leftOut()));
+    const [text, { folder }] = [search.value.trim().toLowerCase(), state];
+    const wanted = { text, filter: filter.value, folder, order: order.value };
+    pictures = inPlace(filters.matching(all, wanted, leftOut()));
     state.order = pictures.map(({ name }) => name);
-    state.worstFirst = wanted.order === "quality";
+    state.worstFirst = order.value === "quality";
     for (const name of chosen) if (!state.picture(name)) chosen.delete(name);
     const usable = all.filter((picture) => picture.state !== "broken");
     const done = usable.filter((picture) => picture.state === "done").length;
@@ -274,7 +264,7 @@ export function mountStrip(root, app) {
     if (pressed === "Escape") selecting ? select(false) : wall.open(false);
   });
   state.addEventListener("to-review", () => {
-    wanted.filter = filter.value = "review";
+    filter.value = "review";
     show();
     state.step(-Infinity);
   });
@@ -283,7 +273,7 @@ export function mountStrip(root, app) {
   new ResizeObserver(() => { show(); if (!wall.on) reveal(); }).observe(list);
   state.addEventListener("project", show);
   state.addEventListener("fitting", () => state.adding || state.project.fitting || show());
-  state.addEventListener("added", () => { wanted.order = order.value = "quality"; show(); });
+  state.addEventListener("added", () => { order.value = "quality"; show(); });
   state.addEventListener("select", () => { reveal(); render(); });
   state.wall = wall;
   app.bulk = bulk;

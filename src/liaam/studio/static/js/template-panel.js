@@ -92,7 +92,6 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
       paths.replaceChildren(...contours.map((contour, k) => pathRow(drafting, contour, k)));
       refresh();
     },
-    /** Disable Done while the template is being saved. */
     setBusy(now) {
       busy = now;
       if (busy) refresh();
@@ -172,7 +171,6 @@ function pointRows(drafting) {
     element.append(row.element);
   }
 
-  /** Index of the row under the pointer, -1 if none. */
   const under = ({ clientY }) => {
     const boxes = rows.map((row) => row.element.getBoundingClientRect());
     return boxes.findIndex((box) => clientY >= box.top && clientY < box.bottom);

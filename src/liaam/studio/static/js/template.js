@@ -197,11 +197,9 @@ export function rebased(draft, before, now) {
   return { ...draft, origins: origins.map((origin, i) => (origins.indexOf(origin) === i ? origin : null)) };
 }
 
-/** Whether landmark files must be rewritten. */
 export const rearranges = (draft, count) =>
   draft.origins.length !== count || draft.origins.some((origin, i) => origin !== i);
 
-/** Description of the effect of saving on the landmark files. */
 export function changes(draft, count) {
   const kept = draft.origins.filter((origin) => origin !== null);
   const [added, deleted] = [draft.origins.length - kept.length, count - kept.length];

@@ -59,7 +59,6 @@ export class Page {
     locks?.request(LOCK + this.name, () => new Promise(() => {})).catch(() => {});
   }
 
-  /** Whether `page` is closed, so that this page saves its unsaved marks. */
   async inherits(page) {
     if (page === this.name || page === this.before || !this.locks) return true;
     const { held } = await this.locks.query();
@@ -80,8 +79,7 @@ export function unsavedWork(storage, folder) {
   return keys.length ? JSON.stringify({ kind: KIND, folder, items }) : "";
 }
 
-/** Keep unsaved work of another page in the storage of this one, which a reload restores. Returns the number of items
- *  that were left out, because this page has unsaved work of its own on them. */
+/** Keep another page's unsaved work for a reload of this one; return the number of items that this page has, too. */
 export function takeWork(storage, folder, text, file) {
   const work = attempt(() => JSON.parse(text));
   if (work?.kind !== KIND)

@@ -6,6 +6,7 @@
 
 import { look } from "./look.js";
 import { button, h, perFrame, runKey } from "./ui.js";
+import { attempt } from "./unsaved.js";
 
 const LARGEST = 64; // maximum zoom, screen pixels per picture pixel
 const EASE = 0.0016; // zoom per pixel of the wheel
@@ -35,7 +36,15 @@ export class Viewer extends EventTarget {
   constructor(container, { label = "Picture" } = {}) {
     super();
     this.container = container;
-    this.canvas = h("canvas", { tabindex: "0", role: "application", "aria-label": label });
+    this.canvas = h("canvas", {
+      tabindex: "0", role: "application", "aria-label": label,
+      onpointerdown: (event) => this._down(event), onpointermove: (event) => this._move(event),
+      onpointerup: (event) => this._end(event, "up"), onpointercancel: (event) => this._end(event, "cancel"),
+      onpointerleave: (event) => this._pointers.size || this.tool?.leave?.(event),
+      onwheel: (event) => this._wheel(event), oncontextmenu: (event) => event.preventDefault(),
+      onkeydown: (event) => this._hold(event, "grab"), onkeyup: (event) => this._hold(event, ""),
+      onblur: () => { this._space = false; },
+    });
     container.classList.add("viewer");
     const tool = (label, icon, shortcut, onclick) =>
       button(label, { icon, shortcut, onclick, iconOnly: true, kind: "ghost", small: true });
@@ -43,7 +52,6 @@ export class Viewer extends EventTarget {
       tool("Zoom out", "minus", "-", () => this.zoomBy(1 / 1.3)), this._zoomText,
       tool("Zoom in", "plus", "+", () => this.zoomBy(1.3)), tool("Whole picture", "fit", "0", () => this.fit()),
       this.look));
-    this._listen();
     look.addEventListener("change", () => this.redraw());
     const watch = new ResizeObserver(() => this._resize());
     for (const element of [container, this.canvas]) watch.observe(element);
@@ -61,25 +69,20 @@ export class Viewer extends EventTarget {
     this.redraw();
   }
 
-  /** Show a part of the picture, [left, top, right, bottom], and a margin around it, as large as they fit. */
-  fitTo(/** @type {number[]} */ [left, top, right, bottom], margin) {
+  /** Show a part of the picture, [left, top, right, bottom], as large as it fits with a margin (css pixels). */
+  fitTo(/** @type {number[]} */ [left, top, right, bottom], margin, fitted = false) {
     const { w, h } = this._size();
-    this.scale = Math.min(w / (right - left + 2 * margin), h / (bottom - top + 2 * margin), LARGEST);
+    this.scale = Math.min((w - 2 * margin) / (right - left), (h - 2 * margin) / (bottom - top), LARGEST);
     this.left = w / 2 - (this.scale * (left + right)) / 2;
     this.top = h / 2 - (this.scale * (top + bottom)) / 2;
-    this._fitted = false;
+    this._fitted = fitted;
     this._changed();
   }
 
   fit() {
-    this._fitted = true;
     const { w, h } = this._size();
-    if (!this.width || !w || !h) return;
-    const margin = Math.min(14, 0.03 * Math.min(w, h));
-    this.scale = Math.min((w - 2 * margin) / this.width, (h - 2 * margin) / this.height, LARGEST);
-    this.left = (w - this.scale * this.width) / 2;
-    this.top = (h - this.scale * this.height) / 2;
-    this._changed();
+    this._fitted = true;
+    if (this.width && w && h) this.fitTo([0, 0, this.width, this.height], Math.min(14, 0.03 * Math.min(w, h)), true);
   }
 
   zoomBy(factor, at = null) {
@@ -138,13 +141,11 @@ export class Viewer extends EventTarget {
     return [left + x, top + y];
   }
 
-  /** draw(ctx, viewer) draws over the picture. */
   addLayer(draw) {
     this._layers.push(draw);
     this.redraw();
   }
 
-  /** Handle a key of the view; return whether it was handled. */
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     return runKey(event, {
@@ -238,7 +239,7 @@ export class Viewer extends EventTarget {
   /** The scaled picture on a canvas of the same size. It is cached, because scaling takes longer than other drawing. */
   _scaledTo({ width, height }, ratio, x, y) {
     const { source } = this;
-    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.version];
+    const what = [source, this.scale, this.width, this.height, ratio, width, height, look.values];
     const at = [this.left + x, this.top + y].map((v) => v * ratio);
     const before = this._scaled;
     const moved = what.every((value, i) => value === before?.what[i]) && at.map((v, i) => v - before.at[i]);
@@ -277,38 +278,25 @@ export class Viewer extends EventTarget {
 
   // Pointers go to the tool first; otherwise they pan, and two fingers zoom.
 
-  _listen() {
-    const canvas = this.canvas;
-    canvas.addEventListener("pointerdown", (event) => this._down(event));
-    canvas.addEventListener("pointermove", (event) => this._move(event));
-    canvas.addEventListener("pointerup", (event) => this._end(event, "up"));
-    canvas.addEventListener("pointercancel", (event) => this._end(event, "cancel"));
-    canvas.addEventListener("pointerleave", (event) => { if (!this._pointers.size) this.tool?.leave?.(event); });
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      const step = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;
-      this.zoomBy(Math.exp(-EASE * Math.max(-300, Math.min(300, step)) * (event.ctrlKey ? 4 : 1)), this.place(event));
-    }, { passive: false });
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("keydown", (event) => { if (event.key === " ") this._hold(event, true); });
-    canvas.addEventListener("keyup", (event) => { if (event.key === " ") this._hold(event, false); });
-    canvas.addEventListener("blur", () => { this._space = false; });
+  _wheel(event) {
+    event.preventDefault();
+    const step = event.deltaMode === 1 ? 16 * event.deltaY : event.deltaY;
+    this.zoomBy(Math.exp(-EASE * Math.max(-300, Math.min(300, step)) * (event.ctrlKey ? 4 : 1)), this.place(event));
   }
 
-  _hold(event, down) {
+  _hold(event, cursor) {
+    if (event.key !== " ") return;
     event.preventDefault();
-    this._space = down;
-    canvasCursor(this.canvas, down ? "grab" : "");
+    this._space = cursor !== "";
+    this._cursor = cursor;
   }
+
+  set _cursor(cursor) { this.canvas.style.cursor = cursor; }
 
   _down(event) {
     this.canvas.focus({ preventScroll: true });
     this._pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    try {
-      this.canvas.setPointerCapture(event.pointerId);
-    } catch {
-      // The pointer may have been released already.
-    }
+    attempt(() => this.canvas.setPointerCapture(event.pointerId)); // it may have been released already
     if (this._pointers.size === 2) { // a second finger ends the tool's gesture
       if (this._taken != null) this.tool?.cancel?.(event);
       this._taken = null;
@@ -317,7 +305,7 @@ export class Viewer extends EventTarget {
     const mine = this._space || event.button === 1 || event.button === 2;
     const isFirst = !mine && this._pointers.size === 1;
     if (isFirst && this.tool?.down?.(event, this.toImage(event))) this._taken = event.pointerId;
-    else canvasCursor(this.canvas, "grabbing");
+    else this._cursor = "grabbing";
     event.preventDefault();
   }
 
@@ -325,7 +313,7 @@ export class Viewer extends EventTarget {
     const before = this._pointers.get(event.pointerId);
     if (!before) {
       this.tool?.hover?.(event, this.toImage(event));
-      canvasCursor(this.canvas, this._space ? "grab" : this.tool?.cursor?.(event, this.toImage(event)) ?? "");
+      this._cursor = this._space ? "grab" : this.tool?.cursor?.(event, this.toImage(event)) ?? "";
       return;
     }
     if (this._taken === event.pointerId) return this.tool?.move?.(event, this.toImage(event));
@@ -348,10 +336,9 @@ export class Viewer extends EventTarget {
     this.zoomBy(apart(now) / apart(before), to);
   }
 
-  /** A pointer has gone up, or was cancelled. */
   _end(event, how) {
     if (!this._pointers.delete(event.pointerId)) return;
-    canvasCursor(this.canvas, "");
+    this._cursor = "";
     if (this._taken !== event.pointerId) return;
     this._taken = null;
     this.tool?.[how]?.(event, this.toImage(event));
@@ -367,8 +354,4 @@ function shifted(ctx, /** @type {number[]} */ [dx, dy]) {
   ctx.globalCompositeOperation = "source-over";
   const [across, down] = [Math.abs(dx), Math.abs(dy)];
   return [[dx > 0 ? 0 : width - across, 0, across, height], [0, dy > 0 ? 0 : height - down, width, down]];
-}
-
-function canvasCursor(canvas, cursor) {
-  if (canvas.style.cursor !== cursor) canvas.style.cursor = cursor;
 }

@@ -6,16 +6,13 @@ import { button, h, iconButton, press, slider, svg } from "./ui.js";
 
 const FIRST = 90; // percent of quality from which points are accepted, until a person chooses another
 
-/** Names of the proposals with at least a quality, from 0 to 1. */
 export const acceptable = (pictures, least) =>
   pictures.filter(({ state, doubtful, quality }) => state === "proposed" && !doubtful && quality >= least)
     .map(({ name }) => name);
 
-/** What changes with the points of a picture. */
 const keyOf = ({ revision, quality, tag, state }) => [revision, quality, tag, state].join();
 
-/** shown(): the pictures of the list; accept(names); onchange(): the wall was opened or closed; onworst(): the
- *  worst is about to be opened; turn(): show the next page, and return the pictures of this one. */
+/** shown() -> pictures; onworst(): the worst will be opened; turn(): go to the next page -> pictures of this one. */
 export function createWall({ app, shown, accept, onchange, onworst, turn }) {
   const { api, state } = app;
   const outlines = new Map(); // by name: {key, promise of the drawing} of the points that were in view last
@@ -68,7 +65,6 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     return acceptSome(() => chosen().filter((name) => !isNew(name)));
   }
 
-  /** Accept names() once all points that were just moved are saved. */
   async function acceptSome(names) {
     await app.saved();
     const found = names();
@@ -93,7 +89,6 @@ export function createWall({ app, shown, accept, onchange, onworst, turn }) {
     state.select(picture.name);
   }
 
-  /** Draw the points of a picture over its thumbnail. */
   async function outline(picture, face) {
     const { name, placed, state: progress } = picture;
     if (!placed && progress !== "proposed") return;
