@@ -4,13 +4,15 @@ Errors for the user have the form ``{"error": sentence}``.
 """
 
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -18,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.types import Receive, Scope, Send
 
 from liaam import __version__
 from liaam.errors import ImageError, LiaamError
@@ -37,6 +40,7 @@ from liaam.studio.pictures import Pictures, Source, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.sets import Sets
 from liaam.studio.settings import Settings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
@@ -53,7 +57,7 @@ OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the
 
 
 class Studio:
-    """The parts of a studio on one folder, and how it answers requests.
+    """The parts of a studio on one folder, or on a further set of its landmarks, and how it answers requests.
 
     Parameters
     ----------
@@ -62,6 +66,9 @@ class Studio:
     model : Path, optional
         Model to use instead of the one that the studio trained in this folder before.
     settings : Settings, optional
+    sets : Sets, optional
+        Sets of landmarks of a folder that another studio has open; this one is for ``set_name``.
+    set_name : str
 
     Raises
     ------
@@ -69,12 +76,23 @@ class Studio:
         If the folder or the model cannot be used, or another studio has the folder open.
     """
 
-    def __init__(self, folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        model: Path | None = None,
+        settings: Settings | None = None,
+        sets: Sets | None = None,
+        set_name: str = "",
+    ) -> None:
         self.settings = settings or Settings()
         with ExitStack() as lock:
-            lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
-            self.project = Project(folder, self.settings)
+            if sets is None:
+                lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
+                sets = Sets(Project(folder, self.settings))
+            self.sets, self.project = sets, sets.get(set_name)
             self.project.prepare()
+            self._others: dict[str, Studio] = {}
+            self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
             self.pictures = Pictures()
             self.uploads = Uploads(self.pictures, self.settings)
@@ -89,8 +107,24 @@ class Studio:
                 self.models.publish(load_model(model), {"source": "file", "trained": None, "pictures": {}})
             self._lock = lock.pop_all()
 
+    def of_set(self, name: str) -> "Studio":
+        """Return the studio of a further set of landmarks, which is made when it is first asked for."""
+        with self._making:
+            if name not in self._others:
+                made = self._others[name] = Studio(self.project.root, None, self.settings, self.sets, name)
+                if self.background.is_started:
+                    made.background.start()
+            return self._others[name]
+
+    def end_events(self) -> None:
+        """Close the event streams of all sets of landmarks."""
+        for each in (*self._others.values(), self):
+            each.events.close()
+
     def close(self) -> None:
         """Close the event streams, stop a running training, and release the folder."""
+        for each in self._others.values():
+            each.close()
         self.events.close()
         self.background.stop()
         self.training.stop()
@@ -113,6 +147,10 @@ class Studio:
             route("POST", "/api/review", self._review, read_json),
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
+            route("GET", of_picture + "others", lambda asked: self.sets.others(project, asked.path_params["name"])),
+            route("POST", "/api/sets", self._make_set, read_json, status=201),
+            route("GET", "/api/agreement", lambda _: self.sets.agreement(project)),
+            route("GET", "/api/agreement/table", lambda _: attachment(*self.sets.agreement_table(project))),
             route("PUT", "/api/template", self._save_template, read_json),
             route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
@@ -136,7 +174,8 @@ class Studio:
         project, training, model = self.project, self.training, self.models.current
         known = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
-        suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}"
+        sets = self.sets.names
+        suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}-{len(sets)}"
         overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
@@ -145,6 +184,8 @@ class Studio:
             "id": project.store.id,
             "stamp": overview.stamp + suffix,
             "folder": project.root.name or str(project.root),
+            "set": project.set_name,
+            "sets": sets,
             "version": __version__,
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
@@ -181,6 +222,11 @@ class Studio:
     def _measurements(self, request: Request) -> Response:
         asked = request.query_params
         return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
+
+    def _make_set(self, request: Request, data: Any) -> dict[str, str]:
+        answer = self.sets.make(data, self.project)
+        self.events.publish("project", {})
+        return answer
 
     def _save_template(self, request: Request, data: Any) -> dict[str, Any]:
         try:
@@ -291,18 +337,31 @@ class Studio:
         answer, status, cause = {"error": self.project.folder.plain(fault)}, 422, fault.__cause__
         if isinstance(fault, Refusal):
             answer, status = answer | fault.details, fault.status
-        elif isinstance(cause, OSError) and request.method not in ("GET", "HEAD") and request.url.path != FITS:
+        elif isinstance(cause, OSError) and not (request.method in ("GET", "HEAD") or request.url.path.endswith(FITS)):
             status = status_of(cause)
         return JSONResponse(answer, status)
 
 
 def make_app(studio: Studio) -> Starlette:
-    """Create the web application of a studio."""
-    static = StaticFiles(directory=studio.settings.static, html=True)
+    """Create the web application of a studio. That of a further set of landmarks is below ``/set/NAME/``."""
+    apps: dict[str, Starlette] = {}
+
+    async def of_set(scope: Scope, receive: Receive, send: Send) -> None:
+        name = scope["path_params"]["set"]
+        if name not in apps:
+            apps[name] = _app_of(await run_sync(studio.of_set, name))
+        await apps[name](scope, receive, send)
+
+    return _app_of(studio, [Mount("/set/{set}", of_set)], [Middleware(Guard, settings=studio.settings)])
+
+
+def _app_of(studio: Studio, others: Sequence[Mount] = (), middleware: Sequence[Middleware] = ()) -> Starlette:
+    static = Mount("/", StaticFiles(directory=studio.settings.static, html=True))
+    faults = {LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug}
     return Starlette(
-        routes=[*studio.routes(), *live.routes(studio.live), Mount("/", static)],
-        middleware=[Middleware(Guard, settings=studio.settings)],
-        exception_handlers={LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug},
+        routes=[*studio.routes(), *live.routes(studio.live), *others, static],
+        middleware=middleware,
+        exception_handlers=faults,
     )
 
 

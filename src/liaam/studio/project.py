@@ -67,18 +67,30 @@ class Overview:
 
 
 class Project:
-    """A project's folder; thread-safe. ``root`` is the folder with links resolved."""
+    """A project's folder; thread-safe. ``root`` is the folder with links resolved.
 
-    def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    A folder may have further sets of landmarks (:mod:`liaam.studio.sets`), each a project with a ``set_name``,
+    which shares the scale bars and the lock of the ``first``.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        settings: Settings | None = None,
+        set_name: str = "",
+        first: "Project | None" = None,
+    ) -> None:
+        self.settings, self.set_name = settings or Settings(), set_name
         self.folder = Folder(checked_folder(folder))
         self.root = self.folder.root
-        self.store = Store(self.folder)
-        self._lock = threading.RLock()
+        self.title = "-".join(filter(None, (self.root.name, set_name)))  # name of the model and of exported files
+        self.store = Store(self.folder, set_name)
+        self._lock = first._lock if first else threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
-        self._listing = listing = Listing(self.folder, self.settings.pixels)
-        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
+        self._listing = listing = Listing(self.folder, self.settings.pixels, set_name)
+        bars = first._landmarks.bars if first else Table(self.store, "bar")
+        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes, bars)
         self._proposals = Table(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
         self._unchecked = Table(self.store, "unchecked")
@@ -214,7 +226,7 @@ class Project:
         """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
         if kind not in EXPORTS:
             raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(EXPORTS)}")
-        found, name = self.placed("export"), plain_name(self.root.name) + EXPORTS[kind]
+        found, name = self.placed("export"), plain_name(self.title) + EXPORTS[kind]
         if kind == "pts":
             stream = io.BytesIO()
             with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -229,7 +241,7 @@ class Project:
         found = self.placed("measure")
         specimens = [Specimen(file.stem, own.points, names=own.names, scale=own.scale) for file, own, _ in found]
         columns = measure(specimens, measures.split(), scale or None)
-        return f"{plain_name(self.root.name)}-measurements.csv", columns_text(columns).encode()
+        return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
 
     def placed(self, to: str = "export") -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
