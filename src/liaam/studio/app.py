@@ -186,6 +186,7 @@ class Studio:
             "folder": project.root.name or str(project.root),
             "set": project.set_name,
             "sets": sets,
+            "observers": self.sets.observers(project),
             "version": __version__,
             "pictures": overview.pictures,
             "template": project.templates.as_json(),

@@ -63,12 +63,12 @@ class Sets:
         made = self.get(name)
         made.store.put("declined", {"": True})  # the points of the face model are the first set's, or of no use here
         if template is not None and made.templates.current is None:
-            made.save_template(template.as_json())
+            made.save_template({**template.as_json(), "points": None})  # they may be where the other placed them
         return {"name": name}
 
     def others(self, of: Project, picture: str) -> dict[str, Any]:
         """Return all points that other observers placed on a picture, by set; refused before it is done in this set."""
-        marks = {name: self.get(name).marks(picture) for name in self._alike(of)}
+        marks = {name: self.get(name).marks(picture) for name in self.observers(of)}
         placed = {name: own["points"] for name, own in marks.items() if own["source"] == "file"}
         done = {name: points for name, points in placed.items() if None not in points}
         if done.pop(of.set_name, None) is None:
@@ -97,15 +97,16 @@ class Sets:
         columns = _errors(self._compared(of), of)
         return f"{plain_name(of.title)}-agreement.csv", columns_text(columns).encode()
 
-    def _alike(self, of: Project) -> list[str]:
-        """Return the sets that have the points of a set."""
-        names, current = of.templates.needed.names, {name: self.get(name).templates.current for name in self.names}
-        return [name for name, template in current.items() if template is not None and template.names == names]
+    def observers(self, of: Project) -> list[str]:
+        """Return the sets that have the points of a set, itself included."""
+        current = {name: self.get(name).templates.current for name in self.names}
+        own = current[of.set_name]
+        return [name for name, template in current.items() if own and template and template.names == own.names]
 
     def _compared(self, of: Project) -> dict[str, dict[str, np.ndarray]]:
         """Return the points of each picture that is done in at least two sets, by picture and set."""
         placed: dict[str, dict[str, np.ndarray]] = {}
-        for name in self._alike(of):
+        for name in self.observers(of):
             for item in self.get(name).annotated():
                 placed.setdefault(item.name, {})[name] = item.points
         compared = {name: own for name, own in placed.items() if len(own) > 1}
