@@ -17,26 +17,26 @@ from liaam.morphometry import measure, measurement_error, read_specimens
 from liaam.studio.model_store import ModelStore, load_studio_model
 from liaam.studio.project import Project
 from liaam.studio.safety import Refusal
-from liaam.studio.sets import Sets
+from liaam.studio.sets import agreement, make_set, others
 
 HAND = {"names": ["u", "v"], "contours": [], "mirror": None}
 OTHER = [[2.0, 2.0], [30.5, 3.25], [14.0, 20.0]]
 
 
 @pytest.fixture
-def sets(small) -> Sets:
-    """Give the sets of a folder with four pictures, of which the first set has one done."""
+def first(small) -> Project:
+    """Give the first set of a folder with four pictures, of which one is done."""
     put(small, "p1.png", POINTS)
-    return Sets(small)
+    return small
 
 
-def made(sets, name="anna", *, same=True, by="") -> Project:
-    return sets.get(sets.make({"name": name, "same": same}, sets.get(by))["name"])
+def made(project, name="anna", *, same=True) -> Project:
+    return project.of_set(make_set(project, {"name": name, "same": same})["name"])
 
 
-def test_a_set_has_its_own_template_files_and_states(sets):
-    first, hand = sets.get(""), made(sets, "hand", same=False)
-    assert sets.names == ["", "hand"] and hand.templates.current is None
+def test_a_set_has_its_own_template_files_and_states(first):
+    hand = made(first, "hand", same=False)
+    assert first.sets == ["", "hand"] and hand.templates.current is None
     hand.save_template(HAND)
     put(hand, "p1.png", [[3.0, 4.0], [5.0, 6.0]])
     put(hand, "p2.png", [[3.0, 4.0], None])
@@ -53,17 +53,17 @@ def test_a_set_has_its_own_template_files_and_states(sets):
     hand.save_template({"names": ["v", "u"], "mapping": [1, 0]})
     assert read_landmarks(first.root / "hand" / "p1.ljson").points.tolist() == [[5.0, 6.0], [3.0, 4.0]]
     assert first.marks("p1.png")["points"] == POINTS
-    again = Sets(Project(first.root))
-    assert again.names == ["", "hand"] and states(again.get("hand")) == states(hand)
+    again = Project(first.root)
+    assert again.sets == ["", "hand"] and states(again.of_set("hand")) == states(hand)
 
 
-def test_a_revision_of_another_set_or_an_old_one_is_refused(sets):
-    anna = made(sets)
+def test_a_revision_of_another_set_or_an_old_one_is_refused(first):
+    anna = made(first)
     put(anna, "p1.png", OTHER)
     old = anna.marks("p1.png")["revision"]
     put(anna, "p1.png", POINTS, old)
     assert refused(put, anna, "p1.png", OTHER, old).status == 409
-    foreign = {"points": OTHER, "invisible": [], "revision": None, "folder": sets.get("").store.id}
+    foreign = {"points": OTHER, "invisible": [], "revision": None, "folder": first.store.id}
     assert refused(anna.save_marks, "p2.png", foreign).status == 409  # a page of the other set
     assert anna.marks("p1.png")["points"] == POINTS
 
@@ -89,28 +89,28 @@ def test_a_revision_of_another_set_or_an_old_one_is_refused(sets):
         "added",
     ],
 )
-def test_names_that_are_no_plain_subfolder_are_refused(sets, name):
-    root = sets.get("").root
+def test_names_that_are_no_plain_subfolder_are_refused(first, name):
+    root = first.root
     before = sorted(root.parent.rglob("*"))
-    assert refused(sets.make, {"name": name}, sets.get("")).status in (409, 422)
-    assert sorted(root.parent.rglob("*")) == before and sets.names == [""]
+    assert refused(make_set, first, {"name": name}).status in (409, 422)
+    assert sorted(root.parent.rglob("*")) == before and first.sets == [""]
 
 
-def test_a_name_that_is_taken_is_refused(sets, tmp_path):
-    root = sets.get("").root
-    made(sets, "anna")
+def test_a_name_that_is_taken_is_refused(first, tmp_path):
+    root = first.root
+    made(first, "anna")
     (root / "file").touch()
     (root / "link").symlink_to(tmp_path)
     (root / "more" / "deep").mkdir(parents=True)
     write_image(root / "more" / "deep" / "a.png", np.zeros((3, 3, 3), np.uint8))
     for name in ("anna", "ANNA", "file", "link", "more"):
-        assert refused(sets.make, {"name": name}, sets.get("")).status == 409
-    assert sets.names == ["", "anna"]
-    assert refused(sets.get, "nobody").status == 404 and refused(sets.get, "../small").status == 404
+        assert refused(make_set, first, {"name": name}).status == 409
+    assert first.sets == ["", "anna"]
+    assert refused(first.of_set, "nobody").status == 404 and refused(first.of_set, "../small").status == 404
 
 
-def test_nothing_is_written_through_a_link_that_replaced_a_set(sets, tmp_path):
-    anna, out = made(sets), tmp_path / "out"
+def test_nothing_is_written_through_a_link_that_replaced_a_set(first, tmp_path):
+    anna, out = made(first), tmp_path / "out"
     out.mkdir()
     (anna.root / "anna").rmdir()
     (anna.root / "anna").symlink_to(out)
@@ -119,12 +119,12 @@ def test_nothing_is_written_through_a_link_that_replaced_a_set(sets, tmp_path):
     assert not list(out.iterdir()) and by_name(anna)["p1.png"]["state"] == "new"
 
 
-def test_landmark_files_that_are_there_become_the_sets(sets):
-    root = sets.get("").root
+def test_landmark_files_that_are_there_become_the_sets(first):
+    root = first.root
     (root / "bob").mkdir()
     write_landmarks(root / "bob" / "p2.ljson", Landmarks(np.array(OTHER), names=("a", "b", "c")))
     (root / "bob" / "all.csv").write_text("image,x1,y1,x2,y2,x3,y3\nq.jpg,1,2,3,4,5,6\n")
-    bob = made(sets, "bob")
+    bob = made(first, "bob")
     assert states(bob) == {"p1.png": "new", "p2.png": "done", "p10.png": "new", "q.jpg": "done"}
     assert bob.marks("q.jpg")["points"] == [[1, 2], [3, 4], [5, 6]]
     assert bob.marks("q.jpg")["file"] == "bob/all.csv"
@@ -136,28 +136,26 @@ def test_pictures_in_subfolders(tmp_path):
         write_image(tmp_path / name, np.full((30, 40, 3), 90, np.uint8))
     first = Project(tmp_path)
     first.save_template(TRIANGLE)
-    sets = Sets(first)
-    anna = made(sets)
+    anna = made(first)
     put(anna, "day2/a.png", OTHER)
     assert (tmp_path / "anna" / "day2" / "a.ljson").is_file()
     assert states(anna) == {"day1/a.png": "new", "day2/a.png": "done"}
     assert states(first) == {"day1/a.png": "new", "day2/a.png": "new"} and not first.problems
-    again = Sets(Project(tmp_path))
-    assert states(again.get("anna")) == states(anna) and not again.get("").problems
+    again = Project(tmp_path)
+    assert states(again.of_set("anna")) == states(anna) and not again.problems
     assert anna.take_in("more.pts", b"version: 1\nn_points: 1\n{\n1 1\n}\n")["name"] == "anna/added/more.pts"
 
 
-def test_the_scale_of_a_picture_holds_in_all_sets(sets):
+def test_the_scale_of_a_picture_holds_in_all_sets(first):
     bar = {"ends": [[0, 0], [10, 0]], "length": 5, "unit": "mm"}
-    anna = made(sets)
+    anna = made(first)
     put(anna, "p1.png", OTHER)
-    first = sets.get("")
     first.save_marks("p1.png", {"points": POINTS, "revision": first.marks("p1.png")["revision"], "bar": bar})
     assert anna.marks("p1.png")["bar"] == bar and b"0.5" in anna.export("tps")[1]
 
 
-def test_a_change_of_a_template_is_finished_after_a_kill(sets):
-    anna = made(sets)
+def test_a_change_of_a_template_is_finished_after_a_kill(first):
+    anna = made(first)
     for name in ("p1.png", "p2.png"):
         put(anna, name, OTHER)
     script = """
@@ -165,7 +163,7 @@ def test_a_change_of_a_template_is_finished_after_a_kill(sets):
         from pathlib import Path
         from liaam.studio.landmark_files import LandmarkFiles
         from liaam.studio.project import Project
-        from liaam.studio.sets import Sets
+        from liaam.studio.sets import agreement, make_set, others
         rewrite, left = LandmarkFiles.rewrite, [1]
         def dying(self, *arguments):
             if not left:
@@ -173,37 +171,37 @@ def test_a_change_of_a_template_is_finished_after_a_kill(sets):
             left.pop()
             rewrite(self, *arguments)
         LandmarkFiles.rewrite = dying
-        Sets(Project(sys.argv[1])).get("anna").save_template({"names": ["c", "a", "b"], "mapping": [2, 0, 1]})
+        Project(sys.argv[1]).of_set("anna").save_template({"names": ["c", "a", "b"], "mapping": [2, 0, 1]})
         """
-    root = sets.get("").root
+    root = first.root
     ended = subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(root)], check=False)
     assert ended.returncode == 9
-    again = Sets(Project(root))
+    again = Project(root)
     moved = [OTHER[2], OTHER[0], OTHER[1]]
-    assert [again.get("anna").marks(name)["points"] for name in ("p1.png", "p2.png")] == [moved, moved]
-    assert again.get("anna").templates.current.names == ("c", "a", "b")
-    assert again.get("").marks("p1.png")["points"] == POINTS and again.get("").templates.current.names == (
+    assert [again.of_set("anna").marks(name)["points"] for name in ("p1.png", "p2.png")] == [moved, moved]
+    assert again.of_set("anna").templates.current.names == ("c", "a", "b")
+    assert again.marks("p1.png")["points"] == POINTS and again.templates.current.names == (
         "a",
         "b",
         "c",
     )
 
 
-def test_the_other_observers_points_are_hidden_until_all_own_are_placed(sets):
-    first, anna = sets.get(""), made(sets)
-    hand = made(sets, "hand", same=False)
+def test_the_other_observers_points_are_hidden_until_all_own_are_placed(first):
+    anna = made(first)
+    hand = made(first, "hand", same=False)
     hand.save_template(HAND)
     put(hand, "p1.png", [[3.0, 4.0], [5.0, 6.0]])
     assert anna.marks("p1.png")["source"] == "none"
     put(anna, "p1.png", [OTHER[0], None, None])
-    assert refused(sets.others, anna, "p1.png").status == 409
+    assert refused(others, anna, "p1.png").status == 409
     put(anna, "p1.png", OTHER, anna.marks("p1.png")["revision"])
-    assert sets.others(anna, "p1.png") == {"": POINTS} and sets.others(first, "p1.png") == {"anna": OTHER}
+    assert others(anna, "p1.png") == {"": POINTS} and others(first, "p1.png") == {"anna": OTHER}
 
 
-def test_agreement_of_two_observers(sets):
-    first, anna = sets.get(""), made(sets)
-    assert refused(sets.agreement, first).status == 422
+def test_agreement_of_two_observers(first):
+    anna = made(first)
+    assert refused(agreement, first).status == 422
     rng = np.random.default_rng(0)
     shapes = {name: np.array(POINTS) + rng.uniform(-2, 2, (3, 2)) for name in ("p1.png", "p2.png", "p10.png")}
     # By 2, 0 and 4 pixels: the standard deviation of two values is their distance by the square root of 2.
@@ -214,8 +212,8 @@ def test_agreement_of_two_observers(sets):
         put(first, name, shape.tolist(), revision)
         put(anna, name, (shape + far[name] * apart).tolist())
     put(anna, "q.jpg", POINTS)  # by one observer only
-    found = sets.agreement(anna)
-    assert found == sets.agreement(first) and found["observers"] == ["", "anna"]
+    found = agreement(anna)
+    assert {**agreement(first), "file": found["file"]} == found and found["observers"] == ["", "anna"]
     share = np.sqrt((1 + 0.25 + 0) / 3 / 2)
     assert [name for name, *_ in found["points"]] == ["c", "a", "b"]
     assert np.allclose([sd for _, sd, _ in found["points"]], [4 * share, 2 * share, 0], atol=1e-3)
@@ -226,16 +224,16 @@ def test_agreement_of_two_observers(sets):
     assert found["pictures"][0][1] == pytest.approx(np.sqrt((4 + 16) / 2 / 3), abs=1e-3)
     assert found["pictures"][2][1] == pytest.approx(0, abs=1e-3)
     assert 0 < found["repeatability"] < 1
-    name, table = sets.agreement_table(anna)
-    assert name == "small-anna-agreement.csv" and b"landmark c" in table and b"repeatability" in table
+    assert found["file"] == "small-anna-agreement.csv"
+    assert "landmark c" in found["table"] and "repeatability" in found["table"]
 
 
 def _all(first, anna, names):
     return [np.array(project.marks(name)["points"]) for project in (first, anna) for name in names]
 
 
-def test_agreement_is_that_of_liaam_measure(sets, tmp_path):
-    first, anna, rng = sets.get(""), made(sets), np.random.default_rng(1)
+def test_agreement_is_that_of_liaam_measure(first, tmp_path):
+    anna, rng = made(first), np.random.default_rng(1)
     for name in ("p2.png", "p10.png", "q.jpg"):
         for project in (first, anna):
             put(project, name, (np.array(POINTS) + rng.normal(0, 1, (3, 2))).tolist())
@@ -246,7 +244,7 @@ def test_agreement_is_that_of_liaam_measure(sets, tmp_path):
     ]
     both = [replace(own, name=f"{own.name}#{i}") for i, own in enumerate(specimens)]
     table = measurement_error(both, measure(both), "image")
-    assert sets.agreement(first)["repeatability"] == pytest.approx(table["repeatability"][0], rel=1e-3)
+    assert agreement(first)["repeatability"] == pytest.approx(table["repeatability"][0], rel=1e-3)
 
 
 def test_pages_of_a_set_have_an_address_of_their_own(folder, serve):
@@ -287,9 +285,9 @@ def test_a_set_trains_a_model_of_its_own(folder, serve):
     assert anna.models.current is not None and running.studio.models.current is None
     assert (first.root / ".liaam-studio" / "sets" / "anna" / "model.liaam").is_file()
     assert client.get("/set/anna/api/project").json()["model"]["name"] == "project-anna"
-    again, models = Sets(Project(first.root)), {"": ModelStore(), "anna": ModelStore()}
+    again, models = Project(first.root), {"": ModelStore(), "anna": ModelStore()}
     for name, store in models.items():
-        load_studio_model(again.get(name), store)
+        load_studio_model(again.of_set(name), store)
     assert models[""].current is None and models["anna"].current is not None
 
 

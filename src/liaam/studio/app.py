@@ -40,7 +40,7 @@ from liaam.studio.pictures import Pictures, Source, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
-from liaam.studio.sets import Sets
+from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import Settings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
@@ -66,9 +66,8 @@ class Studio:
     model : Path, optional
         Model to use instead of the one that the studio trained in this folder before.
     settings : Settings, optional
-    sets : Sets, optional
-        Sets of landmarks of a folder that another studio has open; this one is for ``set_name``.
-    set_name : str
+    project : Project, optional
+        Further set of landmarks of a folder that another studio has open.
 
     Raises
     ------
@@ -77,21 +76,15 @@ class Studio:
     """
 
     def __init__(
-        self,
-        folder: str | Path,
-        model: Path | None = None,
-        settings: Settings | None = None,
-        sets: Sets | None = None,
-        set_name: str = "",
+        self, folder: str | Path, model: Path | None = None, settings: Settings | None = None, project: Any = None
     ) -> None:
         self.settings = settings or Settings()
         with ExitStack() as lock:
-            if sets is None:
+            if project is None:
                 lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
-                sets = Sets(Project(folder, self.settings))
-            self.sets, self.project = sets, sets.get(set_name)
+            self.project: Project = project or Project(folder, self.settings)
             self.project.prepare()
-            self._others: dict[str, Studio] = {}
+            self._others: dict[str, Studio] = {}  # of further sets of landmarks
             self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
             self.pictures = Pictures()
@@ -111,9 +104,9 @@ class Studio:
         """Return the studio of a further set of landmarks, which is made when it is first asked for."""
         with self._making:
             if name not in self._others:
-                made = self._others[name] = Studio(self.project.root, None, self.settings, self.sets, name)
-                if self.background.is_started:
-                    made.background.start()
+                project = self.project.of_set(name)
+                self._others[name] = Studio(project.root, None, self.settings, project)
+                self._others[name].background.start()
             return self._others[name]
 
     def end_events(self) -> None:
@@ -147,10 +140,9 @@ class Studio:
             route("POST", "/api/review", self._review, read_json),
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
-            route("GET", of_picture + "others", lambda asked: self.sets.others(project, asked.path_params["name"])),
-            route("POST", "/api/sets", self._make_set, read_json, status=201),
-            route("GET", "/api/agreement", lambda _: self.sets.agreement(project)),
-            route("GET", "/api/agreement/table", lambda _: attachment(*self.sets.agreement_table(project))),
+            route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
+            route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
+            route("GET", "/api/agreement", lambda _: agreement(project)),
             route("PUT", "/api/template", self._save_template, read_json),
             route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
@@ -174,7 +166,7 @@ class Studio:
         project, training, model = self.project, self.training, self.models.current
         known = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
-        sets = self.sets.names
+        sets = project.sets
         suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}-{len(sets)}"
         overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
@@ -186,7 +178,7 @@ class Studio:
             "folder": project.root.name or str(project.root),
             "set": project.set_name,
             "sets": sets,
-            "observers": self.sets.observers(project),
+            "observers": observers(project),
             "version": __version__,
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
@@ -223,11 +215,6 @@ class Studio:
     def _measurements(self, request: Request) -> Response:
         asked = request.query_params
         return attachment(*self.project.measurements(asked.get("measures", ""), asked.get("scale", "")))
-
-    def _make_set(self, request: Request, data: Any) -> dict[str, str]:
-        answer = self.sets.make(data, self.project)
-        self.events.publish("project", {})
-        return answer
 
     def _save_template(self, request: Request, data: Any) -> dict[str, Any]:
         try:
@@ -356,14 +343,11 @@ def make_app(studio: Studio) -> Starlette:
     return _app_of(studio, [Mount("/set/{set}", of_set)], [Middleware(Guard, settings=studio.settings)])
 
 
-def _app_of(studio: Studio, others: Sequence[Mount] = (), middleware: Sequence[Middleware] = ()) -> Starlette:
+def _app_of(studio: Studio, sets: Sequence[Mount] = (), middleware: Sequence[Middleware] = ()) -> Starlette:
     static = Mount("/", StaticFiles(directory=studio.settings.static, html=True))
     faults = {LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug}
-    return Starlette(
-        routes=[*studio.routes(), *live.routes(studio.live), *others, static],
-        middleware=middleware,
-        exception_handlers=faults,
-    )
+    routes = [*studio.routes(), *live.routes(studio.live), *sets, static]
+    return Starlette(routes=routes, middleware=middleware, exception_handlers=faults)
 
 
 def _name(request: Request) -> str:

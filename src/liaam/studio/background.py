@@ -70,16 +70,11 @@ class Background:
         """Start the thread."""
         self._thread.start()
 
-    @property
-    def is_started(self) -> bool:
-        """Whether the thread was started."""
-        return self._thread.ident is not None
-
     def stop(self) -> None:
         """End the thread, after what it does at the moment."""
         self._stopped.set()
         self.woken.set()
-        if self.is_started:  # compiled code that runs when the interpreter ends aborts the process
+        if self._thread.ident is not None:  # compiled code that runs when the interpreter ends aborts the process
             self._thread.join(STOP_SECONDS)
 
     def _run(self) -> None:
@@ -222,7 +217,7 @@ class Background:
 
     def has_checked(self, done: Mapping[str, str]) -> bool:
         """Whether these landmarks, revisions by picture, have been checked, or nothing is checked at all."""
-        return not self.is_started or self._checked == done
+        return self._thread.ident is None or self._checked == done
 
 
 def template_of_model(model: AAM) -> Template:

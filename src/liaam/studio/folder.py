@@ -32,12 +32,10 @@ STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
 OWN_SUFFIXES = (".pts", ".ljson")
 """Suffixes of the landmark files that the studio writes, in the order in which they are read."""
 
-SETS = f"{STATE}/sets"
-"""Subfolder for the studio's own files of further sets of landmarks. The landmarks of a set are in a subfolder of its
-name beside the pictures."""
+SETS = f"{STATE}/sets"  # its subfolder for those of further sets of landmarks, each in a subfolder by its name
+SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
 
 MOST_FOLDERS = 1000  # maximum number of folders that are listed
-SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
 LONGEST_NAME = 120  # maximum number of characters of a name
 ADDED = "added"
 """Subfolder of added pictures if the folder has pictures in its subfolders only: with one of its own, it would no
@@ -112,13 +110,11 @@ class Listing:
     If there is no picture in the folder itself, the files of its subfolders are listed as well. ``files`` are by
     name, in natural order, ``other_files`` landmark files in other formats. ``winners`` are the pictures to which
     landmark files belong, by stem. ``stranded`` are links that lead out of the folder, and ``unlisted`` subfolders
-    that are not listed. Landmark files are those of a further set, in its subfolder, or those outside all of these.
+    that are not listed. ``place`` is what the names of landmark files begin with: the subfolder of a further set.
     """
 
-    def __init__(self, folder: Folder, most_pixels: int, set_name: str = "") -> None:
-        self.folder, self.most_pixels, self.version = folder, most_pixels, 0
-        self.set_name = set_name
-        self.place = set_name and f"{set_name}/"  # what the names of landmark files begin with
+    def __init__(self, folder: Folder, most_pixels: int, place: str = "") -> None:
+        self.folder, self.most_pixels, self.place, self.version = folder, most_pixels, place, 0
         self.files: dict[str, File] = {}
         self.stranded: list[str] = []
         self.unlisted: list[str] = []
@@ -137,7 +133,7 @@ class Listing:
         if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in found):
             self.unlisted.extend(waiting)
             waiting.clear()
-        waiting.extendleft([self.set_name] if self.set_name in below else [])
+        waiting.extendleft(name for name in below if f"{name}/" == self.place)
         while waiting:
             name = waiting.popleft()
             with suppress(OSError):

@@ -136,8 +136,8 @@ class LandmarkFiles:
         """Pair pictures with files of other formats; return landmarks, errors by picture, and other errors."""
         root, listing, name_of = self._folder.root, self._listing, self._folder.name_of
         images = [root / name for name in listing.winners.values()]
-        marks_files = [root / file.name for file in listing.other_files]
-        samples, left_out = pair_files(root, images, marks_files, root / listing.set_name)
+        files = [root / file.name for file in listing.other_files]
+        samples, left_out = pair_files(root, images, files, root / listing.place)
         marks, faults, problems = {}, {}, []
 
         @cache  # one file may hold the landmarks of all pictures
@@ -173,7 +173,7 @@ class LandmarkFiles:
         """Return the file to which a picture's landmarks are written."""
         own = self._listing.own(picture)
         path = self._folder.inside(f"{self._listing.place}{picture.stem}.ljson" if own is None else own.name)
-        if self._listing.set_name:
+        if self._listing.place:
             with disk_errors(f"{path.parent} cannot be made"):
                 path.parent.mkdir(parents=True, exist_ok=True)
         return path

@@ -7,7 +7,6 @@ depends only on those before it: :mod:`~liaam.studio.folder`, :mod:`~liaam.studi
 
 import io
 import math
-import os
 import secrets
 import threading
 import time
@@ -27,7 +26,7 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
-from liaam.studio.folder import File, Folder, Intake, Listing, checked_folder, plain_name, revision_of
+from liaam.studio.folder import File, Folder, Intake, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.pictures import Source, source_of
 from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
@@ -69,18 +68,15 @@ class Overview:
 class Project:
     """A project's folder; thread-safe. ``root`` is the folder with links resolved.
 
-    A folder may have further sets of landmarks (:mod:`liaam.studio.sets`), each a project with a ``set_name``,
-    which shares the scale bars and the lock of the ``first``.
+    A further set of landmarks of the folder (:mod:`liaam.studio.sets`) is a project with a ``set_name``, which shares
+    the scale bars and the lock of the ``first`` one.
     """
 
     def __init__(
-        self,
-        folder: str | os.PathLike[str],
-        settings: Settings | None = None,
-        set_name: str = "",
-        first: "Project | None" = None,
+        self, folder: str | Path, settings: Settings | None = None, set_name: str = "", first: "Project | None" = None
     ) -> None:
         self.settings, self.set_name = settings or Settings(), set_name
+        self._sets: dict[str, Project] = first._sets if first else {"": self}
         self.folder = Folder(checked_folder(folder))
         self.root = self.folder.root
         self.title = "-".join(filter(None, (self.root.name, set_name)))  # name of the model and of exported files
@@ -88,7 +84,7 @@ class Project:
         self._lock = first._lock if first else threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
-        self._listing = listing = Listing(self.folder, self.settings.pixels, set_name)
+        self._listing = listing = Listing(self.folder, self.settings.pixels, set_name and f"{set_name}/")
         bars = first._landmarks.bars if first else Table(self.store, "bar")
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes, bars)
         self._proposals = Table(self.store, "proposal")
@@ -116,6 +112,20 @@ class Project:
         if data.get("folder", own) != own:
             raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=own)
         return data
+
+    @property
+    def sets(self) -> list[str]:
+        """The names of all sets of landmarks of the folder."""
+        return ["", *sets_in(self.folder)]
+
+    def of_set(self, name: str) -> "Project":
+        """Return the project of another set of landmarks of the folder."""
+        with self._lock:
+            if name not in self._sets:
+                if name not in self.sets:
+                    raise Refusal(404, f"the folder has no set of landmarks '{name[:40]}'")
+                self._sets[name] = Project(self.root, self.settings, name, self._sets[""])
+            return self._sets[name]
 
     def prepare(self) -> None:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""

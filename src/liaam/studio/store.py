@@ -108,7 +108,7 @@ class Store:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
         with self._lock:
             try:
-                path = self._state / DATABASE
+                path = _state_of(self.folder.root, self.state) / DATABASE
                 if not path.exists():  # a folder that is only looked at stays as it is
                     self.note(DATABASE, None)
                     return []
@@ -156,7 +156,7 @@ class Store:
 
     def path(self, name: str) -> Path:
         """Return the path of a file and create its folder."""
-        path = self._state / name
+        path = _state_of(self.folder.root, self.state) / name
         if not real_path(path).is_relative_to(self.folder.root / self.state):
             raise Refusal(409, f"{self.state}/{name} is a link that leads elsewhere, so it is not used: remove it")
         with disk_errors(f"{path.parent} cannot be made", "check the rights on the folder."):
@@ -181,12 +181,9 @@ class Store:
     def sweep(self) -> None:
         """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
         with suppress(LiaamError):
-            for folder in (self.folder.root / self.set_name, self._state, self._state / "kept"):
+            state = _state_of(self.folder.root, self.state)
+            for folder in (self.folder.root / self.set_name, state, state / "kept"):
                 sweep(folder)
-
-    @property
-    def _state(self) -> Path:
-        return _state_of(self.folder.root).parent / self.state
 
 
 class Table(dict[str, Any]):
@@ -216,11 +213,11 @@ class Table(dict[str, Any]):
         self.clear()
 
 
-def _state_of(folder: Path) -> Path:
+def _state_of(folder: Path, name: str = STATE) -> Path:
     state = folder / STATE
     if state.is_symlink() or (state.exists() and not state.is_dir()):
         raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
-    return state
+    return folder / name
 
 
 def _connected(path: Path) -> sqlite3.Connection:

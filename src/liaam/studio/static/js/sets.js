@@ -107,10 +107,11 @@ export function createAgreement(tab) {
 
 /** Show how far observers are apart, and the pictures and points where most. @param {App} app */
 export async function showAgreement({ api, state }) {
-  const { observers, sd, percent: share, repeatability, points, pictures } = await api.get(api.url("agreement"));
+  const { observers, sd, percent: share, repeatability, points, pictures, file, table: text } =
+    await api.get(api.url("agreement"));
   const pixels = (value) => `${value.toFixed(2)} px`;
   const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
-    h("thead", h("tr", head.map((text) => h("th", { scope: "col" }, text)))), h("tbody", rows.slice(0, SHOWN))));
+    h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
   const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); };
   const pictureRow = ([name, value]) => h("tr", h("th", { scope: "row" },
     button(name, { small: true, kind: "ghost", testid: "agreement-picture", onclick: openPicture(name) })), h("td", pixels(value)));
@@ -129,5 +130,5 @@ export async function showAgreement({ api, state }) {
   const save = { label: "Save the table", value: "save", testid: "agreement-save" };
   const close = { label: "Close", kind: "primary", value: null };
   if ((await dialog("Agreement of observers", body, [save, close], { wide: true })) === "save")
-    saveFile(...(await api.file(api.url("agreement", "table"))));
+    saveFile(new Blob([text], { type: "text/csv" }), file);
 }
