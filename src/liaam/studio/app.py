@@ -55,6 +55,8 @@ SHOWN_OF_METHOD = ("name", "summary", "needs_colour")
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
+OfSet = tuple["Studio", str]
+
 
 class Studio:
     """The parts of a studio on one folder, or on a further set of its landmarks, and how it answers requests.
@@ -66,8 +68,8 @@ class Studio:
     model : Path, optional
         Model to use instead of the one that the studio trained in this folder before.
     settings : Settings, optional
-    project : Project, optional
-        Further set of landmarks of a folder that another studio has open.
+    of : tuple, optional
+        The studio that has the folder open, and a further set of landmarks of that folder, by name.
 
     Raises
     ------
@@ -76,18 +78,18 @@ class Studio:
     """
 
     def __init__(
-        self, folder: str | Path, model: Path | None = None, settings: Settings | None = None, project: Any = None
+        self, folder: str | Path, model: Path | None = None, settings: Settings | None = None, of: OfSet | None = None
     ) -> None:
         self.settings = settings or Settings()
         with ExitStack() as lock:
-            if project is None:
+            if of is None:
                 lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
-            self.project: Project = project or Project(folder, self.settings)
+            self.project: Project = of[0].project.of_set(of[1]) if of else Project(folder, self.settings)
             self.project.prepare()
             self._others: dict[str, Studio] = {}  # of further sets of landmarks
             self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
-            self.pictures = Pictures()
+            self.pictures = of[0].pictures if of else Pictures()
             self.uploads = Uploads(self.pictures, self.settings)
             self.training = Trainer(self.project, self.models, self.events.publish)
             self.background = Background(self.project, self.models, self.training, self.events.publish)
@@ -104,8 +106,7 @@ class Studio:
         """Return the studio of a further set of landmarks, which is made when it is first asked for."""
         with self._making:
             if name not in self._others:
-                project = self.project.of_set(name)
-                self._others[name] = Studio(project.root, None, self.settings, project)
+                self._others[name] = Studio(self.project.root, None, self.settings, (self, name))
                 self._others[name].background.start()
             return self._others[name]
 

@@ -172,7 +172,7 @@ class Project:
             read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
             pictures = [states.as_json(file, ranks if file.name in read else None) for file in files]
             stamp += "" if len(read) == len(pictures) else "-reading"
-            done = {item.name: item.revision for item in self._annotated(read)}
+            done = {item.name: item.revision for item in self.annotated(read)}
             return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def read_files(self, until: threading.Event) -> None:
@@ -214,22 +214,22 @@ class Project:
             if not self._landmarks.of(file).n_placed:
                 self._listing.mark_unreadable(file, str(fault))
 
-    def annotated(self) -> list[Annotated]:
-        """Return the done pictures, which have all their points, except those left out of training."""
-        with self._lock:
-            self._rescan(strict=True)
-            return self._annotated()
+    def annotated(self, among: Container[str] | None = None) -> list[Annotated]:
+        """Return the done pictures, which have all their points, except those left out of training.
 
-    def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
-        """Return the done pictures, or those of them with a name that is in ``among``."""
+        With ``among``, only those with one of these names, as of the last scan.
+        """
         states, found = self._states, []
-        for file in self._listing.pictures:
-            is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
-            if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
-                marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
-                assert marks.landmarks is not None
-                version = states.version_of(marks)
-                found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
+        with self._lock:
+            if among is None:
+                self._rescan(strict=True)
+            for file in self._listing.pictures:
+                is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
+                if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
+                    marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
+                    assert marks.landmarks is not None
+                    version = states.version_of(marks)
+                    found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
         return found
 
     def export(self, kind: str) -> tuple[str, bytes]:
