@@ -95,7 +95,7 @@ def test_a_second_observer_places_the_same_points_blind(marked, serve, open_page
     first = points_of(page)
     page.locator("[data-testid=set-new]").click()
     page.locator("[data-testid=set-name]").fill("../out")  # no name of a subfolder
-    page.locator("[data-testid=set-make]").click()
+    page.keyboard.press("Enter")
     assert page.locator("dialog[open]").count() == 1
     page.keyboard.press("Escape")
 
@@ -152,3 +152,12 @@ def test_pages_in_two_sets_do_not_disturb_each_other(marked, serve, open_page):
     assert np.abs(points_of(page) - theirs - 2).max() < 1.5
     assert np.abs(read_landmarks(marked / "portrait-01.ljson").points - points_of(other)).max() < 0.01
     assert not other.locator(".toast.bad").count() and not page.locator(".toast.bad").count()
+
+    before = read_landmarks(marked / "anna" / "portrait-01.ljson").points
+    page.locator("[data-testid=annotate-viewer] canvas").first.focus()
+    page.keyboard.press("ArrowRight")
+    page.locator("[data-testid=sets]").select_option("")  # at once: the change is saved before the page goes
+    wait_for(page, "() => window.liaamStudio?.state.project?.set === ''")
+    assert np.abs(read_landmarks(marked / "anna" / "portrait-01.ljson").points - before).max() == pytest.approx(
+        1, abs=0.01
+    )

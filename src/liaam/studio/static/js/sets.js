@@ -3,7 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
 import { discs, stroked } from "./overlays.js";
-import { button, dialog, h, optionsOf, press, saveFile, toast } from "./ui.js";
+import { button, consume, dialog, h, optionsOf, press, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
 const SHOWN = 12; // rows of a table
@@ -11,8 +11,11 @@ const SHOWN = 12; // rows of a table
 /** What a set is called; the first one has no name. */
 export const calledSet = (name) => name || "Main set";
 
-/** Open the page of a set, with the same tab and picture. */
-function go(name) { location.assign(`${name ? `/set/${name}/` : "/"}${location.search}${location.hash}`); }
+/** Open the page of a set, with the same tab and picture. @param {App} app */
+async function go(app, name) {
+  await app.saved?.();
+  location.assign(`${name ? `/set/${name}/` : "/"}${location.search}${location.hash}`);
+}
 
 /** The list beside the folder's name that shows and changes the set. @param {App} app; @returns {HTMLElement} */
 export function createSetList(app) {
@@ -23,7 +26,7 @@ export function createSetList(app) {
       const { value } = list;
       list.value = state.project.set; // until the other page opens, or if this one stays
       if (value === NEW) makeSet(app);
-      else go(value);
+      else go(app, value);
     },
   });
   let known = null;
@@ -41,7 +44,8 @@ export function createSetList(app) {
 }
 
 /** Ask for the name and the points of a new set, and open its page. @param {App} app */
-export async function makeSet({ api, state }) {
+export async function makeSet(app) {
+  const { api, state } = app;
   const { template, set } = state.project;
   const choice = (value, title, what, more) => h("label.check.set-kind",
     h("input", { type: "radio", name: "set-kind", value, testid: `set-${value}`, ...more }),
@@ -49,6 +53,11 @@ export async function makeSet({ api, state }) {
   const name = h("input.text", {
     required: true, maxlength: "30", pattern: "[A-Za-z0-9][A-Za-z0-9_\\-]*", autocomplete: "off", spellcheck: "false",
     title: "Letters from A to Z, digits, - and _", placeholder: "such as hand, lateral or anna", testid: "set-name",
+    onkeydown: (event) => {
+      if (event.key !== "Enter" || event.isComposing) return;
+      consume(event);
+      name.closest("dialog").querySelector(".primary").click();
+    },
   });
   const same = `The points of ${set ? `the set ${set}` : "this set"}, placed again by somebody who does not see these.`;
   const body = h("div.column",
@@ -60,7 +69,7 @@ export async function makeSet({ api, state }) {
   name.focus();
   if ((await answer) !== "make") return;
   const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
-  go((await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
+  go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
 }
 
 /** The buttons that compare observers, for the review. @param {import("./annotate.js").Tab} tab */
