@@ -3,7 +3,8 @@
 An image ``face.jpg`` takes its landmarks from the file of the same stem in the same folder (``face.pts``),
 or from an entry for it in a file of many images (dlib ``.xml``, COCO ``.json``, ``.tps``, ``.csv`` with a column
 ``image``). Several objects of an image are a sample each. A file of its own takes precedence over a file of many
-images, then the order of `liaam.io.LANDMARK_SUFFIXES` decides.
+images, then the order of `liaam.io.LANDMARK_SUFFIXES` decides. A folder without images is one more set of landmarks of
+the images beside it, in the folder above: ``faces/anna/face.pts`` are those of ``faces/face.jpg``.
 """
 
 import os
@@ -59,7 +60,7 @@ def load_folder(
     Parameters
     ----------
     folder : path-like
-        Folder with images and landmark files.
+        Folder with images and landmark files, or with landmark files only, of the images in the folder above.
     pattern : str, optional
         Use only images whose name (with or without suffix, or path inside the folder) matches, e.g.
         ``"01-*"``.
@@ -85,12 +86,15 @@ def load_folder(
     """
     root = Path(folder)
     files = _list_files(root, recursive)
-    images = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
-    wanted = [image for image in images if pattern is None or _matches(root, image, pattern)]
+    images, beside = _images(files), root
+    marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
+    if marks and not images:
+        beside = root.parent
+        images = _images(_list_files(beside, recursive))
+    wanted = [image for image in images if pattern is None or _matches(beside, image, pattern)]
     if not wanted:
         raise ImageError(no_images(root, files, pattern, recursive))
-    marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
-    pairing = _pair(root, images, _track(marks, progress), wanted, reading)
+    pairing = _pair(beside, root, images, _track(marks, progress), wanted, reading)
     samples, left_out = pairing.finish(), pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
     unread = unread_landmarks(files, bare, pairing.unrecognised)
@@ -116,18 +120,20 @@ def _refuse(left_out: list[LeftOut], odd: list[LeftOut]) -> None:
 
 
 def pair_files(
-    root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path] | None = None
+    root: Path, images: list[Path], marks: Iterable[Path], place: Path | None = None
 ) -> tuple[list[Sample], list[LeftOut]]:
-    """Pair images of a folder with its landmark files (``marks``); numbers of landmarks may differ.
+    """Pair images of a folder with landmark files (``marks``) in it, or in a subfolder that is their ``place``.
 
-    Samples are made of the ``wanted`` images, all by default. Also return the files that were not used.
+    Numbers of landmarks may differ. Also return the files that were not used.
     """
-    pairing = _pair(root, images, marks, images if wanted is None else wanted, USUAL)
+    pairing = _pair(root, place or root, images, marks, images, USUAL)
     return pairing.finish(), pairing.left_out
 
 
-def _pair(root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path], reading: Reading) -> "_Pairing":
-    pairing = _Pairing(root, images, wanted, reading)
+def _pair(
+    root: Path, place: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path], reading: Reading
+) -> "_Pairing":
+    pairing = _Pairing(root, place, images, wanted, reading)
     for file in marks:
         pairing.add(file)
     return pairing
@@ -146,6 +152,10 @@ def _list_files(root: Path, recursive: bool) -> list[Path]:
     except OSError as fault:
         raise ImageError(f"{root} cannot be read ({fault.strerror}): check the rights on the folder.") from fault
     return sorted(files, key=lambda path: natural_key(path.relative_to(root).as_posix()))
+
+
+def _images(files: list[Path]) -> list[Path]:
+    return [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
 
 
 def _name(root: Path, path: Path) -> str:
@@ -179,8 +189,8 @@ class _Option:
 class _Pairing:
     """Collects the candidate landmarks of each image, file by file."""
 
-    def __init__(self, root: Path, images: list[Path], wanted: list[Path], reading: Reading) -> None:
-        self.root = root
+    def __init__(self, root: Path, place: Path, images: list[Path], wanted: list[Path], reading: Reading) -> None:
+        self.root, self.place = root, place
         self.wanted = wanted
         self.reading = reading
         self.notes = Notes(reading.strict)
@@ -198,7 +208,8 @@ class _Pairing:
 
     def add(self, file: Path) -> None:
         """Read one landmark file if a wanted image may need it."""
-        image = self.by_stem.get(file.with_suffix("")) or self.names.of_file(file)
+        beside = self._beside(file)
+        image = self.by_stem.get(beside.with_suffix("")) or self.names.of_file(beside)
         if not may_hold_many(file) and (image is None or image not in self.options):
             if image is None:
                 self._leave_out(file, NO_IMAGE)
@@ -270,9 +281,9 @@ class _Pairing:
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""
         if image is None:
-            image = self._find(file.path.parent, entry) if entry else None
+            image = self._find(file.path, entry) if entry else None
         elif entry:
-            other, _ = self.names.find(entry, file.path.parent)
+            other, _ = self.names.find(entry, self._beside(file.path).parent)
             if other is not None and other.with_suffix("") != image.with_suffix(""):
                 what = "landmark files name another image than that of their own name, which is used"
                 self.notes.repair(what, file.path.name)
@@ -284,7 +295,7 @@ class _Pairing:
     def _add_collection(self, file: LandmarkFile) -> None:
         absent, named = [], {}
         for entry in sorted(file.entries, key=lambda entry: "/" in entry or "\\" in entry):  # plain names first
-            image = self._find(file.path.parent, entry)
+            image = self._find(file.path, entry)
             if image is None:
                 absent.append(entry)
             elif named.setdefault(image, entry) == entry:
@@ -317,9 +328,13 @@ class _Pairing:
         except LandmarkError as fault:
             self._leave_out(file.path, f"{_UNREAD}: {fault}", image)
 
-    def _find(self, folder: Path, entry: str) -> Path | None:
-        """Find the image that an entry names, and note what was done to find it."""
-        image, how = self.names.find(entry, folder)
+    def _beside(self, file: Path) -> Path:
+        """Return where a landmark file would be among the images."""
+        return self.root / file.relative_to(self.place)
+
+    def _find(self, file: Path, entry: str) -> Path | None:
+        """Find the image that an entry of a file names, and note what was done to find it."""
+        image, how = self.names.find(entry, self._beside(file).parent)
         if image is not None and how:
             self.notes.say(how, image.name)
         return image

@@ -4,13 +4,15 @@ Errors for the user have the form ``{"error": sentence}``.
 """
 
 import json
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from anyio import CapacityLimiter
+from anyio.to_thread import run_sync
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -18,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
+from starlette.types import Receive, Scope, Send
 
 from liaam import __version__
 from liaam.errors import ImageError, LiaamError
@@ -37,6 +40,7 @@ from liaam.studio.pictures import Pictures, Source, Uploads, jpeg_bytes
 from liaam.studio.project import Project
 from liaam.studio.routes import Events, attachment, checked_size, light_of, maybe_json, parse_start, read_json, route
 from liaam.studio.safety import FILES, FITS, GUEST, HEADERS, UPLOADS, Guard, Refusal
+from liaam.studio.sets import agreement, make_set, observers, others
 from liaam.studio.settings import Settings
 from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
@@ -51,9 +55,11 @@ SHOWN_OF_METHOD = ("name", "summary", "needs_colour")
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
+OfSet = tuple["Studio", str]
+
 
 class Studio:
-    """The parts of a studio on one folder, and how it answers requests.
+    """The parts of a studio on one folder, or on a further set of its landmarks, and how it answers requests.
 
     Parameters
     ----------
@@ -62,6 +68,8 @@ class Studio:
     model : Path, optional
         Model to use instead of the one that the studio trained in this folder before.
     settings : Settings, optional
+    of : tuple, optional
+        The studio that has the folder open, and a further set of landmarks of that folder, by name.
 
     Raises
     ------
@@ -69,14 +77,19 @@ class Studio:
         If the folder or the model cannot be used, or another studio has the folder open.
     """
 
-    def __init__(self, folder: str | Path, model: Path | None = None, settings: Settings | None = None) -> None:
+    def __init__(
+        self, folder: str | Path, model: Path | None = None, settings: Settings | None = None, of: OfSet | None = None
+    ) -> None:
         self.settings = settings or Settings()
         with ExitStack() as lock:
-            lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
-            self.project = Project(folder, self.settings)
+            if of is None:
+                lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
+            self.project: Project = of[0].project.of_set(of[1]) if of else Project(folder, self.settings)
             self.project.prepare()
+            self._others: dict[str, Studio] = {}  # of further sets of landmarks
+            self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
-            self.pictures = Pictures()
+            self.pictures = of[0].pictures if of else Pictures()
             self.uploads = Uploads(self.pictures, self.settings)
             self.training = Trainer(self.project, self.models, self.events.publish)
             self.background = Background(self.project, self.models, self.training, self.events.publish)
@@ -89,8 +102,23 @@ class Studio:
                 self.models.publish(load_model(model), {"source": "file", "trained": None, "pictures": {}})
             self._lock = lock.pop_all()
 
+    def of_set(self, name: str) -> "Studio":
+        """Return the studio of a further set of landmarks, which is made when it is first asked for."""
+        with self._making:
+            if name not in self._others:
+                self._others[name] = Studio(self.project.root, None, self.settings, (self, name))
+                self._others[name].background.start()
+            return self._others[name]
+
+    def end_events(self) -> None:
+        """Close the event streams of all sets of landmarks."""
+        for each in (*self._others.values(), self):
+            each.events.close()
+
     def close(self) -> None:
         """Close the event streams, stop a running training, and release the folder."""
+        for each in self._others.values():
+            each.close()
         self.events.close()
         self.background.stop()
         self.training.stop()
@@ -113,6 +141,9 @@ class Studio:
             route("POST", "/api/review", self._review, read_json),
             route("GET", "/api/export/{kind}", lambda it: attachment(*project.export(it.path_params["kind"]))),
             route("GET", "/api/measurements", self._measurements),
+            route("GET", of_picture + "others", lambda asked: others(project, asked.path_params["name"])),
+            route("POST", "/api/sets", lambda _, data: make_set(project, data), read_json, status=201),
+            route("GET", "/api/agreement", lambda _: agreement(project)),
             route("PUT", "/api/template", self._save_template, read_json),
             route("POST", "/api/template/file", lambda it, raw: project.read_template(_name(it), raw).as_json(), data),
             route("POST", "/api/training", self._train, maybe_json, status=202),
@@ -136,7 +167,8 @@ class Studio:
         project, training, model = self.project, self.training, self.models.current
         known = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
-        suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}"
+        sets = project.sets
+        suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}-{len(sets)}"
         overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
             return {"unchanged": True, "stamp": known}
@@ -145,6 +177,9 @@ class Studio:
             "id": project.store.id,
             "stamp": overview.stamp + suffix,
             "folder": project.root.name or str(project.root),
+            "set": project.set_name,
+            "sets": sets,
+            "observers": observers(project),
             "version": __version__,
             "pictures": overview.pictures,
             "template": project.templates.as_json(),
@@ -291,19 +326,29 @@ class Studio:
         answer, status, cause = {"error": self.project.folder.plain(fault)}, 422, fault.__cause__
         if isinstance(fault, Refusal):
             answer, status = answer | fault.details, fault.status
-        elif isinstance(cause, OSError) and request.method not in ("GET", "HEAD") and request.url.path != FITS:
+        elif isinstance(cause, OSError) and not (request.method in ("GET", "HEAD") or request.url.path.endswith(FITS)):
             status = status_of(cause)
         return JSONResponse(answer, status)
 
 
 def make_app(studio: Studio) -> Starlette:
-    """Create the web application of a studio."""
-    static = StaticFiles(directory=studio.settings.static, html=True)
-    return Starlette(
-        routes=[*studio.routes(), *live.routes(studio.live), Mount("/", static)],
-        middleware=[Middleware(Guard, settings=studio.settings)],
-        exception_handlers={LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug},
-    )
+    """Create the web application of a studio. That of a further set of landmarks is below ``/set/NAME/``."""
+    apps: dict[str, Starlette] = {}
+
+    async def of_set(scope: Scope, receive: Receive, send: Send) -> None:
+        name = scope["path_params"]["set"]
+        if name not in apps:
+            apps[name] = _app_of(await run_sync(studio.of_set, name))
+        await apps[name](scope, receive, send)
+
+    return _app_of(studio, [Mount("/set/{set}", of_set)], [Middleware(Guard, settings=studio.settings)])
+
+
+def _app_of(studio: Studio, sets: Sequence[Mount] = (), middleware: Sequence[Middleware] = ()) -> Starlette:
+    static = Mount("/", StaticFiles(directory=studio.settings.static, html=True))
+    faults = {LiaamError: studio.on_fault, HTTPException: _on_http_fault, Exception: _on_bug}
+    routes = [*studio.routes(), *live.routes(studio.live), *sets, static]
+    return Starlette(routes=routes, middleware=middleware, exception_handlers=faults)
 
 
 def _name(request: Request) -> str:

@@ -7,6 +7,7 @@ listing and never joined to a path. The studio neither reads nor writes through 
 import errno
 import hashlib
 import os
+import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -30,6 +31,9 @@ STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
 
 OWN_SUFFIXES = (".pts", ".ljson")
 """Suffixes of the landmark files that the studio writes, in the order in which they are read."""
+
+SETS = f"{STATE}/sets"  # its subfolder for those of further sets of landmarks, each in a subfolder by its name
+SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
 
 MOST_FOLDERS = 1000  # maximum number of folders that are listed
 LONGEST_NAME = 120  # maximum number of characters of a name
@@ -106,11 +110,11 @@ class Listing:
     If there is no picture in the folder itself, the files of its subfolders are listed as well. ``files`` are by
     name, in natural order, ``other_files`` landmark files in other formats. ``winners`` are the pictures to which
     landmark files belong, by stem. ``stranded`` are links that lead out of the folder, and ``unlisted`` subfolders
-    that are not listed.
+    that are not listed. ``place`` is what the names of landmark files begin with: the subfolder of a further set.
     """
 
-    def __init__(self, folder: Folder, most_pixels: int) -> None:
-        self.folder, self.most_pixels, self.version = folder, most_pixels, 0
+    def __init__(self, folder: Folder, most_pixels: int, place: str = "") -> None:
+        self.folder, self.most_pixels, self.place, self.version = folder, most_pixels, place, 0
         self.files: dict[str, File] = {}
         self.stranded: list[str] = []
         self.unlisted: list[str] = []
@@ -124,10 +128,12 @@ class Listing:
         unavailable = partial(Refusal, 503)
         with disk_errors(f"{self.folder.root.name} cannot be read", "is the folder still there?", unavailable):
             found, below = self._listed("")
-        waiting = deque(below)
+        sets = sets_in(self.folder)
+        waiting = deque(name for name in below if name not in sets)
         if any(PurePosixPath(name).suffix.lower() in PICTURE_SUFFIXES for name in found):
             self.unlisted.extend(waiting)
             waiting.clear()
+        waiting.extendleft(name for name in below if f"{name}/" == self.place)
         while waiting:
             name = waiting.popleft()
             with suppress(OSError):
@@ -151,8 +157,9 @@ class Listing:
         except OSError:
             self.files.pop(name, None)
         else:
-            if self._own.get(file.stem, file).name == name:
-                self._own[file.stem] = file  # to arrange thousands of files for each that is written would take minutes
+            stem = file.stem.removeprefix(self.place)
+            if self._own.get(stem, file).name == name:
+                self._own[stem] = file  # to arrange thousands of files for each that is written would take minutes
                 self.version += 1
                 return
         self._arrange()
@@ -171,11 +178,14 @@ class Listing:
     def _arrange(self) -> None:
         """Sort the files into pictures, landmark files in the studio's formats, and other landmark files."""
         files = self.files.values()
-        self.pictures = [file for file in files if file.suffix in PICTURE_SUFFIXES]
-        own_files = [file for file in files if file.suffix in OWN_SUFFIXES]
-        self._own = {file.stem: file for file in sorted(own_files, key=lambda file: -OWN_SUFFIXES.index(file.suffix))}
-        others = set(LANDMARK_SUFFIXES) - set(OWN_SUFFIXES)
-        self.other_files = [file for file in files if file.suffix in others]
+        marks = [file for file in files if file.name.startswith(self.place)]
+        outside = [file for file in files if not self.place or not file.name.startswith(self.place)]
+        self.pictures = [file for file in outside if file.suffix in PICTURE_SUFFIXES]
+        own_files = [file for file in marks if file.suffix in OWN_SUFFIXES]
+        own_files.sort(key=lambda file: -OWN_SUFFIXES.index(file.suffix))
+        self._own = {file.stem.removeprefix(self.place): file for file in own_files}
+        others = {*LANDMARK_SUFFIXES} - {*OWN_SUFFIXES}
+        self.other_files = [file for file in marks if file.suffix in others]
         self.winners: dict[str, str] = {}
         for file in sorted(self.pictures, key=lambda file: PICTURE_SUFFIXES.index(file.suffix)):
             self.winners.setdefault(file.stem, file.name)
@@ -252,8 +262,8 @@ class Listing:
             with suppress(OSError), os.scandir(self.folder.root / name) as entries:
                 if any(Path(entry.name).suffix.lower() in PICTURE_SUFFIXES for entry in entries):
                     below.append(name)
-        reason = "there are too many" if len(self._times) > 1 else "the folder itself has pictures"
-        orphans = [file.name for file in files if file.suffix in OWN_SUFFIXES and file.stem not in self.winners]
+        reason = "there are too many" if len(self._times) >= MOST_FOLDERS else "the folder itself has pictures"
+        orphans = [file.name for stem, file in self._own.items() if stem not in self.winners]
         remedy = "if the picture was renamed, rename the landmark file too"
         notices = (
             (unread, "picture", f"skipped, because the format is not supported ({endings}): save as PNG or JPEG"),
@@ -262,6 +272,13 @@ class Listing:
             (orphans, "landmark file", f"without a picture of the same name: {remedy}"),
         )
         return [f"{count_of(len(names), what)} ({some_names(names, 3)}) {why}" for names, what, why in notices if names]
+
+
+def sets_in(folder: Folder) -> list[str]:
+    """Return the names of the further sets of landmarks of a folder."""
+    with suppress(OSError):
+        return sorted(path.name for path in (folder.root / SETS).iterdir() if SET_NAME.fullmatch(path.name))
+    return []
 
 
 def _signature(facts: os.stat_result) -> Signature:
@@ -335,6 +352,7 @@ class Intake:
             raise Refusal(422, f"{name} is the name of a hidden file: rename it")
         pictures = self.listing.pictures
         place = f"{ADDED}/{name}" if pictures and all("/" in each.name for each in pictures) else name
+        place = place if is_picture else f"{self.listing.place}{place}"
         path = self.listing.folder.inside(place)
         is_known = path.exists()
         if is_known and path.read_bytes() != data:
@@ -352,7 +370,7 @@ class Intake:
             there = [other for other in others if self.listing.folder.inside(other).exists()]
             if there:
                 raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
-            path.parent.mkdir(exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             write_bytes_atomically(path, data)
         return {"name": place, "kind": "picture" if is_picture else "landmarks", "known": is_known}
 

@@ -67,7 +67,7 @@ _NO_MARKS = Marks()
 class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
-    def __init__(self, listing: Listing, store: Store, most_bytes: int) -> None:
+    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: Table) -> None:
         self._listing, self._store, self._folder, self._most_bytes = listing, store, listing.folder, most_bytes
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
@@ -75,7 +75,7 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._paired_files: object = None
         self._paired_version = -1
-        self._bars = Table(store, "bar")
+        self.bars = bars  # shared by all sets of landmarks of the folder
         self._invisible = Table(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
@@ -136,7 +136,8 @@ class LandmarkFiles:
         """Pair pictures with files of other formats; return landmarks, errors by picture, and other errors."""
         root, listing, name_of = self._folder.root, self._listing, self._folder.name_of
         images = [root / name for name in listing.winners.values()]
-        samples, left_out = pair_files(root, images, [root / file.name for file in listing.other_files])
+        files = [root / file.name for file in listing.other_files]
+        samples, left_out = pair_files(root, images, files, root / listing.place)
         marks, faults, problems = {}, {}, []
 
         @cache  # one file may hold the landmarks of all pictures
@@ -161,7 +162,7 @@ class LandmarkFiles:
             if "cannot be read" not in left.reason:
                 continue
             reason = self._folder.plain(left.reason)
-            picture = listing.winners.get(name_of(left.path.with_suffix("")))
+            picture = listing.winners.get(name_of(left.path.with_suffix("")).removeprefix(listing.place))
             if picture is None:
                 problems.append(f"{name_of(left.path)}: {reason}")
             elif picture not in marks:
@@ -171,7 +172,11 @@ class LandmarkFiles:
     def target(self, picture: File) -> Path:
         """Return the file to which a picture's landmarks are written."""
         own = self._listing.own(picture)
-        return self._folder.inside(own.name if own is not None else f"{picture.stem}.ljson")
+        path = self._folder.inside(f"{self._listing.place}{picture.stem}.ljson" if own is None else own.name)
+        if self._listing.place:
+            with disk_errors(f"{path.parent} cannot be made"):
+                path.parent.mkdir(parents=True, exist_ok=True)
+        return path
 
     def scale_of(self, picture: File) -> float | None:
         """Return the length of a pixel in millimetres: by the scale bar, or else by the landmark file."""
@@ -183,17 +188,17 @@ class LandmarkFiles:
         """Return the ``bar`` of a picture; its ``scale`` without one; and, of a shared bar, what was ``before``."""
         landmarks = self.of(picture).landmarks
         scale = None if landmarks is None else landmarks.scale
-        return self._bars.of(picture) or {"tag": picture.tag, "bar": None, "scale": scale}
+        return self.bars.of(picture) or {"tag": picture.tag, "bar": None, "scale": scale}
 
     def set_bar(self, picture: File, bar: dict[str, Any] | None) -> None:
         """Set the scale bar of a picture; None removes it. The next :meth:`save` writes the scale."""
-        self._bars.save({picture.name: {"tag": picture.tag, "bar": bar, "scale": None}})
+        self.bars.save({picture.name: {"tag": picture.tag, "bar": bar, "scale": None}})
 
     def share_bar(self, pictures: Sequence[File], bar: dict[str, Any] | None) -> None:
         """Set a scale bar that was drawn on another picture; None gives pictures the scale that they had before."""
         before = {each: self.scale_bar(each) for each in pictures}
         shared = {each.name: {"tag": each.tag, "bar": bar, "scale": None, "before": before[each]} for each in pictures}
-        self._bars.save({each.name: before[each]["before"] for each in pictures} if bar is None else shared)
+        self.bars.save({each.name: before[each]["before"] for each in pictures} if bar is None else shared)
 
     def save(
         self, picture: File, template: Template, points: Sequence, invisible: Sequence[int], scale: float | None = None

@@ -7,7 +7,6 @@ depends only on those before it: :mod:`~liaam.studio.folder`, :mod:`~liaam.studi
 
 import io
 import math
-import os
 import secrets
 import threading
 import time
@@ -27,7 +26,7 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
-from liaam.studio.folder import File, Folder, Intake, Listing, checked_folder, plain_name, revision_of
+from liaam.studio.folder import File, Folder, Intake, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.pictures import Source, source_of
 from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
@@ -67,18 +66,27 @@ class Overview:
 
 
 class Project:
-    """A project's folder; thread-safe. ``root`` is the folder with links resolved."""
+    """A project's folder; thread-safe. ``root`` is the folder with links resolved.
 
-    def __init__(self, folder: str | os.PathLike[str], settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    A further set of landmarks of the folder (:mod:`liaam.studio.sets`) is a project with a ``set_name``, which shares
+    the scale bars and the lock of the ``first`` one.
+    """
+
+    def __init__(
+        self, folder: str | Path, settings: Settings | None = None, set_name: str = "", first: "Project | None" = None
+    ) -> None:
+        self.settings, self.set_name = settings or Settings(), set_name
+        self._sets: dict[str, Project] = first._sets if first else {"": self}
         self.folder = Folder(checked_folder(folder))
         self.root = self.folder.root
-        self.store = Store(self.folder)
-        self._lock = threading.RLock()
+        self.title = "-".join(filter(None, (self.root.name, set_name)))  # name of the model and of exported files
+        self.store = Store(self.folder, set_name)
+        self._lock = first._lock if first else threading.RLock()
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
-        self._listing = listing = Listing(self.folder, self.settings.pixels)
-        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes)
+        self._listing = listing = Listing(self.folder, self.settings.pixels, set_name and f"{set_name}/")
+        bars = first._landmarks.bars if first else Table(self.store, "bar")
+        self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes, bars)
         self._proposals = Table(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
         self._unchecked = Table(self.store, "unchecked")
@@ -104,6 +112,20 @@ class Project:
         if data.get("folder", own) != own:
             raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=own)
         return data
+
+    @property
+    def sets(self) -> list[str]:
+        """The names of all sets of landmarks of the folder."""
+        return ["", *sets_in(self.folder)]
+
+    def of_set(self, name: str) -> "Project":
+        """Return the project of another set of landmarks of the folder."""
+        with self._lock:
+            if name not in self._sets:
+                if name not in self.sets:
+                    raise Refusal(404, f"the folder has no set of landmarks '{name[:40]}'")
+                self._sets[name] = Project(self.root, self.settings, name, self._sets[""])
+            return self._sets[name]
 
     def prepare(self) -> None:
         """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
@@ -150,7 +172,7 @@ class Project:
             read = {file.name for file in files if self._listing.is_read(file) and self._landmarks.is_read(file)}
             pictures = [states.as_json(file, ranks if file.name in read else None) for file in files]
             stamp += "" if len(read) == len(pictures) else "-reading"
-            done = {item.name: item.revision for item in self._annotated(read)}
+            done = {item.name: item.revision for item in self.annotated(read)}
             return Overview(stamp, pictures, done, [file.name for file in files if file.name not in read])
 
     def read_files(self, until: threading.Event) -> None:
@@ -192,29 +214,29 @@ class Project:
             if not self._landmarks.of(file).n_placed:
                 self._listing.mark_unreadable(file, str(fault))
 
-    def annotated(self) -> list[Annotated]:
-        """Return the done pictures, which have all their points, except those left out of training."""
-        with self._lock:
-            self._rescan(strict=True)
-            return self._annotated()
+    def annotated(self, among: Container[str] | None = None) -> list[Annotated]:
+        """Return the done pictures, which have all their points, except those left out of training.
 
-    def _annotated(self, among: Container[str] | None = None) -> list[Annotated]:
-        """Return the done pictures, or those of them with a name that is in ``among``."""
+        With ``among``, only those with one of these names, as of the last scan.
+        """
         states, found = self._states, []
-        for file in self._listing.pictures:
-            is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
-            if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
-                marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
-                assert marks.landmarks is not None
-                version = states.version_of(marks)
-                found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
+        with self._lock:
+            if among is None:
+                self._rescan(strict=True)
+            for file in self._listing.pictures:
+                is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
+                if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
+                    marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
+                    assert marks.landmarks is not None
+                    version = states.version_of(marks)
+                    found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
         return found
 
     def export(self, kind: str) -> tuple[str, bytes]:
         """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
         if kind not in EXPORTS:
             raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(EXPORTS)}")
-        found, name = self.placed("export"), plain_name(self.root.name) + EXPORTS[kind]
+        found, name = self.placed("export"), plain_name(self.title) + EXPORTS[kind]
         if kind == "pts":
             stream = io.BytesIO()
             with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -229,7 +251,7 @@ class Project:
         found = self.placed("measure")
         specimens = [Specimen(file.stem, own.points, names=own.names, scale=own.scale) for file, own, _ in found]
         columns = measure(specimens, measures.split(), scale or None)
-        return f"{plain_name(self.root.name)}-measurements.csv", columns_text(columns).encode()
+        return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
 
     def placed(self, to: str = "export") -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""

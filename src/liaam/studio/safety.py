@@ -123,7 +123,7 @@ class Guard:
         return hmac.compare_digest(text.encode(errors="replace"), self.settings.token.encode())
 
     async def _limited(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
-        is_upload = scope["path"] in (UPLOADS, GUEST, FILES, RECORDINGS)
+        is_upload = scope["path"].endswith((UPLOADS, GUEST, FILES, RECORDINGS))  # of any set of landmarks
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         too_large = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
         declared = headers.get("content-length", "")

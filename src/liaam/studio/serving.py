@@ -95,7 +95,7 @@ def make_server(studio: "Studio") -> Any:
                 self.on_start()
 
         async def shutdown(self, *args: Any, **options: Any) -> None:
-            studio.events.close()  # otherwise the server would wait for the event streams
+            studio.end_events()  # otherwise the server would wait for the event streams
             await super().shutdown(*args, **options)
 
     config = uvicorn.Config(

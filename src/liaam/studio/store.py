@@ -19,7 +19,7 @@ from typing import Any
 from liaam.errors import LiaamError
 from liaam.io.atomic import lock, sweep
 from liaam.io.files import real_path
-from liaam.studio.folder import STATE, File, Folder, disk_errors, revision_of
+from liaam.studio.folder import SETS, STATE, File, Folder, disk_errors, revision_of
 from liaam.studio.safety import Refusal
 
 DATABASE = "studio.db"
@@ -31,10 +31,11 @@ CREATE TABLE IF NOT EXISTS line (number INTEGER PRIMARY KEY, kind TEXT, json TEX
 
 
 class Store:
-    """The studio's own files of a folder; thread-safe. ``faults`` say which cannot be used."""
+    """The studio's own files of a folder, or of a further set of landmarks; thread-safe. ``faults`` say what fails."""
 
-    def __init__(self, folder: Folder) -> None:
-        self.folder = folder
+    def __init__(self, folder: Folder, set_name: str = "") -> None:
+        self.folder, self.set_name = folder, set_name
+        self.state = f"{SETS}/{set_name}" if set_name else STATE
         self.faults: dict[str, str] = {}
         self.writes = 0
         self._lock = threading.RLock()
@@ -100,25 +101,25 @@ class Store:
             except sqlite3.Error as fault:
                 is_full = getattr(fault, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
                 remedy = "make room on the disk" if is_full else "check the rights on the folder and the free space"
-                sentence = f"{STATE}/{DATABASE} cannot be written ({fault}): {remedy}"
+                sentence = f"{self.state}/{DATABASE} cannot be written ({fault}): {remedy}"
                 raise Refusal(507 if is_full else 503, sentence) from fault
 
     def _read(self, query: str, arguments: list[str]) -> list[tuple[Any, Any]]:
         """Return (key, value) of rows; none if the database cannot be read, and no damaged ones, which is noted."""
         with self._lock:
             try:
-                path = _state_of(self.folder.root) / DATABASE
+                path = _state_of(self.folder.root, self.state) / DATABASE
                 if not path.exists():  # a folder that is only looked at stays as it is
                     self.note(DATABASE, None)
                     return []
                 rows = self._open().execute(query, arguments).fetchall()
             except (sqlite3.Error, LiaamError) as fault:
-                self.note(DATABASE, f"{STATE}/{DATABASE} is not used: {fault}")
+                self.note(DATABASE, f"{self.state}/{DATABASE} is not used: {fault}")
                 return []
         whole = [(key, json.loads(text)) for key, text, known in rows if _hash(text) == known]
         if len(whole) < len(rows):
             n = len(rows) - len(whole)
-            self.note("damaged", f"{n} of the entries of {STATE}/{DATABASE} were damaged, so they are ignored")
+            self.note("damaged", f"{n} of the entries of {self.state}/{DATABASE} were damaged, so they are ignored")
         return whole
 
     def _open(self) -> sqlite3.Connection:
@@ -138,7 +139,7 @@ class Store:
             for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
                 with suppress(FileNotFoundError):
                     path.with_name(path.name + end).replace(path.with_name(name + end))
-            kept = f"{STATE}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
+            kept = f"{self.state}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
             self.note("damaged", f"{kept}, but the template, proposals and reviews begin anew")
             self._connection = _connected(path)
         else:
@@ -155,9 +156,9 @@ class Store:
 
     def path(self, name: str) -> Path:
         """Return the path of a file and create its folder."""
-        path = _state_of(self.folder.root) / name
-        if not real_path(path).is_relative_to(self.folder.root / STATE):
-            raise Refusal(409, f"{STATE}/{name} is a link that leads elsewhere, so it is not used: remove it")
+        path = _state_of(self.folder.root, self.state) / name
+        if not real_path(path).is_relative_to(self.folder.root / self.state):
+            raise Refusal(409, f"{self.state}/{name} is a link that leads elsewhere, so it is not used: remove it")
         with disk_errors(f"{path.parent} cannot be made", "check the rights on the folder."):
             path.parent.mkdir(parents=True, exist_ok=True)
         return path
@@ -180,7 +181,8 @@ class Store:
     def sweep(self) -> None:
         """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
         with suppress(LiaamError):
-            for folder in (self.folder.root, _state_of(self.folder.root), _state_of(self.folder.root) / "kept"):
+            state = _state_of(self.folder.root, self.state)
+            for folder in (self.folder.root / self.set_name, state, state / "kept"):
                 sweep(folder)
 
 
@@ -211,11 +213,11 @@ class Table(dict[str, Any]):
         self.clear()
 
 
-def _state_of(folder: Path) -> Path:
+def _state_of(folder: Path, name: str = STATE) -> Path:
     state = folder / STATE
     if state.is_symlink() or (state.exists() and not state.is_dir()):
         raise Refusal(409, f"{STATE} is a link or a file where the studio keeps a folder: remove it")
-    return state
+    return folder / name
 
 
 def _connected(path: Path) -> sqlite3.Connection:

@@ -96,7 +96,7 @@ class Trainer:
                 raise Refusal(422, f"{text}: complete at least {LEAST}, better 5, to train")
             if len(template) < 3:
                 raise Refusal(422, f"the template has {len(template)} points, but a shape needs at least 3: add some")
-            path, name = self.project.store.path(MODEL_FILE), self.project.root.name
+            path, name = self.project.store.path(MODEL_FILE), self.project.title
             held_out = choose_held_out(used, self.versions.held_out(order))
             job = Job(done, template.contours, template.names, order, path, name, held_out, wrong)
             self._order, self._stopped, self.is_measuring = job.order, False, False

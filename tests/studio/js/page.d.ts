@@ -80,6 +80,11 @@ interface Project {
   id: string;
   stamp?: string;
   folder: string;
+  /** The set of landmarks that the page shows, and all of the folder; "" is the first one. */
+  set: string;
+  sets: string[];
+  /** The sets of the same points, if there are several. */
+  observers: string[];
   version: string;
   pictures: Picture[];
   template: Template | null;

@@ -14,12 +14,15 @@ export class ApiError extends Error {
 
 const UNREACHABLE = "The server is not reachable. Is 'liaam studio' still running?";
 
+/** What the addresses of a further set of landmarks begin with, of which the page is one. */
+const SET = /^\/set\/[^/]+/.exec(globalThis.location?.pathname ?? "")?.[0] ?? "";
+
 /** Address of a path given in parts: url("pictures", name, "image", {size: 512}). */
 export function url(...parts) {
   const query = parts.length && typeof parts.at(-1) === "object" ? parts.pop() : null;
   const path = parts.map((part) => String(part).split("/").map(encodeURIComponent).join("/")).join("/");
   const text = query ? new URLSearchParams(Object.entries(query).filter(([, value]) => value != null)).toString() : "";
-  return `/api/${path}${text ? `?${text}` : ""}`;
+  return `${SET}/api/${path}${text ? `?${text}` : ""}`;
 }
 
 const TRIES = 10; // attempts of a request to a busy server, about half a minute

@@ -7,6 +7,7 @@ import { PictureStore, Sources } from "./fit-source.js";
 import { unsavedWork } from "./unsaved.js";
 import { look } from "./look.js";
 import { nameIn, opened, remember, State, tabIn } from "./state.js";
+import { createSetList } from "./sets.js";
 import { mountStrip } from "./strip.js";
 import * as ui from "./ui.js";
 import { button, consume, h, iconButton, isPlain, isTyping, press, runKey, toast } from "./ui.js";
@@ -62,7 +63,8 @@ async function start() {
   document.getElementById("loading").remove();
   document.getElementById("folder").textContent = state.project.folder;
   document.getElementById("folder").title = state.project.folder;
-  document.title = `${state.project.folder} – liaam studio`;
+  document.getElementById("folder").after(createSetList(app));
+  document.title = `${[state.project.folder, state.project.set].filter(Boolean).join(" – ")} – liaam studio`;
   look.open(state.project.id);
   mountStrip(document.getElementById("strip"), app);
   status();

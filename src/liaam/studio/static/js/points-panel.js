@@ -1,5 +1,6 @@
 // The panel beside the picture: its points with their states, actions on the selected ones, and the start of pictures.
 
+import { makeSet } from "./sets.js";
 import { button, consume, h, iconButton, segmented } from "./ui.js";
 
 const START_KEY = "liaam-studio:start";
@@ -26,6 +27,10 @@ export function createPointsPanel(tab) {
   const edit = button("Edit template…", {
     icon: "edit", small: true, testid: "template-edit", onclick: () => tab.templates.edit(),
   });
+  const more = button("New set…", {
+    small: true, kind: "ghost", testid: "set-new", title: "Other points on these pictures, or the same points by another observer",
+    onclick: () => makeSet(tab.app),
+  });
   const mark = ({ selection, active }) => {
     list.mark(selection, active);
     hide.disabled = remove.disabled = selection.size === 0;
@@ -37,7 +42,7 @@ export function createPointsPanel(tab) {
       h("section.panel.grow.point-panel",
         h("div.row", h("h2.panel-title", "Points"), tally, space, hide, remove), list.element),
       h("section.panel.side-foot",
-        h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit)),
+        h("div.row.begin-with", h("span.small.muted.grow", "Start with"), start.element), h("div.row", edit, more)),
     ],
     /** Start of pictures without points: "layout" or "click". */
     get start() { return start.value; },

@@ -2,6 +2,7 @@
 
 import { percent } from "./annotate-words.js";
 import { act, askName, whoAmI } from "./bulk.js";
+import { createAgreement } from "./sets.js";
 import { button, dialog, h, listOf, menu, saveFile } from "./ui.js";
 
 const DID = {
@@ -44,7 +45,8 @@ export function createReview(tab) {
     class: "small", "aria-label": "Export all landmarks", testid: "export-all",
   });
   const element = h("section.panel.review", { "aria-label": "Review" },
-    h("div.row", now, check), history, accuracy, h("div.row", files, h("span.grow"), name));
+    h("div.row", now, check), history, accuracy, createAgreement(tab),
+    h("div.row", files, h("span.grow"), name));
 
   async function fetchHistory() {
     const picture = state.current;

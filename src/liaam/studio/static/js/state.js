@@ -177,7 +177,7 @@ export class State extends EventTarget {
   }
 
   _follow() {
-    const source = new EventSource("/api/events");
+    const source = new EventSource(api.url("events"));
     let lost = false;
     source.addEventListener("open", () => {
       this._online(true);

@@ -1,0 +1,95 @@
+"""Several sets of landmarks in a folder: other points, or the same points placed by another observer; their agreement.
+
+The landmarks of the first set, "", lie beside the pictures, those of a further one in a subfolder of its name. Each set
+is a :class:`Project`, with a template, proposals, reviews and a model of its own.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from liaam.evaluation import finite_or_none
+from liaam.io.images import PICTURE_SUFFIXES
+from liaam.io.table_writer import columns_text
+from liaam.morphometry import Specimen, measure, measurement_error
+from liaam.studio.folder import ADDED, SET_NAME, disk_errors, plain_name
+from liaam.studio.project import Project
+from liaam.studio.safety import Refusal
+from liaam.studio.store import DATABASE, Store
+
+
+def make_set(project: Project, data: Any) -> dict[str, str]:
+    """Make a set with the ``name`` in a request; if ``same``, of the points of a project.
+
+    A subfolder of this name that holds landmark files, but no pictures, becomes the set's.
+    """
+    data = project.checked(data, "name and same")
+    name, template = data.get("name"), project.templates.needed if data.get("same") else None
+    if not isinstance(name, str) or not SET_NAME.fullmatch(name):
+        raise Refusal(422, "the name is not valid: use at most 30 letters from A to Z, digits, - and _")
+    if name.casefold() in (ADDED, *map(str.casefold, project.sets)):
+        raise Refusal(409, f"the name {name} is taken: choose another one")
+    place = project.root / name
+    with disk_errors(f"{name} cannot be made", error=partial(Refusal, 503)):
+        if place.is_symlink() or (place.exists() and not place.is_dir()):
+            raise Refusal(409, f"{name} is a file or a link beside the pictures: choose another name")
+        if any(path.suffix.lower() in PICTURE_SUFFIXES for path in place.rglob("*")):
+            raise Refusal(409, f"{name} is a subfolder with pictures: choose another name")
+        place.mkdir(exist_ok=True)
+    Store(project.folder, name).path(DATABASE)  # makes its folder, by which the set is known
+    made = project.of_set(name)
+    made.store.put("declined", {"": True})  # the points of the face model are the first set's, or of no use here
+    if template is not None and made.templates.current is None:
+        made.save_template({**template.as_json(), "points": None})  # they may be where the other placed them
+    return {"name": name}
+
+
+def observers(project: Project) -> list[str]:
+    """Return the sets that have the points of a project, its own included."""
+    current = {name: project.of_set(name).templates.current for name in project.sets}
+    own = current[project.set_name]
+    return [name for name, template in current.items() if own and template and template.names == own.names]
+
+
+def others(project: Project, picture: str) -> dict[str, Any]:
+    """Return all points that other observers placed on a picture, by set; refused before they are placed here."""
+    marks = {name: project.of_set(name).marks(picture) for name in observers(project)}
+    placed = {name: own["points"] for name, own in marks.items() if own["source"] == "file"}
+    done = {name: points for name, points in placed.items() if None not in points}
+    if done.pop(project.set_name, None) is None:
+        raise Refusal(409, "the points of other observers are shown once all points are placed")
+    return done
+
+
+def agreement(project: Project) -> dict[str, Any]:
+    """Return how far observers are apart in the pictures that at least two have done: standard deviations.
+
+    Observers are replicates (:func:`liaam.morphometry.measurement_error`). Points and pictures with the largest
+    deviations come first. ``table`` is the text of a table with more.
+    """
+    placed: dict[str, dict[str, np.ndarray]] = {}
+    for name in observers(project):
+        for item in project.of_set(name).annotated():
+            placed.setdefault(item.name, {})[name] = item.points
+    pictures = {picture: own for picture, own in placed.items() if len(own) > 1}
+    if not pictures:
+        raise Refusal(422, "no picture is done in two sets of the same points yet: let another observer place them")
+    every = [(picture, points) for picture, own in pictures.items() for points in own.values()]
+    names = project.templates.needed.names
+    specimens = [Specimen(f"{picture}#{i}", points, names=names) for i, (picture, points) in enumerate(every)]
+    table = measurement_error(specimens, measure(specimens), "image")
+    first = len(table["measure"]) - len(names)  # the rows of the points are the last
+    points = zip(names, table["sd"][first:], table["sd_percent"][first:], strict=True)
+    variance = {picture: np.var([*own.values()], axis=0, ddof=1) for picture, own in pictures.items()}
+    spread = {picture: float(np.sqrt(own.sum(axis=1).mean())) for picture, own in variance.items()}
+    overall = [float(np.sqrt(np.square(table[name][first:]).mean())) for name in ("sd", "sd_percent")]
+    return {
+        "observers": sorted({observer for own in pictures.values() for observer in own}),
+        **dict(zip(("sd", "percent"), overall, strict=True)),
+        "repeatability": finite_or_none(table["repeatability"][0]),
+        "points": sorted(points, key=lambda row: -row[1]),
+        "pictures": sorted(spread.items(), key=lambda item: -item[1]),
+        "file": f"{plain_name(project.title)}-agreement.csv",
+        "table": columns_text(table),
+    }

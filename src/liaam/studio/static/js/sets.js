@@ -1,0 +1,143 @@
+// Several sets of landmarks in a folder: which one the page shows, new ones, and the agreement between observers.
+
+import { percent, several } from "./annotate-words.js";
+import { COLOURS } from "./drawing.js";
+import { discs, stroked } from "./overlays.js";
+import { button, consume, dialog, h, optionsOf, press, saveFile, toast } from "./ui.js";
+
+const NEW = "+"; // no name of a set
+const SHOWN = 12; // rows of a table
+
+/** What a set is called; the first one has no name. */
+export const calledSet = (name) => name || "Main set";
+
+/** Open the page of a set, with the same tab and picture. @param {App} app */
+async function go(app, name) {
+  await app.saved?.();
+  location.assign(`${name ? `/set/${name}/` : "/"}${location.search}${location.hash}`);
+}
+
+/** The list beside the folder's name that shows and changes the set. @param {App} app; @returns {HTMLElement} */
+export function createSetList(app) {
+  const { state } = app;
+  const list = h("select.text.set-list", {
+    "aria-label": "Set of landmarks", title: "Sets of landmarks in this folder", testid: "sets",
+    onchange: () => {
+      const { value } = list;
+      list.value = state.project.set; // until the other page opens, or if this one stays
+      if (value === NEW) makeSet(app);
+      else go(app, value);
+    },
+  });
+  let known = null;
+  const show = () => {
+    const { set, sets } = state.project;
+    if (known === (known = sets.join(" "))) return;
+    const labels = Object.fromEntries([...sets.map((name) => [name, calledSet(name)]), [NEW, "New set…"]]);
+    list.hidden = sets.length < 2;
+    list.replaceChildren(...optionsOf(labels));
+    list.value = set;
+  };
+  state.addEventListener("project", show);
+  show();
+  return list;
+}
+
+/** Ask for the name and the points of a new set, and open its page. @param {App} app */
+export async function makeSet(app) {
+  const { api, state } = app;
+  const { template, set } = state.project;
+  const choice = (value, title, what, more) => h("label.check.set-kind",
+    h("input", { type: "radio", name: "set-kind", value, testid: `set-${value}`, ...more }),
+    h("span", title, h("span.small.muted", what)));
+  const name = h("input.text", {
+    required: true, maxlength: "30", pattern: "[A-Za-z0-9][A-Za-z0-9_\\-]*", autocomplete: "off", spellcheck: "false",
+    title: "Letters from A to Z, digits, - and _", placeholder: "such as hand, lateral or anna", testid: "set-name",
+    onkeydown: (event) => {
+      if (event.key !== "Enter" || event.isComposing) return;
+      consume(event);
+      name.closest("dialog").querySelector(".primary").click();
+    },
+  });
+  const same = `The points of ${set ? `the set ${set}` : "this set"}, placed again by somebody who does not see these.`;
+  const body = h("div.column",
+    h("label.field", "Name, also of the subfolder with its landmark files", name),
+    choice("own", "Other points", "A template of its own, such as hand beside face. Not every picture needs both.", { checked: true }),
+    choice("same", "The same points, another observer", same, { disabled: !template }));
+  const make = { label: "Make the set", kind: "primary", value: "make", checks: true, testid: "set-make" };
+  const answer = dialog("New set of landmarks", body, [{ label: "Cancel", value: null }, make]);
+  name.focus();
+  if ((await answer) !== "make") return;
+  const asked = { name: name.value, same: body.querySelector("input:checked").value === "same" };
+  go(app, (await state.send((folder) => api.post(api.url("sets"), { ...asked, folder }))).name);
+}
+
+/** The buttons that compare observers, for the review. @param {import("./annotate.js").Tab} tab */
+export function createAgreement(tab) {
+  const { app, state, viewer } = tab;
+  let others = {}; // points of the open picture by set
+  let asked = "";
+  const toggle = button("Show the others", {
+    small: true, pressed: false, testid: "show-others", onclick: (event) => tab.act(event, turn),
+    title: "Show where other observers placed these points, once all of yours are placed",
+  });
+  const open = button("Agreement…", { small: true, testid: "agreement", onclick: () => showAgreement(app) });
+  const element = h("div.row", open, toggle);
+  const turn = () => { press(toggle, toggle.getAttribute("aria-pressed") === "false"); follow(); };
+
+  /** Fetch the points of others whenever the picture or its points change. */
+  async function follow() {
+    const { current, project } = state;
+    const picture = state.picture();
+    element.hidden = project.observers.length < 2;
+    toggle.disabled = picture?.state !== "done";
+    const isOn = toggle.getAttribute("aria-pressed") === "true" && !toggle.disabled;
+    const wanted = isOn ? `${current} ${picture.revision}` : "";
+    if (wanted === asked) return;
+    asked = wanted;
+    const found = isOn ? await app.api.get(app.api.url("pictures", current, "others"), { quiet: true }).catch(() => ({})) : {};
+    if (wanted !== asked) return;
+    others = found;
+    if (isOn && !Object.keys(others).length) toast("No other observer has placed all points of this picture yet.");
+    viewer.redraw();
+  }
+
+  viewer.addLayer((ctx) => {
+    if (tab.name !== state.current || tab.editing) return;
+    for (const points of Object.values(others)) {
+      discs(ctx, viewer, points, 5);
+      stroked(ctx, COLOURS.axis, 1.8);
+    }
+  });
+  for (const event of ["project", "select"]) state.addEventListener(event, follow);
+  follow();
+  return element;
+}
+
+/** Show how far observers are apart, and the pictures and points where most. @param {App} app */
+export async function showAgreement({ api, state }) {
+  const { observers, sd, percent: share, repeatability, points, pictures, file, table: text } =
+    await api.get(api.url("agreement"));
+  const pixels = (value) => `${value.toFixed(2)} px`;
+  const table = (title, head, rows) => h("section.agreement-table", h("h3", title), h("table",
+    h("thead", h("tr", head.map((what) => h("th", { scope: "col" }, what)))), h("tbody", rows.slice(0, SHOWN))));
+  const openPicture = (name) => (event) => { event.target.closest("dialog").close(); state.select(name); };
+  const pictureRow = ([name, value]) => h("tr", h("th", { scope: "row" },
+    button(name, { small: true, kind: "ghost", testid: "agreement-picture", onclick: openPicture(name) })), h("td", pixels(value)));
+  const pointRow = ([name, value, own]) =>
+    h("tr", h("th", { scope: "row" }, name), h("td", pixels(value)), h("td", percent(own / 100)));
+  const fact = (what, value, testid) => h("div", h("dt.small.muted", what), h("dd", { testid }, value));
+  const body = h("div.column",
+    h("p", `${several(pictures.length, "picture")} done by at least two of: ${observers.map(calledSet).join(", ")}.`),
+    h("dl.agreement-facts",
+      fact("Standard deviation of a point", pixels(sd), "agreement-sd"), fact("of the centroid size", percent(share / 100)),
+      fact("Repeatability of the shape", repeatability === null ? "needs 2 pictures" : repeatability.toFixed(3))),
+    h("div.agreement-tables",
+      table("Points, worst first", ["Point", "Deviation", "of size"], points.map(pointRow)),
+      table("Pictures, worst first", ["Picture", "Deviation"], pictures.map(pictureRow))),
+    h("p.small.muted", "Deviation: standard deviation of an observer from the mean of all. Repeatability: share of the variance of shapes that is between specimens, 1 if observers agree."));
+  const save = { label: "Save the table", value: "save", testid: "agreement-save" };
+  const close = { label: "Close", kind: "primary", value: null };
+  if ((await dialog("Agreement of observers", body, [save, close], { wide: true })) === "save")
+    saveFile(new Blob([text], { type: "text/csv" }), file);
+}
