@@ -103,16 +103,10 @@ def load_folder(
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
-    if reading.strict:
-        _refuse(left_out, [*unnamed, *odd])
-    return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
-
-
-def _refuse(left_out: list[LeftOut], odd: list[LeftOut]) -> None:
-    """Raise if landmarks were left out because of a fault in them."""
-    for left in left_out:
-        if left in odd or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, ABSENT)):
+    for left in left_out if reading.strict else ():
+        if left in (*unnamed, *odd) or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, ABSENT)):
             raise LandmarkError(f"{left.path}: {left.reason} (refused because of --strict).")
+    return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
 
 
 def pair_files(
@@ -223,7 +217,10 @@ class _Pairing:
 
     def finish(self) -> list[Sample]:
         """Choose the landmarks of each image, and record the files that are not used."""
-        winners = self._winners()
+        winners: dict[Path, Path] = {}
+        # Of images of the same stem, one with landmarks is used, then lossless formats come first.
+        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
+            winners.setdefault(image.with_suffix(""), image)
         samples = []
         for image in self.wanted:
             best = winners[image.with_suffix("")]
@@ -233,22 +230,17 @@ class _Pairing:
             elif options:
                 used, *others = options
                 samples += self._samples(image, used)
-                self._note_others(image, used, others)
+                for other in others:
+                    left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
+                    if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
+                        self.left_out.append(left)
+                    if _disagree(used.landmarks, other.landmarks):
+                        kinds = f"{used.file.suffix} and {other.file.name}"
+                        remedy = f"remove one (the {used.file.suffix} is used)"
+                        self.notes.repair(f"landmarks disagree in {kinds}; {remedy}", image.name)
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
-
-    def _note_others(self, image: Path, used: _Option, others: list[_Option]) -> None:
-        """Record files that other ones take precedence over, and in which images they disagree."""
-        for other in others:
-            left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
-            if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
-                self.left_out.append(left)
-            if _disagree(used.landmarks, other.landmarks):
-                kinds = f"{used.file.suffix} and {other.file.name}"
-                self.notes.repair(
-                    f"landmarks disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name
-                )
 
     def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
         """Yield a sample of each object: of the largest in any case, of others if no landmark is missing."""
@@ -259,13 +251,6 @@ class _Pairing:
                 remedy = f"place them or delete the object, in {option.file.name}"
                 reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
                 self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
-
-    def _winners(self) -> dict[Path, Path]:
-        """Choose among images of the same stem: one with landmarks, then by suffix (lossless formats first)."""
-        winners: dict[Path, Path] = {}
-        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
-            winners.setdefault(image.with_suffix(""), image)
-        return winners
 
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""

@@ -101,8 +101,10 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     for prefix, owner, kind in parts:
         if owner is not None:
             tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in STORED[kind]}
-    if model.light is not None:
-        tensors |= {f"light.{key}": value for key, value in _light_tensors(model.light.modes).items()}
+    if model.light is not None:  # its modes are 0 far from the object
+        known = model.light.modes.any(axis=(0, 3))
+        about = {"known": np.packbits(known), **_mode_tensors(model.light.modes[:, known])}
+        tensors |= {f"light.{key}": value for key, value in about.items()}
     return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
 
 
@@ -112,20 +114,17 @@ def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | N
     if known.sum() < LEAST_SHARE * len(known):
         known = np.ones(len(known), bool)
     errors = appearance.unexplained
+    if errors is not None:
+        rows, columns = np.triu_indices(errors.shape[1])
+        errors = _half_if_exact(errors[known][:, rows, columns])
     return {
         "known": None if known.all() else np.packbits(known),
         "mean": _half_if_exact(appearance.mean[known]),
         **_mode_tensors(appearance.modes[:, known]),
         "eigenvalues": appearance.eigenvalues,
         "usable": _half_if_exact(appearance.usable[known]),
-        "unexplained": None if errors is None else _half_if_exact(_upper(errors[known])),
+        "unexplained": errors,
     }
-
-
-def _light_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the tensors of the modes of light (k, side, side, 3), which are 0 far from the object."""
-    known = modes.any(axis=(0, 3))
-    return {"known": np.packbits(known), **_mode_tensors(modes[:, known])}
 
 
 def _mode_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
@@ -138,9 +137,3 @@ def _half_if_exact(values: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):
         half = values.astype(np.float16)
     return half if np.array_equal(half, values) else values
-
-
-def _upper(matrices: np.ndarray) -> np.ndarray:
-    """Return the upper triangles (n, c (c + 1) / 2), row by row, of symmetric matrices (n, c, c)."""
-    rows, columns = np.triu_indices(matrices.shape[1])
-    return matrices[:, rows, columns]

@@ -333,7 +333,10 @@ def _smooth_model(
     modes, values = modes_of(spread, deviations.rigid)
     folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
     parts = [_left_out(deviations, fold, prior) for fold in folds]
-    left_out = [_coordinates(*part, prior.noise) for part in parts]
+    left_out = [
+        LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ own.T), np.square(away).sum(axis=1))
+        for away, own, v in parts
+    ]
     if variance == "auto":
         evidence = [log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
         kept = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
@@ -352,10 +355,6 @@ def _left_out(
     """Deviations of a fold from the mean of the others, and the others' modes and eigenvalues."""
     part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
     return deviations.own[fold] - part.own.mean(axis=0), *modes_of(covariance(part, prior), deviations.rigid)
-
-
-def _coordinates(away: np.ndarray, modes: np.ndarray, values: np.ndarray, noise: float) -> LeftOutCoordinates:
-    return LeftOutCoordinates(values + noise * values.mean(), np.square(away @ modes.T), np.square(away).sum(axis=1))
 
 
 def _moments(left: np.ndarray) -> np.ndarray:

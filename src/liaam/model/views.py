@@ -117,14 +117,3 @@ class View:
     def shape_model(self) -> ShapeModel:
         """Shape model in pixels of the reference frame; all views have the same mean."""
         return self.warp.shape_model
-
-
-def make_view(
-    name: str,
-    shape_model: ShapeModel,
-    triangles: np.ndarray,
-    levels: tuple[Level, ...] = (),
-    reliabilities: Mapping[str, Reliability] | None = None,
-) -> View:
-    """Make a view by its name, a key of :data:`VIEWS`."""
-    return View(VIEWS[name](shape_model, triangles), levels, reliabilities or {})

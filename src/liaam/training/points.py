@@ -25,7 +25,13 @@ def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) ->
     known = [
         (entry, found) for entry, found in zip(entries, _points_of(points, entries), strict=True) if found is not None
     ]
-    known = _of_one_object([(entry, _checked(entry.name, found, known[0][1])) for entry, found in known])
+    # Of several objects in an image for which the landmarker found the same points, keep the nearest to them.
+    nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}
+    for entry, found in known:
+        pair = entry, _checked(entry.name, found, known[0][1])
+        key = image_of(entry.name), pair[1].tobytes()
+        nearest[key] = min(nearest.get(key, pair), pair, key=_distance)
+    known = list(nearest.values())
     if len(known) < 3:
         where = f" of {points}" if isinstance(points, (str, os.PathLike)) else ""
         raise TrainingError(
@@ -47,15 +53,6 @@ def points_of(points: Points | None, group: np.ndarray) -> Points | None:
     if points is None or isinstance(points, str | os.PathLike) or callable(points):
         return points
     return [points[i] for i in group if i < len(points)]
-
-
-def _of_one_object(known: Sequence[tuple[Entry, np.ndarray]]) -> list[tuple[Entry, np.ndarray]]:
-    """Of several objects in an image for which the landmarker found the same points, keep the nearest to them."""
-    nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}
-    for pair in known:
-        key = image_of(pair[0].name), pair[1].tobytes()
-        nearest[key] = min(nearest.get(key, pair), pair, key=_distance)
-    return list(nearest.values())
 
 
 def _distance(pair: tuple[Entry, np.ndarray]) -> float:

@@ -164,12 +164,14 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     if not weights[1] > 0:  # quality must increase with the explained contrast
         return None
     alike = Alike.of(model.shape_model.mean, model.contours)
+    # The covariance of left-out shapes: a lower bound, because lost fits are not among the errors.
+    unexplained, nothing = model.views[view].shape_model.unexplained, np.zeros((model.n_points, 2, 2))
     about = learn_covariances(
         np.array([fit.errors for fit in known]),
         np.array([fit.spreads for fit in known]),
         variance_factor(np.array([fit.surprise for fit in known])),
         np.array([fit.unit for fit in known]),
-        _by_shape(model, view, alike),
+        nothing if unexplained is None else widened(unexplained, model.n_images, alike),
         alike,
     )
     made = Reliability(weights=weights, **about)
@@ -195,13 +197,6 @@ def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: floa
     angle = np.deg2rad(rng.choice([-1, 1]) * turn * rng.uniform(0.5, 1.0))
     step = shift * diagonal_of(shape) * np.array([np.cos(towards), np.sin(towards)])
     return (shape - centre) @ rotation(angle).T + centre + step
-
-
-def _by_shape(model: AAM, view: str, alike: Alike) -> np.ndarray:
-    """Return the covariance (n, 2, 2) of left-out shapes: a lower bound, because lost fits are not among the errors."""
-    unexplained = model.views[view].shape_model.unexplained
-    nothing = np.zeros((model.n_points, 2, 2))
-    return nothing if unexplained is None else widened(unexplained, model.n_images, alike)
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -23,16 +23,39 @@ from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response, invariant_row
 from liaam.photometry.encoding import Encoding, as_colour
 from liaam.photometry.features import Encoder
+from liaam.progress import Progress
 from liaam.training.entries import Entry
 from liaam.training.options import Blurs
 from liaam.training.search_filter import FilterLearner
-from liaam.training.steps import Steps
 
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
 """Appearances that are learnt from the textures of another."""
 
+FITTED = 6
+"""Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image."""
+
 Wanted = dict[str, list[list[str]]]
 """Names of the appearances to learn, by view and level."""
+
+
+def learning_cost(n: int) -> int:
+    """Time of learning a level's appearances from n images, in units of the time of sampling one of them."""
+    return max(1, n // 10)
+
+
+@dataclass
+class Steps:
+    """Reports all steps of training on one scale."""
+
+    report: Progress | None
+    total: int
+    done: int = 0
+
+    def next(self, what: str, cost: int = 1) -> None:
+        """Report the next step and its cost, in units of the time of sampling an image."""
+        if self.report:
+            self.report(self.done, self.total, what)
+        self.done += cost
 
 
 @dataclass(frozen=True)
