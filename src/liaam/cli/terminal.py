@@ -109,7 +109,10 @@ def run_app(app: typer.Typer) -> None:
         complain(f"error: {error}")
         sys.exit(1)
     except OSError as error:  # an invalid name, missing permissions, a full or removed disk
-        complain(f"error: {_sentence_of(error)}")
+        name = "" if error.filename is None else os.fsdecode(error.filename)
+        shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
+        remedy = "check the name, the permissions and the free space"
+        complain(f"error: {shown}{error.strerror or error}; {remedy}")
         sys.exit(1)
 
 
@@ -117,13 +120,6 @@ def _exit_stopped(text: str) -> NoReturn:
     # Not through the console: if it was interrupted while it printed, it keeps what follows to itself.
     print(plain(text), file=sys.stderr)
     sys.exit(INTERRUPTED)
-
-
-def _sentence_of(error: OSError) -> str:
-    """Describe a system error and the file it concerns."""
-    name = "" if error.filename is None else os.fsdecode(error.filename)
-    shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
-    return f"{shown}{error.strerror or error}; check the name, the permissions and the free space"
 
 
 def say(text: str) -> None:

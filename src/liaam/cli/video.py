@@ -28,7 +28,6 @@ from liaam.progress import Progress
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
     from liaam.tracking import TrackedFrame, Tracker
-    from liaam.tracking.shading import ShadingRemover
 
 
 def track(
@@ -203,6 +202,7 @@ def outputs(
     counts: Counts,
 ) -> Iterator[Callable[[Step], None]]:
     """Open the requested outputs, and yield the function that writes a frame to them."""
+    from liaam.tracking import TrackStatus
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
@@ -220,45 +220,26 @@ def outputs(
             if drawn is not None:
                 from liaam.plotting import video
 
+                parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
+                if tracked.ok and tracked.quality == tracked.quality:  # not NaN
+                    parts.append(f"quality {tracked.quality:.2f}")
                 landmarks, spread = (tracked.landmarks, tracked.covariances) if tracked.ok else (None, None)
                 spread = spread if ellipses else None
-                picture = video.annotated(frame.image, landmarks, tracker.model, caption_of(tracked), spread)
+                picture = video.annotated(frame.image, landmarks, tracker.model, "   ".join(parts), spread)
                 drawn.write(picture, frame.time)
-            if fresh is not None and remover is not None:
-                fresh.write(unshaded(remover, counts, frame, tracked, result), frame.time)
+            if fresh is not None and remover is not None:  # a grey frame, or one without the object, stays as it is
+                if tracked.status is not TrackStatus.TRACKED:
+                    remover.reset()
+                picture = frame.image
+                if result is not None:
+                    try:
+                        picture = remover.remove(picture, result, tracked.landmarks)
+                        counts.n_unshaded += 1
+                    except MethodError:
+                        counts.n_grey += 1
+                fresh.write(picture, frame.time)
 
         yield write
-
-
-def unshaded(
-    remover: "ShadingRemover",
-    counts: Counts,
-    frame: VideoFrame,
-    tracked: "TrackedFrame",
-    result: "FitResult | None",
-) -> np.ndarray:
-    """Return a frame without shading. A grey frame, or one without the object, stays as is."""
-    from liaam.tracking import TrackStatus
-
-    if tracked.status is not TrackStatus.TRACKED:
-        remover.reset()
-    if result is None:
-        return frame.image
-    try:
-        fresh = remover.remove(frame.image, result, tracked.landmarks)
-    except MethodError:  # a grey frame
-        counts.n_grey += 1
-        return frame.image
-    counts.n_unshaded += 1
-    return fresh
-
-
-def caption_of(tracked: "TrackedFrame") -> str:
-    """Describe a frame in one line."""
-    parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
-    if tracked.ok and tracked.quality == tracked.quality:  # not NaN
-        parts.append(f"quality {tracked.quality:.2f}")
-    return "   ".join(parts)
 
 
 def steps_of(

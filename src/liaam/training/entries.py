@@ -155,8 +155,10 @@ def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[st
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
             size = None
             if Path(landmarks).suffix.lower() in (".asf", ".tps", ".nts"):  # they need that of the image
-                height, width = np.shape(image)[:2] if np.ndim(image) > 1 else (0, 0)
-                size = image_size(image) if isinstance(image, str | os.PathLike) else (width, height) if width else None
+                if isinstance(image, str | os.PathLike):
+                    size = image_size(image)
+                elif np.ndim(image) > 1 and np.shape(image)[1]:
+                    size = np.shape(image)[1], np.shape(image)[0]
             landmarks = read_landmarks(landmarks, size, file_name)
     if order and isinstance(landmarks, Landmarks):
         try:
