@@ -41,8 +41,15 @@ def show(
     ] = None,
 ) -> None:
     """Describe a model or a lamp file, and draw it with -o. Without a file, list the models that come with liaam."""
+    from liaam.model import load_model
+
     if file is None:
-        list_models()
+        for name, known in MODELS.items():
+            model = load_model(name)
+            trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
+            rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
+            print_rows({**rows, "credit": model.credit})
+        say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")
         return
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
@@ -52,7 +59,6 @@ def show(
         raise LiaamError(f"{output}: give a name that ends in .png, .svg or .pdf")
     if output is not None:
         check_output(output)
-    from liaam.model import load_model
     from liaam.plotting import figure_of_lamps, figure_of_model, save_figure
 
     if lit:
@@ -138,15 +144,3 @@ def count_copies(model: "AAM") -> str:
     if not more:
         return ""
     return f" and {more} copies under {model.n_lamps} lamps" if model.n_lamps else f" and {more} mirrored copies"
-
-
-def list_models() -> None:
-    """List the models that come with liaam: what they are for, how accurate they are, and their terms."""
-    from liaam.model import load_model
-
-    for name, known in MODELS.items():
-        model = load_model(name)
-        trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
-        rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
-        print_rows({**rows, "credit": model.credit})
-    say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")

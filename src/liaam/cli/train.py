@@ -23,10 +23,6 @@ if TYPE_CHECKING:
 MODEL_SUFFIX = ".liaam"
 """Suffix of files that may be replaced by a model."""
 
-LAMP_WORDS: dict[str, Literal["auto"] | None] = {inputs.AUTO: inputs.AUTO, "none": None}
-"""Values of --lamps that are neither a file nor a folder."""
-
-
 MethodsOption = Annotated[
     str,
     typer.Option(
@@ -186,8 +182,8 @@ def check_model_name(output: Path, folder: Path) -> None:
 
 def parse_lamps(lamps: Path, training_lamp: str | None, camera: "CameraModel") -> "Lamps | Literal['auto'] | None":
     """Return the lamps that --lamps names or, if it is a folder, those learnt from its images."""
-    if str(lamps) in LAMP_WORDS:
-        return LAMP_WORDS[str(lamps)]
+    if str(lamps) in (inputs.AUTO, "none"):
+        return None if str(lamps) == "none" else inputs.AUTO
     if not inputs.folder_of(lamps)[0].exists():
         raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
     return read_lamps(lamps, training_lamp, camera.response)

@@ -103,7 +103,7 @@ def track(
         )
     for fault in faults:
         complain(f"error: {fault}")
-    if faults or not counts.n_tracked:
+    if faults or counts.n == len(counts.lost):
         raise typer.Exit(1)
 
 
@@ -127,11 +127,6 @@ class Counts:
     def n(self) -> int:
         """Number of frames."""
         return sum(self.statuses.values())
-
-    @property
-    def n_tracked(self) -> int:
-        """Number of frames with landmarks."""
-        return self.n - len(self.lost)
 
     @property
     def rate(self) -> float:
@@ -291,7 +286,7 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
     quality = f"{np.median(known):.2f}" if known else "–"
-    numbers = counts.n, counts.n_tracked, len(counts.lost), again, counts.statuses["corrected"]
+    numbers = counts.n, counts.n - len(counts.lost), len(counts.lost), again, counts.statuses["corrected"]
     table.add_row(*map(str, numbers), quality, f"{counts.rate:.1f}")
     show_table(table)
     for path in outputs:

@@ -8,7 +8,6 @@ import numpy as np
 
 from liaam.errors import ModelFileError
 from liaam.model.appearance import AppearanceModel
-from liaam.model.shape import ShapeModel
 from liaam.model.views import VIEWS, Level, View
 
 if TYPE_CHECKING:
@@ -60,7 +59,11 @@ class _MirroredViews(Mapping[str, View]):
 
 
 def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> View:
-    warp = VIEWS[name](_shape_model(view.shape_model, order), triangles)
+    model, mirrored = view.shape_model, np.array([-1.0, 1.0])
+    modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
+    unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
+    shapes = replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
+    warp = VIEWS[name](shapes, triangles)
     frame, other = warp.frame, view.warp.frame
     (width, height), (x, y) = other.size, other.origin
     number = np.zeros((height, width), int)
@@ -77,12 +80,6 @@ def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> Vi
     }
     # Levels hold the mirror images of the pixels that fits need.
     return View(replace(warp, from_right=not view.warp.from_right), levels, known)
-
-
-def _shape_model(model: ShapeModel, order: np.ndarray) -> ShapeModel:
-    modes = (model.modes.reshape(len(model.modes), -1, 2) * [-1.0, 1.0])[:, order].reshape(model.modes.shape)
-    unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
-    return replace(model, mean=(model.mean * [-1.0, 1.0])[order], modes=modes, unexplained=unexplained)
 
 
 def _appearance(kind: str, known: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:

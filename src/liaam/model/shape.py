@@ -205,15 +205,16 @@ class ShapeModel:
 
     def project(self, shape: np.ndarray) -> np.ndarray:
         """Find the nearest shape of the model under any similarity: the result of a perfect fit, (n, 2) float64."""
-        pose = align(self.mean, shape)
-        for _ in range(20):  # alternate pose and modes: the modes move with the pose
-            local = self.shape(self._modes_only(pose.inverse()(shape)))
-            new = align(local, shape)
-            moved = float(np.abs(new(local) - pose(local)).max())
-            pose = new
+        pose, local, moved = align(self.mean, shape), self.mean, np.inf
+        for _ in range(21):  # alternate pose and modes: the modes move with the pose
+            p = self.parameters(pose.inverse()(shape))
+            p[-4:] = 0.0
+            local = self.shape(p)
             if moved < 1e-9 * diagonal_of(shape):
                 break
-        return pose(self.shape(self._modes_only(pose.inverse()(shape))))
+            new = align(local, shape)
+            pose, moved = new, float(np.abs(new(local) - pose(local)).max())
+        return pose(local)
 
     def log_density(self, shape: np.ndarray) -> float:
         """Log-likelihood of a shape (n, 2), whatever its position, size and rotation, up to a constant."""
@@ -224,11 +225,6 @@ class ShapeModel:
         beyond = np.square(upright - self.mean).sum() - np.square(p).sum()
         inside = (np.square(p) / variances + np.log(variances)).sum()
         return float(-0.5 * (inside + beyond / noise + n_beyond * np.log(noise)))
-
-    def _modes_only(self, shape: np.ndarray) -> np.ndarray:
-        p = self.parameters(shape)
-        p[-4:] = 0.0
-        return p
 
 
 def own_parameters(n: int, n_all: int) -> np.ndarray:
@@ -332,7 +328,11 @@ def _smooth_model(
     spread = covariance(deviations, prior)
     modes, values = modes_of(spread, deviations.rigid)
     folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
-    parts = [_left_out(deviations, fold, prior) for fold in folds]
+    parts = []  # deviations of each fold from the mean of the others, and the others' modes and eigenvalues
+    for fold in folds:
+        part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
+        away = deviations.own[fold] - part.own.mean(axis=0)
+        parts.append((away, *modes_of(covariance(part, prior), deviations.rigid)))
     left_out = [
         LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ own.T), np.square(away).sum(axis=1))
         for away, own, v in parts
@@ -347,14 +347,6 @@ def _smooth_model(
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
         left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
     return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left), freedom)
-
-
-def _left_out(
-    deviations: Deviations, fold: np.ndarray, prior: SmoothPrior
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Deviations of a fold from the mean of the others, and the others' modes and eigenvalues."""
-    part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
-    return deviations.own[fold] - part.own.mean(axis=0), *modes_of(covariance(part, prior), deviations.rigid)
 
 
 def _moments(left: np.ndarray) -> np.ndarray:

@@ -148,24 +148,20 @@ class Background:
             return own
         if not waiting or not self._may_use_face():
             return None
-        has_faces = templates.current is not None or self._has_faces(waiting)
+        has_faces = templates.current is not None
+        if not has_faces:  # it finds a face in half of the first few pictures that it has not been tried on
+            tagged = [(name, file_tag(path), path) for name, path in waiting]
+            fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
+            trial = partial(propose, self._fitter_of(self._face))
+            found = list(in_order(trial, [path for *_, path in fresh], THREADS))
+            has_faces = bool(fresh) and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh)
+            self._without_faces.update(each[:2] for each in fresh)
         if has_faces:
             self._without_faces.clear()
         self._lend()
         if has_faces:
             templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
-
-    def _has_faces(self, waiting: list[Picture]) -> bool:
-        """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        fitter = self._fitter_of(self._face)
-        tagged = [(name, file_tag(path), path) for name, path in waiting]
-        fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
-        found = list(in_order(partial(propose, fitter), [path for *_, path in fresh], THREADS))
-        if fresh and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh):
-            return True
-        self._without_faces.update(each[:2] for each in fresh)
-        return False
 
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)

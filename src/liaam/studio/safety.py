@@ -149,7 +149,12 @@ class Guard:
                 return
             except Refusal as refusal:
                 stack.close()
-                await self._discard(Request(scope, receive))
+                left = self.settings.upload_bytes  # a client that is cut off would not read the answer
+                with anyio.move_on_after(self.settings.drain_seconds), suppress(ClientDisconnect):
+                    async for part in Request(scope, receive).stream():
+                        left -= len(part)
+                        if left <= 0:
+                            break
                 await _answer_of(refusal, close=True)(scope, receive, send)
                 return
             messages = iter([{"type": "http.request", "body": b"".join(parts)}])
@@ -158,15 +163,6 @@ class Guard:
                 return next(messages, None) or await receive()
 
             await self.app(scope, again, send)
-
-    async def _discard(self, request: Request) -> None:
-        """Read the rest of a body for a while, because a client that is cut off does not read the answer."""
-        left = self.settings.upload_bytes
-        with anyio.move_on_after(self.settings.drain_seconds), suppress(ClientDisconnect):
-            async for part in request.stream():
-                left -= len(part)
-                if left <= 0:
-                    return
 
 
 RETRY_AFTER = 2  # seconds until a client should retry a request to a busy studio

@@ -216,7 +216,15 @@ def _work(job: Job, pipe: Any) -> None:
             summary = f"trained on {model.n_all_images} pictures{without}{warned}"
             with suppress(LiaamError, MemoryError):  # such as too few pictures without those
                 rest, _ = _train(job, pipe.send, left_out, job.held_out, "measuring", leave_out=False, lamps=None)
-                pipe.send(("measured", _measure(job, rest)))
+                fitter, errors = Fitter(rest), {}  # relative to the diagonal of the points
+                for item in job.done:
+                    if item.name in job.held_out:
+                        with suppress(LiaamError, MemoryError):
+                            found = fitter.fit(item.path).landmarks
+                            error = point_error(found, item.points) / diagonal_of(item.points)
+                            if np.isfinite(error):
+                                errors[item.name] = round(error, 5)
+                pipe.send(("measured", errors))
             pipe.send(("done", summary))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
@@ -259,15 +267,3 @@ def _train(
                 raise
             left_out |= faults
             faults.clear()
-
-
-def _measure(job: Job, model: AAM) -> dict[str, float]:
-    """Return the mean error in held-out pictures that can be fitted, relative to the diagonal of the points."""
-    fitter, errors = Fitter(model), {}
-    for item in job.done:
-        if item.name in job.held_out:
-            with suppress(LiaamError, MemoryError):
-                error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
-                if np.isfinite(error):
-                    errors[item.name] = round(error, 5)
-    return errors

@@ -57,7 +57,9 @@ def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = A
     apart = procrustes_distances(shapes)
     if wanted != AUTO:
         return _checked(_clusters(apart, int(wanted)), int(wanted))
-    owners = _owners(names, apart)
+    owners = (apart < SAME).argmax(axis=1)  # the object of each image; copies of an image are of one object
+    for members in objects_of(names).values():
+        owners[members] = members[0]
     best, evidence = everything, _evidence(shapes, owners, everything)
     for groups in _groupings(apart) if np.isfinite(evidence) else ():
         found = _evidence(shapes, owners, groups)
@@ -105,14 +107,6 @@ def _groupings(apart: np.ndarray) -> Iterator[list[np.ndarray]]:
         for which, cluster in enumerate(large):
             nearest[cluster] = which
         yield sorted((np.flatnonzero(nearest == i) for i in range(n_groups)), key=len, reverse=True)
-
-
-def _owners(names: Sequence[str], apart: np.ndarray) -> np.ndarray:
-    """Return the index of the object of each image. Copies of an image are of one object."""
-    owners = (apart < SAME).argmax(axis=1)
-    for members in objects_of(names).values():
-        owners[members] = members[0]
-    return owners
 
 
 def _evidence(shapes: np.ndarray, owners: np.ndarray, groups: list[np.ndarray]) -> float:

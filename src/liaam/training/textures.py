@@ -100,14 +100,13 @@ def sample_all(
     wanted: Wanted,
     steps: Steps,
     copied: Copies,
-    encoder: Encoder | None = None,
-    filters: FilterLearner | None = None,
+    encoder: Encoder | None,
+    filters: FilterLearner,
 ) -> Sampled:
     """Sample the textures of all entries and their copies at the views' levels, for the appearances to learn.
 
-    ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user.
-
-    ``filters`` sees all images and copies.
+    ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user. ``filters`` sees
+    all images and copies.
 
     Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
     """
@@ -142,8 +141,7 @@ def sample_all(
     for i, entry in enumerate(entries):
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
-        if filters is not None:
-            filters.add(image, entry.points)
+        filters.add(image, entry.points)
         own = np.flatnonzero(coloured == i)
         for name in view_of:
             for row in [first[i]] if name in COPIED_APPEARANCES else own:
@@ -151,8 +149,7 @@ def sample_all(
         made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
         for row, (copy, points) in enumerate(made, first[i] + 1):
             steps.next(f"a copy of {entry.name}")
-            if filters is not None:
-                filters.add(copy, points)
+            filters.add(copy, points)
             for name in copied_names:
                 sample(copy, points, name, row, not grey[i])
     textures = {name: {i: Textures.of(*each) for i, each in by_level.items()} for name, by_level in room.items()}
@@ -214,7 +211,8 @@ def level_appearances(
         if name == "illumination":
             # Evidence from left-out images under the training light cannot choose the number of illumination modes.
             kept = 0.98 if variance == "auto" else variance
-            relit = textures.of_rows(sampled.copies)
+            rows = sampled.copies
+            relit = Textures(textures.values[rows], textures.observed[rows], textures.usable[rows])
             appearances[name] = train_illumination(appearances["value"], relit, kept)
             continue
         if name == "invariant":
