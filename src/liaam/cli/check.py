@@ -45,7 +45,7 @@ def check(
 
     data = inputs.read_folder(folder, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
-    complete = complete_samples(data)
+    complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < len(data):
         complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
     faults = faults_by_sample(complete, inputs.parse_shapes(shapes))
@@ -101,11 +101,6 @@ def check_pixels(data: Dataset) -> bool:
     if grey and colour:
         say(grey_use(grey, colour))
     return bool(unusable)
-
-
-def complete_samples(data: Dataset) -> list[Sample]:
-    """Return the samples without missing landmarks."""
-    return [sample for sample in data if not sample.landmarks.missing.any()]
 
 
 def faults_by_sample(samples: list[Sample], shapes: int | str = inputs.AUTO) -> "list[tuple[Sample, list[LabelFault]]]":
@@ -165,7 +160,7 @@ def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO)
     """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
 
-    complete = complete_samples(data)
+    complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < LEAST_PICTURES:
         return
     found = [(sample, fault) for sample, own in faults_by_sample(complete, shapes) for fault in own]

@@ -85,7 +85,9 @@ def evaluate(
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
     data = inputs.read_folder(folder, reading)
-    check_outputs(output, folder)
+    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):  # it would be read as landmarks later
+        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
+    (check_output if output.suffix.lower() == ".csv" else make_folder)(output)
     paths = [sample.image for sample in data if isinstance(sample.image, Path)]
     camera = inputs.camera_for(paths, given_camera, None if model is None else model.camera)
     options: dict[str, Any] = {"method": method, "normalise": normalise, "camera": camera}
@@ -115,16 +117,6 @@ def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -
     if init is not None:
         raise LiaamError("--folds evaluates fits that search for the object; leave --init or --folds out")
     return None, sources[0]
-
-
-def check_outputs(output: Path, folder: Path) -> None:
-    """Raise, before any work, if the output cannot be written, or would be read as landmarks later."""
-    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):
-        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
-    if output.suffix.lower() == ".csv":
-        check_output(output)
-    else:
-        make_folder(output)
 
 
 def write(output: Path, found: "Evaluation") -> None:

@@ -15,16 +15,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from liaam.datasets.advice import (
-    ABSENT,
-    NO_IMAGE,
-    UNKNOWN,
-    UNKNOWN_IMAGE,
-    no_images,
-    no_pairs,
-    unread_images,
-    unread_landmarks,
-)
+from liaam.datasets import advice
 from liaam.datasets.dataset import Dataset, LeftOut, Sample
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import natural_key, some_names
@@ -34,6 +25,7 @@ from liaam.io.landmarks.base import Placing
 from liaam.io.landmarks.formats import may_hold_many, rank_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
+from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
 _UNREAD = "the landmarks cannot be read"
@@ -88,23 +80,27 @@ def load_folder(
     images = [file for file in files if file.suffix.lower() in PICTURE_SUFFIXES]
     wanted = [image for image in images if pattern is None or _matches(root, image, pattern)]
     if not wanted:
-        raise ImageError(no_images(root, files, pattern, recursive))
+        raise ImageError(advice.no_images(root, files, pattern, recursive))
     marks = [file for file in files if file.suffix.lower() in LANDMARK_SUFFIXES]
-    pairing = _pair(root, images, _track(marks, progress), wanted, reading)
+    pairing = _Pairing(root, images, wanted, reading)
+    with progress_bar("landmark files", len(marks), progress) as tell:
+        for done, file in enumerate(marks, 1):
+            pairing.add(file)
+            tell(done)
     samples, left_out = pairing.finish(), pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
-    unread = unread_landmarks(files, bare, pairing.unrecognised)
+    unread = advice.unread_landmarks(files, bare, pairing.unrecognised)
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
-        raise LandmarkError(no_pairs(root, wanted, reasons, unread, recursive))
-    orphans = [left.path for left in left_out if left.reason == NO_IMAGE]
-    left_out += [LeftOut(file, UNKNOWN) for file in unread]
-    left_out += [LeftOut(file, UNKNOWN_IMAGE) for file in unread_images(files, orphans)]
+        raise LandmarkError(advice.no_pairs(root, wanted, reasons, unread, recursive))
+    orphans = [left.path for left in left_out if left.reason == advice.NO_IMAGE]
+    left_out += [LeftOut(file, advice.UNKNOWN) for file in unread]
+    left_out += [LeftOut(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
     for left in left_out if reading.strict else ():
-        if left in (*unnamed, *odd) or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, ABSENT)):
+        if left in (*unnamed, *odd) or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, advice.ABSENT)):
             raise LandmarkError(f"{left.path}: {left.reason} (refused because of --strict).")
     return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
 
@@ -116,15 +112,10 @@ def pair_files(
 
     Samples are made of the ``wanted`` images, all by default. Also return the files that were not used.
     """
-    pairing = _pair(root, images, marks, images if wanted is None else wanted, USUAL)
-    return pairing.finish(), pairing.left_out
-
-
-def _pair(root: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path], reading: Reading) -> "_Pairing":
-    pairing = _Pairing(root, images, wanted, reading)
+    pairing = _Pairing(root, images, images if wanted is None else wanted, USUAL)
     for file in marks:
         pairing.add(file)
-    return pairing
+    return pairing.finish(), pairing.left_out
 
 
 def _list_files(root: Path, recursive: bool) -> list[Path]:
@@ -149,15 +140,6 @@ def _name(root: Path, path: Path) -> str:
 def _matches(root: Path, image: Path, pattern: str) -> bool:
     relative = image.relative_to(root).as_posix()
     return any(fnmatchcase(text, pattern) for text in (image.name, image.stem, relative, _name(root, image)))
-
-
-def _track(files: list[Path], progress: bool) -> Iterable[Path]:
-    if not progress:
-        return files
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(files, "Reading landmarks", console=Console(stderr=True))
 
 
 @dataclass(frozen=True)
@@ -195,7 +177,7 @@ class _Pairing:
         image = self.by_stem.get(file.with_suffix("")) or self.names.of_file(file)
         if not may_hold_many(file) and (image is None or image not in self.options):
             if image is None:
-                self._leave_out(file, NO_IMAGE)
+                self._leave_out(file, advice.NO_IMAGE)
             return
         notes = Notes(self.reading.strict, done=self.notes.done)
         try:
@@ -262,7 +244,7 @@ class _Pairing:
                 what = "landmark files name another image than that of their own name, which is used"
                 self.notes.repair(what, file.path.name)
         if image is None:
-            self._leave_out(file.path, NO_IMAGE)
+            self._leave_out(file.path, advice.NO_IMAGE)
         else:
             self._add_option(file, image, entry)
 
@@ -278,7 +260,7 @@ class _Pairing:
                 both = f"'{entry}' and '{named[image]}' both name {image.name}; the landmarks of the second are used"
                 self.left_out.append(LeftOut(file.path, both, partly=True))
         if len(absent) == len(file.entries):
-            self._leave_out(file.path, f"{ABSENT}: {some_names(absent)}")
+            self._leave_out(file.path, f"{advice.ABSENT}: {some_names(absent)}")
         elif absent:
             verb = "is" if len(absent) == 1 else "are"
             some = f"{len(absent)} of its {len(file.entries)} images {verb} not in the folder ({some_names(absent)})"

@@ -156,6 +156,9 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     features = _features(header, tensors)
     channels = CHANNELS if features is None else {**CHANNELS, "features": features.width}
     sizes = {name: (channels[name], count) for name, count in counts.items()}
+    searched = half_or_single(tensors, "search_filter", (None, None, 2)) if "search_filter" in tensors else None
+    if searched is not None and not 1 <= min(searched.shape[:2]) <= max(searched.shape[:2]) <= LARGEST_FILTER:
+        raise ValueError(f"search_filter has shape {searched.shape}")
     contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in header["contours"])
     if any(not 0 <= i < n for indices, _ in contours for i in indices):
         raise ValueError("a contour names a landmark that does not exist")
@@ -176,7 +179,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "light": _light(tensors, n) if "light.modes" in tensors else None,
         "points": _point_map(tensors, n),
         "features": features,
-        "search_filter": _search_filter(tensors),
+        "search_filter": searched,
         "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
     }
 
@@ -217,16 +220,6 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
     return LightBasis(mean, modes, remainder)
-
-
-def _search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Filter of the search, (h, w, 2)."""
-    if "search_filter" not in tensors:
-        return None
-    found = half_or_single(tensors, "search_filter", (None, None, 2))
-    if not 1 <= min(found.shape[:2]) <= max(found.shape[:2]) <= LARGEST_FILTER:
-        raise ValueError(f"search_filter has shape {found.shape}")
-    return found
 
 
 def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:

@@ -9,17 +9,7 @@ from math import hypot, nan
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.model.pca import (
-    LeftOutCoordinates,
-    Variance,
-    count_by_evidence,
-    count_modes,
-    left_out_variances,
-    log_evidence,
-    principal_components,
-    some_folds,
-    unexplained_by_others,
-)
+from liaam.model import pca
 from liaam.model.shape_prior import Deviations, SmoothPrior, covariance, fit_freedom, fit_prior, modes_of
 
 
@@ -286,25 +276,25 @@ def choose_recipe(mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Seque
 def shape_model_on(
     mean: np.ndarray,
     shapes: np.ndarray,
-    variance: Variance,
+    variance: pca.Variance,
     recipe: Recipe,
     folds: Sequence[np.ndarray] | None = None,
 ) -> ShapeModel:
     """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
-    folds = some_folds(len(shapes)) if folds is None else folds
+    folds = pca.some_folds(len(shapes)) if folds is None else folds
     deviations = deviations_from(mean, shapes, recipe.mirrored)
     if recipe.smooth is not None:
         model = _smooth_model(deviations, variance, recipe.smooth, folds)
         return replace(model, eigenvalues=WIDER * model.eigenvalues) if recipe.prior == "wide" else model
     own = deviations.own
     if variance == "auto":
-        variance = count_by_evidence(own, folds, deviations.dimension)
-    components = principal_components(own, variance)
+        variance = pca.count_by_evidence(own, folds, deviations.dimension)
+    components = pca.principal_components(own, variance)
     modes = components.modes - components.modes @ deviations.rigid.T @ deviations.rigid
     eigenvalues = components.eigenvalues
     if recipe.prior == "shrunk":
-        eigenvalues = left_out_variances(own, folds, len(modes))
-    left = unexplained_by_others(own, variance, folds).astype(np.float64)
+        eigenvalues = pca.left_out_variances(own, folds, len(modes))
+    left = pca.unexplained_by_others(own, variance, folds).astype(np.float64)
     return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
 
 
@@ -322,7 +312,7 @@ def deviations_from(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | No
 
 
 def _smooth_model(
-    deviations: Deviations, variance: Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
+    deviations: Deviations, variance: pca.Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
 ) -> ShapeModel:
     """Shape model from a covariance shrunk towards smooth deformations."""
     spread = covariance(deviations, prior)
@@ -334,14 +324,14 @@ def _smooth_model(
         away = deviations.own[fold] - part.own.mean(axis=0)
         parts.append((away, *modes_of(covariance(part, prior), deviations.rigid)))
     left_out = [
-        LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ own.T), np.square(away).sum(axis=1))
+        pca.LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ own.T), np.square(away).sum(axis=1))
         for away, own, v in parts
     ]
     if variance == "auto":
-        evidence = [log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
+        evidence = [pca.log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
         kept = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
     else:
-        kept = count_modes(values, variance)
+        kept = pca.count_modes(values, variance)
     freedom = fit_freedom(left_out, kept)
     left = np.zeros_like(deviations.own)
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):

@@ -84,9 +84,8 @@ class Kept(Generic[K, V]):
     def get(self, key: K, make: Callable[[], V]) -> V:
         """Return the value of a key, computed if it is missing. All waiting threads get an error of ``make``."""
         with self._lock:
-            if key in self._values:
-                self._values.move_to_end(key)
-                return self._values[key][0]
+            if (value := self.peek(key)) is not None:
+                return value
             known = self._being_made.get(key)
             future = self._being_made[key] = known or Future()
         if known is None:

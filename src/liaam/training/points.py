@@ -20,6 +20,10 @@ Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Se
 its points; or the points of each image."""
 
 
+def _apart(pair: tuple[Entry, np.ndarray]) -> float:
+    return float(np.linalg.norm(pair[0].points.mean(axis=0) - pair[1].mean(axis=0)))
+
+
 def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) -> PointMap:
     """Learn the map from the points of another landmarker to the landmarks of samples with a mean shape (n, 2)."""
     known = [
@@ -30,7 +34,7 @@ def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) ->
     for entry, found in known:
         pair = entry, _checked(entry.name, found, known[0][1])
         key = image_of(entry.name), pair[1].tobytes()
-        nearest[key] = min(nearest.get(key, pair), pair, key=_distance)
+        nearest[key] = min(nearest.get(key, pair), pair, key=_apart)
     known = list(nearest.values())
     if len(known) < 3:
         where = f" of {points}" if isinstance(points, (str, os.PathLike)) else ""
@@ -53,11 +57,6 @@ def points_of(points: Points | None, group: np.ndarray) -> Points | None:
     if points is None or isinstance(points, str | os.PathLike) or callable(points):
         return points
     return [points[i] for i in group if i < len(points)]
-
-
-def _distance(pair: tuple[Entry, np.ndarray]) -> float:
-    entry, found = pair
-    return float(np.linalg.norm(entry.points.mean(axis=0) - found.mean(axis=0)))
 
 
 def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray | None]:

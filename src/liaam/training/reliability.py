@@ -5,7 +5,7 @@ threshold depends on the object and the model. Training therefore fits models to
 starts, and at the best wrong places that a search finds.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -115,23 +115,18 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]
         if not fitters or fitters[0].model is not picture.model:
             fitters = [Fitter(picture.model, method, OPTIONS, restarts=False) for method in methods]
         rng = np.random.default_rng([7, i])
-        starts, places = (_near(picture, rng), _far(picture, rng)), []
+        near, far = _near(picture, rng), _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
+        starts, places = (near, shifted_into(far, (picture.image.shape[1], picture.image.shape[0]))), []
         if not picture.relit and is_searchable(model):
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
         for fitter, method in zip(fitters, methods, strict=True):
             if not (method.needs_colour and is_grey(picture.image)):
-                fits[method.name] += _fits_of(picture, fitter, starts, places)
+                tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
+                wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
+                # Of the wrong places, that which explains most.
+                fits[method.name] += [*filter(None, tried), *sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]]
     learnt = {method.name: learnt_from(model, fits[method.name], method.view) for method in methods}
     return {name: each for name, each in learnt.items() if each is not None}
-
-
-def _fits_of(
-    picture: LeftOut, fitter: Fitter, starts: Iterable[np.ndarray], places: Iterable[Detection]
-) -> Iterator[LeftOutFit]:
-    """Fit a left-out image from a near and a far start, and at the wrong place that explains most."""
-    yield from (fit for k, start in enumerate(starts) if (fit := _fit(picture, fitter, start, k == 0)))
-    wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
-    yield from sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
 
 
 def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
@@ -184,12 +179,6 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
 def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
     mean = picture.model.shape_model.mean
     return _moved(align(mean, picture.points)(mean), rng, turn=4.0, shift=0.02)
-
-
-def _far(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
-    """Return a start too far away for a fit to recover, shifted into the image if possible."""
-    start = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-    return shifted_into(start, (picture.image.shape[1], picture.image.shape[0]))
 
 
 def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:

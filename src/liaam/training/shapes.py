@@ -56,7 +56,14 @@ def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = A
         shapes = shapes[:, spread_points(shapes[0], POINTS)]
     apart = procrustes_distances(shapes)
     if wanted != AUTO:
-        return _checked(_clusters(apart, int(wanted)), int(wanted))
+        groups = _clusters(apart, int(wanted))
+        if len(groups) < int(wanted) or len(groups[-1]) < FEWEST:
+            sizes = ", ".join(str(len(group)) for group in groups)
+            raise TrainingError(
+                f"shapes {wanted}: the images form groups of {sizes}, and a model needs {FEWEST} images; ask for "
+                "fewer shapes, or add images"
+            )
+        return groups
     owners = (apart < SAME).argmax(axis=1)  # the object of each image; copies of an image are of one object
     for members in objects_of(names).values():
         owners[members] = members[0]
@@ -121,13 +128,3 @@ def _evidence(shapes: np.ndarray, owners: np.ndarray, groups: list[np.ndarray]) 
         density = fit_prior(deviations_from(procrustes_mean(own), own), folds).evidence
         total += len(group) * (density + np.log(len(group) / len(shapes)))
     return total / len(shapes)
-
-
-def _checked(groups: list[np.ndarray], wanted: int) -> list[np.ndarray]:
-    if len(groups) < wanted or len(groups[-1]) < FEWEST:
-        sizes = ", ".join(str(len(group)) for group in groups)
-        raise TrainingError(
-            f"shapes {wanted}: the images form groups of {sizes}, and a model needs {FEWEST} images; ask for "
-            "fewer shapes, or add images"
-        )
-    return groups
