@@ -8,7 +8,7 @@ images, then the order of `liaam.io.LANDMARK_SUFFIXES` decides.
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
@@ -211,7 +211,14 @@ class _Pairing:
                 self._leave_out(image, f"another image has the same name: {best.name} is used")
             elif options:
                 used, *others = options
-                samples += self._samples(image, used)
+                # Of several objects, the largest is a sample in any case, others if no landmark is missing.
+                for name, landmarks in used.landmarks.objects(_name(self.root, image)):
+                    if landmarks is used.landmarks or not landmarks.missing.any():
+                        samples.append(Sample(name, image, landmarks, used.file))
+                    else:
+                        remedy = f"place them or delete the object, in {used.file.name}"
+                        reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
+                        self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
                 for other in others:
                     left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
                     if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
@@ -223,16 +230,6 @@ class _Pairing:
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
-
-    def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
-        """Yield a sample of each object: of the largest in any case, of others if no landmark is missing."""
-        for name, landmarks in option.landmarks.objects(_name(self.root, image)):
-            if landmarks is option.landmarks or not landmarks.missing.any():
-                yield Sample(name, image, landmarks, option.file)
-            else:
-                remedy = f"place them or delete the object, in {option.file.name}"
-                reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
-                self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
 
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""
