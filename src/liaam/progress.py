@@ -29,7 +29,7 @@ def progress_bar(
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar with the remaining time on standard error. Yield a function to call with the number done.
 
-    ``what`` names the items, such as ``images``; their total may be unknown. Both may be told later. Items are
+    ``what`` names the items, such as ``images``; their total may be unknown. Both may be given later. Items are
     ``counted``, or else a percentage is shown. If ``show``, it is shown from the start, or without a terminal as
     one line at the end; if False, never; by default temporarily, on a terminal only, after :data:`PATIENCE` seconds.
     """

@@ -44,34 +44,13 @@ def calibrated(
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
-    def without(fold: np.ndarray, known: np.ndarray) -> AAM:
-        """Train a model on the frame and with the settings of the whole one; of textures with copies on the known."""
-        part, others = model, np.setdiff1d(np.arange(len(shapes)), fold)
-        for name in dict.fromkeys(method.view for method in methods):
-            recipe, variance, appearance_variance = settings[name]
-            view, levels = model.views[name], []
-            needed = set().union(*(needed_by(method) for method in methods if method.view == name))
-            for i, level in enumerate(view.levels):
-                found = {}
-                for kind in needed & level.appearances.keys():
-                    whole, rows = level.appearances[kind], sampled.rows(kind, others)
-                    rows = np.intersect1d(rows, known) if kind in COPIED_APPEARANCES else rows
-                    kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
-                    own = train_appearance_model(sampled.textures[kind][i], kept, rows, left_out=None)
-                    # The error on unseen images is that of the whole model's folds.
-                    found[kind] = replace(own, unexplained=whole.unexplained)
-                levels.append(Level(level.blur, found))
-            modes = len(view.shape_model.modes) if variance == "auto" else variance
-            warp = replace(view.warp, shape_model=shape_model_on(view.shape_model.mean, shapes[others], modes, recipe))
-            part = part.with_view(name, warp=warp, levels=tuple(levels))
-        return part
-
     def images() -> Iterator[LeftOut]:
         """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
-            part = without(fold, np.flatnonzero(~np.isin(copied.lit_by, lamps)))
+            known = np.flatnonzero(~np.isin(copied.lit_by, lamps))
+            part = _without(model, fold, shapes, sampled, settings, methods, known)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
@@ -123,3 +102,37 @@ def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarra
     members = list(objects_of(names).values()) or [[i] for i in range(len(names))]
     parts = np.array_split(np.arange(len(members)), min(len(members), most))
     return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
+
+
+def _without(
+    model: AAM,
+    fold: np.ndarray,
+    shapes: np.ndarray,
+    sampled: Sampled,
+    settings: Settings,
+    methods: Sequence[Method],
+    known: np.ndarray,
+) -> AAM:
+    """Train a model without a fold, on the frame and with the settings of the whole model.
+
+    Of the textures with copies, only the ``known`` are used: those under lamps that are not left out.
+    """
+    others = np.setdiff1d(np.arange(len(shapes)), fold)
+    for name in dict.fromkeys(method.view for method in methods):
+        recipe, variance, appearance_variance = settings[name]
+        view, levels = model.views[name], []
+        needed = set().union(*(needed_by(method) for method in methods if method.view == name))
+        for i, level in enumerate(view.levels):
+            found = {}
+            for kind in needed & level.appearances.keys():
+                whole, rows = level.appearances[kind], sampled.rows(kind, others)
+                rows = np.intersect1d(rows, known) if kind in COPIED_APPEARANCES else rows
+                kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
+                part = train_appearance_model(sampled.textures[kind][i], kept, rows, left_out=None)
+                # The error on unseen images is that of the whole model's folds.
+                found[kind] = replace(part, unexplained=whole.unexplained)
+            levels.append(Level(level.blur, found))
+        modes = len(view.shape_model.modes) if variance == "auto" else variance
+        part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
+        model = model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))
+    return model
