@@ -19,7 +19,7 @@ from benchmarks.metrics import in_turn, quartiles, report
 from liaam.fitting import METHODS, SolverOptions, get_method
 from liaam.fitting.level_image import LevelImage
 from liaam.fitting.objective import Objective, make_objectives
-from liaam.model import AAM, MESH, Level, make_view
+from liaam.model import AAM, MESH, VIEWS, Level, View
 from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame, delaunay, signed_areas
 from liaam.model.shape import ShapeModel, Similarity, similarity_modes
@@ -60,7 +60,7 @@ def make_shapes(rng: np.random.Generator, method: str) -> tuple[ShapeModel, Refe
 
     def at(scale: float) -> tuple[ShapeModel, ReferenceFrame]:
         shape_model = ShapeModel(points * scale, own.modes, own.eigenvalues)
-        return shape_model, make_view(METHODS[method].view, shape_model, triangles).warp.frame
+        return shape_model, VIEWS[METHODS[method].view](shape_model, triangles).frame
 
     scales = about * np.linspace(0.95, 1.05, 4001)
     near = bisect_left(scales, N_PIXELS, key=lambda scale: at(scale)[1].n_pixels)
@@ -104,11 +104,11 @@ def make_model(rng: np.random.Generator, method: str = "li", n_modes: int = N_AP
     # Only one is fitted here. Little blur, so that every pixel counts.
     own = make_appearance(frame, rng, 0.0 if method == "soft-li" else -1.5, n_modes)
     triangles, view = delaunay(shape_model.mean), METHODS[method].view
-    mesh = make_view(MESH, shape_model, triangles)
+    mesh = View(VIEWS[MESH](shape_model, triangles), ())
     plain = own if view == MESH else make_appearance(mesh.warp.frame, rng, n_modes=3)
     views = {MESH: replace(mesh, levels=(Level(0.5, dict.fromkeys(("value", "log", "invariant"), plain)),))}
     if view != MESH:
-        views[view] = make_view(view, shape_model, triangles, (Level(0.5, {METHODS[method].appearance: own}),))
+        views[view] = View(VIEWS[view](shape_model, triangles), (Level(0.5, {METHODS[method].appearance: own}),))
     return AAM(views, triangles, CameraModel(), n_images=25)
 
 

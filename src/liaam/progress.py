@@ -29,20 +29,20 @@ def progress_bar(
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar with the remaining time on standard error. Yield a function to call with the number done.
 
-    ``what`` names the items, such as ``images``; their total may be unknown, or told with the number done. They are
-    ``counted``, or else a percentage is shown. If ``show``, it is shown from the start, or without a terminal as one
-    line at the end; if False, never; by default temporarily, on a terminal only, after :data:`PATIENCE` seconds.
+    ``what`` names the items, such as ``images``; their total may be unknown. Both may be given later. Items are
+    ``counted``, or else a percentage is shown. If ``show``, it is shown from the start, or without a terminal as
+    one line at the end; if False, never; by default temporarily, on a terminal only, after :data:`PATIENCE` seconds.
     """
     if show is False or (show is None and not sys.stderr.isatty()):
-        yield lambda done, total=None: None
+        yield lambda *_: None
         return
     begin, bars = perf_counter(), []
 
-    def tell(done: int, total: int | None = total) -> None:
+    def tell(done: int, total: int | None = total, what: str = what) -> None:
         if not bars and (show or perf_counter() - begin > PATIENCE):
             bars.append(_bar(what, total, counted))
         for bar in bars:
-            bar.update(bar.task_ids[0], completed=done, total=total)
+            bar.update(bar.task_ids[0], completed=done, total=total, description=what)
 
     try:
         yield tell
@@ -52,21 +52,14 @@ def progress_bar(
 
 
 def _bar(what: str, total: int | None, counted: bool) -> Any:
-    # Slow to import.
+    from rich import progress as parts  # slow to import
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress as Bar,
-        TaskProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
 
-    console = Console(stderr=True)
-    done = MofNCompleteColumn() if counted else TaskProgressColumn()
-    columns = BarColumn(), done, TextColumn("{task.description}, left:"), TimeRemainingColumn()
-    bar = Bar(*columns, console=console, transient=console.is_terminal)
+    console, text = Console(stderr=True), parts.TextColumn
+    done = parts.MofNCompleteColumn() if counted else parts.TaskProgressColumn()
+    times = parts.TimeElapsedColumn(), text("left:"), parts.TimeRemainingColumn()
+    columns = parts.BarColumn(), done, text("{task.description}", markup=False), *times
+    bar = parts.Progress(*columns, console=console, transient=console.is_terminal)
     bar.add_task(what, total=total)
     bar.start()
     return bar

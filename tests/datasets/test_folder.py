@@ -172,7 +172,7 @@ def test_progress_goes_to_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert len(load_folder(tmp_path, progress=True)) == 1
     out, err = capsys.readouterr()
     assert out == ""
-    assert "Reading landmarks" in err
+    assert "1/1 landmark files" in err
 
 
 # What is left out ----------------------------------------------------------------------------------

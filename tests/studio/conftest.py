@@ -98,11 +98,8 @@ def serve() -> Iterator[Callable[..., Running]]:
         listener = open_port("127.0.0.1", 0)
         studio = Studio(folder, model, Settings(port=listener.getsockname()[1], **settings))
         server = make_server(studio)
-        up = threading.Event()
-        server.on_start = up.set
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
-        assert up.wait(60)
         client = httpx.Client(
             base_url=f"http://127.0.0.1:{studio.settings.port}",
             headers={"authorization": f"Bearer {studio.settings.token}"},

@@ -317,20 +317,22 @@ class TestLayers:
         assert np.array_equal(drawn[far], scene.image[far])
 
     def test_residual_shows_the_row_that_tells_most(self, fits, fitted):
-        seen = fits._residual(fitted)
-        assert fits.layer(fitted, "residual", 100)[1] == {"limit": seen.limit, "what": seen.what}
-        residual, _ = residual_at(fitted.fitter, fits.pictures.pixels(fitted.source), fitted.result)
+        image = fits.pictures.pixels(fitted.source)
+        values, facts = layers.residual_of(fitted.fitter, image, fitted.result)
+        assert fits.layer(fitted, "residual", 100)[1] == facts
+        residual, _ = residual_at(fitted.fitter, image, fitted.result)
         power = np.square(residual).sum(axis=0)
-        assert seen.what == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
+        assert facts["what"] == ("gradient across", "gradient down", "invariant")[int(power.argmax())]
         whole = fitted.model.views[SURROUNDINGS].warp.frame.picture(residual[:, int(power.argmax())])
-        own = fitted.model.frame.picture(seen.values[:, 0])
+        own = fitted.model.frame.picture(values[:, 0])
         offset = (fitted.model.frame.origin - fitted.model.views[SURROUNDINGS].warp.frame.origin)[::-1].astype(int)
         rows, columns = fitted.model.frame.pixels.T
         assert np.array_equal(own[rows, columns], whole[rows + offset[0], columns + offset[1]])
         for method in ("grey", "rgb", "li", "chroma", "igo"):
-            values = fits._residual(fit(fits, method=method))
-            assert values.values.shape == (fitted.model.n_pixels, 2)
-            assert values.limit > 0
+            made = fit(fits, method=method)
+            values, facts = layers.residual_of(made.fitter, image, made.result)
+            assert values.shape == (fitted.model.n_pixels, 2)
+            assert facts["limit"] > 0
 
     def test_colours_have_their_middle_at_nothing(self):
         values, everywhere = np.array([[-5.0, -1.0, 0.0, 1.0, np.nan]]), np.ones((1, 5), bool)

@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from liaam.cli.inputs import (
-    ModelFile,
-    camera_for,
-    names_file,
-    names_of,
-    numbers_in,
-    read_with_start,
-    refuse_inputs,
-    unique_stems,
-)
+from liaam.cli import inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError
 from liaam.io import read_image
@@ -70,10 +61,10 @@ def spectral(
     from liaam.calibration import read_sensitivities, theta_from_peaks, theta_from_sensitivities
 
     check_camera_output(output)
-    if names_file(sensors, (".csv",)):
+    if inputs.names_file(sensors, (".csv",)):
         estimate, source = theta_from_sensitivities(*read_sensitivities(Path(sensors))), f"sensitivities of {sensors}"
     else:
-        red, green, blue = numbers_in(sensors, 3, "peak wavelengths").tolist()
+        red, green, blue = inputs.numbers_in(sensors, 3, "peak wavelengths").tolist()
         estimate, source = theta_from_peaks((red, green, blue)), f"peaks at {sensors} nm"
     finish_angle(estimate, camera_in_file([], output), f"spectral, {source}", output)
 
@@ -97,7 +88,7 @@ def scene(
     with progress_bar() as progress:
         progress(0, 1, "estimating the angle")
         estimate = theta_from_scene(pictures, camera, free_balance=free_balance, masks=aligned.masks)
-    camera = finish_angle(estimate, camera, f"scene, {names_of(images)}", output)
+    camera = finish_angle(estimate, camera, f"scene, {inputs.names_of(images)}", output)
     write_check(output, pictures, images, camera)
 
 
@@ -124,7 +115,7 @@ def chart(
         raise CameraError(f"{len(quads)} charts for {len(images)} images: give one for all, or one per image")
     quads = quads * len(images) if len(quads) == 1 else quads
     estimate = theta_from_chart(pictures, quads, camera, free_balance=free_balance)
-    camera = finish_angle(estimate, camera, f"chart, {names_of(images)}", output)
+    camera = finish_angle(estimate, camera, f"chart, {inputs.names_of(images)}", output)
     write_check(output, pictures, images, camera, quads)
 
 
@@ -144,7 +135,7 @@ def image(
 
 @group.command()
 def faces(
-    model_file: ModelFile,
+    model_file: inputs.ModelFile,
     images: Pictures,
     init: Annotated[str, typer.Option(help="Where to start; see 'liaam fit'.")],
     method: Annotated[
@@ -170,7 +161,7 @@ def faces(
     with progress_bar() as progress:
         for i, path in enumerate(images):
             progress(i, len(images), path.name)
-            results.append(fitter.fit(*read_with_start(path, init), path.name))
+            results.append(fitter.fit(*inputs.read_with_start(path, init), path.name))
     finish_angle(theta_from_fits(results), camera, f"faces, {len(images)} fits with {method}", output)
 
 
@@ -195,14 +186,21 @@ def response_command(
     A known response is written to the camera file, for calibrations that follow: liaam camera response linear.
     """
     from liaam.calibration import align_pictures, calibrate_response
+    from liaam.photometry import parse_response
     from liaam.plotting.photometry import figure_of_response, save_figure
 
     check_camera_output(output, images)
     if len(images) == 1 and not images[0].exists():
-        write_known_response(str(images[0]), output)
+        try:
+            response = parse_response(str(images[0]))
+        except ImageError:
+            needed = "give two images or more, or srgb, linear, or a gamma"
+            raise CameraError(f"{images[0]}: this is neither an image nor a response; {needed}") from None
+        camera = with_response(camera_in_file([], output), response)
+        write_camera(camera, output, f"response {images[0]}, as given")
         return
     camera, pictures = read_pictures(images, output, at_least=2)
-    ratios = None if exposures is None else numbers_in(exposures, len(images), "--exposures").tolist()
+    ratios = None if exposures is None else inputs.numbers_in(exposures, len(images), "--exposures").tolist()
     with progress_bar() as progress:
         maps = align_pictures(pictures, camera, names=[p.name for p in images], progress=progress).homographies
     found = calibrate_response(pictures, exposures=ratios, homographies=maps, vignetting=vignetting)
@@ -214,22 +212,9 @@ def response_command(
         say(lens.message)
     known = lens.coefficients if lens.observable else camera.vignetting
     camera = with_response(replace(camera, vignetting=known), found.response)
-    write_camera(camera, output, f"response, {names_of(images)}: {found.message}")
+    write_camera(camera, output, f"response, {inputs.names_of(images)}: {found.message}")
     save_figure(figure_of_response(camera), check_picture(output))
     say(f"{check_picture(output)}: the response beside sRGB, for checking")
-
-
-def write_known_response(text: str, output: Path) -> None:
-    """Write a response that is known, without images."""
-    from liaam.photometry import parse_response
-
-    try:
-        response = parse_response(text)
-    except ImageError:
-        raise CameraError(
-            f"{text}: this is neither an image nor a response; give two images or more, or srgb, linear, or a gamma"
-        ) from None
-    write_camera(with_response(camera_in_file([], output), response), output, f"response {text}, as given")
 
 
 def with_response(camera: "CameraModel", response: "Response") -> "CameraModel":
@@ -270,7 +255,7 @@ def noise_command(
 
     camera, pictures = read_pictures(images, output)
     if flat:
-        boxes = np.rint([numbers_in(text, 4, "--flat") for text in flat]).astype(int)
+        boxes = np.rint([inputs.numbers_in(text, 4, "--flat") for text in flat]).astype(int)
         found = noise_from_flat(pictures, boxes, camera.response)
     elif len(pictures) == 2:
         found = noise_from_pair(pictures[0], pictures[1], camera.response)
@@ -281,7 +266,7 @@ def noise_command(
     say(found.message)
     if not found.observable:
         raise CameraError("nothing was written: these images do not determine the noise")
-    write_camera(replace(camera, noise=found.noise), output, f"noise, {names_of(images)}: {found.message}")
+    write_camera(replace(camera, noise=found.noise), output, f"noise, {inputs.names_of(images)}: {found.message}")
 
 
 def read_pictures(paths: Sequence[Path], output: Path, at_least: int = 1) -> tuple["CameraModel", list[np.ndarray]]:
@@ -294,15 +279,15 @@ def read_pictures(paths: Sequence[Path], output: Path, at_least: int = 1) -> tup
 
 def camera_in_file(paths: Sequence[Path], output: Path, otherwise: "CameraModel | None" = None) -> "CameraModel":
     """Return the camera of a file that a calibration adds to or, if there is no such file yet, another or a new one."""
-    return camera_for(paths, str(output) if output.exists() else None, otherwise)
+    return inputs.camera_for(paths, str(output) if output.exists() else None, otherwise)
 
 
-def check_camera_output(output: Path, inputs: Sequence[Path] = ()) -> None:
+def check_camera_output(output: Path, read: Sequence[Path] = ()) -> None:
     """Raise, before any work, if a camera file cannot be written. An existing one is checked when it is read."""
     check_output(output)
     if output.suffix.lower() != ".json":
         raise CameraError(f"{output}: a camera file ends in .json, such as camera.json")
-    refuse_inputs([check_picture(output)], inputs)
+    inputs.refuse_inputs([check_picture(output)], read)
 
 
 def check_picture(output: Path) -> Path:
@@ -315,9 +300,9 @@ def patches_in(text: str) -> np.ndarray:
     from liaam.calibration.chart import chart_patches
     from liaam.calibration.columns import read_columns
 
-    if names_file(text, (".csv",)):
+    if inputs.names_file(text, (".csv",)):
         return read_columns(text, "patch file", ("x0", "y0", "x1", "y1"))
-    return chart_patches(numbers_in(text, 8, "--patches").reshape(4, 2))
+    return chart_patches(inputs.numbers_in(text, 8, "--patches").reshape(4, 2))
 
 
 def finish_angle(estimate: "AngleEstimate", camera: "CameraModel", source: str, output: Path) -> "CameraModel":
@@ -356,7 +341,7 @@ def write_check(
     from liaam.photometry import invariant_image
     from liaam.plotting.photometry import figure_of_invariants, save_figure
 
-    names = unique_stems(list(paths[:6]))
+    names = inputs.unique_stems(list(paths[:6]))
     figure = figure_of_invariants(
         {n: (p, invariant_image(p, camera, name=n)) for n, p in zip(names, pictures[:6], strict=True)},
         None if patches is None else patches[:6],

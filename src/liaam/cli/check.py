@@ -7,22 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from liaam.cli.inputs import (
-    AUTO,
-    CategoryOption,
-    LandmarkedFolder,
-    ShapesOption,
-    StoredOption,
-    StrictOption,
-    YDownOption,
-    folder_of,
-    parse_shapes,
-    read_folder,
-)
+from liaam.cli import inputs
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.datasets import Dataset, Sample
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, is_raw, make_folder, write_image, write_landmarks
+from liaam.io import is_raw, make_folder, write_image, write_landmarks
 from liaam.io.files import count_of, real_path
 from liaam.io.landmarks.reading import Reading
 
@@ -34,18 +23,18 @@ MAX_WARNINGS = 3
 
 
 def check(
-    folder: LandmarkedFolder,
+    folder: inputs.LandmarkedFolder,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output", "-o", help="Folder for an image of each fault, and for landmarks in the corrected order."
         ),
     ] = None,
-    shapes: ShapesOption = AUTO,
-    strict: StrictOption = False,
-    category: CategoryOption = None,
-    y_down: YDownOption = False,
-    stored_orientation: StoredOption = False,
+    shapes: inputs.ShapesOption = inputs.AUTO,
+    strict: inputs.StrictOption = False,
+    category: inputs.CategoryOption = None,
+    y_down: inputs.YDownOption = False,
+    stored_orientation: inputs.StoredOption = False,
 ) -> None:
     """Find landmarks that are exchanged, in reverse order, mirrored, upside down, or misplaced.
 
@@ -54,12 +43,12 @@ def check(
     """
     from liaam.datasets.point_outliers import LEAST_POINTS
 
-    data = read_folder(folder, Reading(strict, category, y_down, stored_orientation))
+    data = inputs.read_folder(folder, Reading(strict, category, y_down, stored_orientation))
     unusable = check_pixels(data)
-    complete = complete_samples(data)
+    complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < len(data):
         complain(f"skipped {len(data) - len(complete)} of {len(data)} images with missing landmarks")
-    faults = faults_by_sample(complete, parse_shapes(shapes))
+    faults = faults_by_sample(complete, inputs.parse_shapes(shapes))
     if not faults:
         say(f"no {'other ' if unusable else ''}faults found in the landmarks of single images")
         n_landmarks = len(data.samples[0].landmarks.points)
@@ -114,12 +103,7 @@ def check_pixels(data: Dataset) -> bool:
     return bool(unusable)
 
 
-def complete_samples(data: Dataset) -> list[Sample]:
-    """Return the samples without missing landmarks."""
-    return [sample for sample in data if not sample.landmarks.missing.any()]
-
-
-def faults_by_sample(samples: list[Sample], shapes: int | str = AUTO) -> "list[tuple[Sample, list[LabelFault]]]":
+def faults_by_sample(samples: list[Sample], shapes: int | str = inputs.AUTO) -> "list[tuple[Sample, list[LabelFault]]]":
     """Return each sample that has faults, with its faults. No sample may have missing landmarks.
 
     Samples of different kinds of shape are compared with their own kind, and one line says so.
@@ -147,7 +131,7 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     """Write an overlay of each sample with faults, and its landmarks in the corrected order."""
     from liaam.plotting import overlay_of_faults
 
-    if real_path(output).is_relative_to(real_path(folder_of(folder)[0])):
+    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):
         raise LiaamError(f"{output} is inside the folder to check, which is never changed; give another folder with -o")
     reordered = 0
     for sample, own in faults:
@@ -155,7 +139,12 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
         make_folder(place.parent)
         for fault in own:
             if fault.is_order:
-                write_reordered(place, fault.corrected_landmarks(sample.landmarks))
+                marks = fault.corrected_landmarks(sample.landmarks)
+                ending = ".ljson" if marks.contours or marks.names or marks.invisible else ".pts"
+                file = place.with_name(f"{place.name}{ending}")
+                if file.exists():
+                    raise LiaamError(f"{file} already exists and is not overwritten; give an empty folder with -o")
+                write_landmarks(file, marks)
                 reordered += 1
         try:
             picture = overlay_of_faults(sample.read_image(), sample.landmarks.points, own)
@@ -167,20 +156,11 @@ def write_faults(output: Path, folder: Path, faults: "list[tuple[Sample, list[La
     say(f"written to {output}: an image of each fault{said}")
 
 
-def write_reordered(place: Path, landmarks: Landmarks) -> None:
-    """Write landmarks to `place` plus a suffix whose format can hold them. Never overwrite a file."""
-    ending = ".ljson" if landmarks.contours or landmarks.names or landmarks.invisible else ".pts"
-    file = place.with_name(f"{place.name}{ending}")
-    if file.exists():
-        raise LiaamError(f"{file} already exists and is not overwritten; give an empty folder with -o")
-    write_landmarks(file, landmarks)
-
-
-def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = AUTO) -> None:
+def warn_of_faults(data: Dataset, folder: Path, shapes: int | str = inputs.AUTO) -> None:
     """Warn, before training, about landmarks in another order than in the other images, or far off."""
     from liaam.datasets.label_faults import LEAST_PICTURES
 
-    complete = complete_samples(data)
+    complete = [sample for sample in data if not sample.landmarks.missing.any()]
     if len(complete) < LEAST_PICTURES:
         return
     found = [(sample, fault) for sample, own in faults_by_sample(complete, shapes) for fault in own]

@@ -5,16 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from liaam.cli.inputs import (
-    CameraOption,
-    CategoryOption,
-    StoredOption,
-    StrictOption,
-    YDownOption,
-    camera_for,
-    folder_of,
-    read_folder,
-)
+from liaam.cli import inputs
 from liaam.cli.terminal import cell, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.fitting.starts import read_start
@@ -24,7 +15,7 @@ from liaam.io.files import real_path
 from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
-    from liaam import Dataset, Evaluation
+    from liaam import Evaluation
 
 SHOWN = 10
 """Landmarks in the printed table, and images on the contact sheet: those with the largest errors."""
@@ -76,11 +67,11 @@ def evaluate(
         ),
     ] = None,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; see 'liaam fit --help'.")] = "soft-li",
-    given_camera: CameraOption = None,
-    strict: StrictOption = False,
-    category: CategoryOption = None,
-    y_down: YDownOption = False,
-    stored_orientation: StoredOption = False,
+    given_camera: inputs.CameraOption = None,
+    strict: inputs.StrictOption = False,
+    category: inputs.CategoryOption = None,
+    y_down: inputs.YDownOption = False,
+    stored_orientation: inputs.StoredOption = False,
 ) -> None:
     """Fit landmarked images and compare: errors, lost fits, and coverage of the 95 % ellipses.
 
@@ -93,10 +84,12 @@ def evaluate(
     model_file, folder = model_and_folder(sources, folds, init)
     model = None if model_file is None else load_model(model_file)
     reading = Reading(strict, category, y_down, stored_orientation)
-    data = read_folder(folder, reading)
-    check_outputs(output, folder)
+    data = inputs.read_folder(folder, reading)
+    if real_path(output).is_relative_to(real_path(inputs.folder_of(folder)[0])):  # it would be read as landmarks later
+        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
+    (check_output if output.suffix.lower() == ".csv" else make_folder)(output)
     paths = [sample.image for sample in data if isinstance(sample.image, Path)]
-    camera = camera_for(paths, given_camera, None if model is None else model.camera)
+    camera = inputs.camera_for(paths, given_camera, None if model is None else model.camera)
     options: dict[str, Any] = {"method": method, "normalise": normalise, "camera": camera}
     options["limit"] = None if limit is None else limit / 100
     if model is None:
@@ -104,7 +97,9 @@ def evaluate(
             say(together)
         found = cross_validate(data, folds or 2, training={"camera": camera}, **options)
     else:
-        found = evaluated(model, data, None if init is None else starts_of(data, init), **options)
+        # Of several objects in an image there is one start.
+        starts = None if init is None else [read_start(init, path, image_size(path)) for path in dict.fromkeys(paths)]
+        found = evaluated(model, data, starts, **options)
     write(output, found)
     show_landmarks(found)
     say(found.report())
@@ -122,22 +117,6 @@ def model_and_folder(sources: list[Path], folds: int | None, init: str | None) -
     if init is not None:
         raise LiaamError("--folds evaluates fits that search for the object; leave --init or --folds out")
     return None, sources[0]
-
-
-def check_outputs(output: Path, folder: Path) -> None:
-    """Raise, before any work, if the output cannot be written, or would be read as landmarks later."""
-    if real_path(output).is_relative_to(real_path(folder_of(folder)[0])):
-        raise LiaamError(f"{output} is inside the folder of landmarks; give another place with -o")
-    if output.suffix.lower() == ".csv":
-        check_output(output)
-    else:
-        make_folder(output)
-
-
-def starts_of(data: "Dataset", init: str) -> list[Any]:
-    """Return the start of each image; of several objects in an image there is one."""
-    unique = dict.fromkeys(sample.image for sample in data if isinstance(sample.image, Path))
-    return [read_start(init, image, image_size(image)) for image in unique]
 
 
 def write(output: Path, found: "Evaluation") -> None:

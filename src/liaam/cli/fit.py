@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,29 +10,11 @@ import numpy as np
 import typer
 from typer.core import TyperCommand
 
-from liaam.cli.inputs import (
-    LOW_SCORE,
-    TURNED,
-    CameraOption,
-    EllipsesOption,
-    ModelAndImages,
-    RotationsOption,
-    camera_for,
-    model_and_inputs,
-    read_with_start,
-    say_advice,
-    unique_stems,
-)
+from liaam.cli import inputs
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.fitting.files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
-from liaam.io import (
-    IMAGE_SUFFIXES,
-    Contour,
-    Landmarks,
-    make_folder,
-    write_image,
-)
+from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.files import count_of
 from liaam.morphometry.schemes import in_scheme
 
@@ -64,7 +47,7 @@ class FitCommand(TyperCommand):
 
 
 def fit(
-    files: ModelAndImages,
+    files: inputs.ModelAndImages,
     init: Annotated[
         str | None,
         typer.Option(
@@ -82,9 +65,9 @@ def fit(
         str | None,
         typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
     ] = None,
-    rotations: RotationsOption = "upright",
-    ellipses: EllipsesOption = False,
-    given_camera: CameraOption = None,
+    rotations: inputs.RotationsOption = "upright",
+    ellipses: inputs.EllipsesOption = False,
+    given_camera: inputs.CameraOption = None,
 ) -> None:
     """Fit a model to images. Writes landmarks (.pts, .csv, .tps, .json) and an overlay image for each."""
     from liaam.fitting import Fitter
@@ -93,13 +76,13 @@ def fit(
 
     if every and init is not None:
         raise LiaamError("--all searches for every object and --init gives the place of one; use only one of them")
-    model_file, images = model_and_inputs(files, "fit")
+    model_file, images = inputs.model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
     if output.suffix.lower() in IMAGE_SUFFIXES and not output.exists():
         raise LiaamError(f"{output} is not a folder; several files are written, so give a folder with -o")
     model = load_model(model_file)
-    camera = camera_for(images, given_camera, model.camera)
+    camera = inputs.camera_for(images, given_camera, model.camera)
     fitter = Fitter(model, method, camera=camera, rotations=rotations)
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
@@ -107,20 +90,14 @@ def fit(
     table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
     advice: defaultdict[str, list[str]] = defaultdict(list)
     failed, uncalibrated = 0, False
-    outputs = Outputs(output, ellipses, scheme)
-    low_score = LOW_SCORE + (TURNED if rotations == "upright" else "")
+    low_score = inputs.LOW_SCORE + (inputs.TURNED if rotations == "upright" else "")
 
-    def results_of(named: tuple[Path, str]) -> "dict[str, FitResult] | LiaamError":
-        try:
-            return fit_file(fitter, named[0], init, every, outputs, named[1])
-        except LiaamError as error:
-            return error
-
+    results_of = partial(fit_file, fitter, init, every, Outputs(output, ellipses, scheme))
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
         progress(0, len(images), images[0].name)
-        done = in_order(results_of, zip(images, unique_stems(images), strict=True), threads)
+        done = in_order(results_of, zip(images, inputs.unique_stems(images), strict=True), threads)
         for i, (image, results) in enumerate(zip(images, done, strict=True), 1):
             progress(i, len(images), image.name)
             if isinstance(results, LiaamError):
@@ -132,7 +109,8 @@ def fit(
                 table.add_row(cell(name), *row_of(result))
                 uncalibrated |= not result.calibrated
                 if not every and result.n_found is not None and result.n_found > 1:
-                    advice[more_objects(result.n_found - 1)].append(name)
+                    more = f"{count_of(result.n_found - 1, 'more object')} in the image"
+                    advice[f"{more}: add --all to fit each, or --init to choose one"].append(name)
                 if not result.status.ok:
                     failed += 1
                     advice[f"{result.status}: {result.message}"].append(name)
@@ -143,7 +121,7 @@ def fit(
         if uncalibrated:
             say("the quality is unknown, and errors and ellipses are not calibrated: see 'liaam show MODEL'")
         say(f"written to {output}")
-    say_advice(advice)
+    inputs.say_advice(advice)
     if failed:
         raise typer.Exit(1)
 
@@ -159,11 +137,6 @@ def row_of(result: "FitResult") -> tuple[str, ...]:
     return start, str(result.status), result.quality_text, error, str(result.n_iterations), angle
 
 
-def more_objects(number: int) -> str:
-    """Return the advice for an image with further objects, of which the best was fitted."""
-    return f"{count_of(number, 'more object')} in the image: add --all to fit each, or --init to choose one"
-
-
 @dataclass(frozen=True)
 class Outputs:
     """Output folder and optional outputs."""
@@ -174,38 +147,38 @@ class Outputs:
 
 
 def fit_file(
-    fitter: "Fitter", image: Path, init: str | None, every: bool, outputs: Outputs, stem: str
-) -> "dict[str, FitResult]":
-    """Fit one image file from `init`, from the start that the search finds, or from `every` start it finds.
+    fitter: "Fitter", init: str | None, every: bool, outputs: Outputs, named: tuple[Path, str]
+) -> "dict[str, FitResult] | LiaamError":
+    """Fit an image file from `init`, from the start that the search finds, or from `every` start it finds.
 
-    Return the results by the name of their files.
+    ``named`` are the file and the name of its results. Return them by the name of their files, or an error.
     """
-    pixels, start = read_with_start(image, init)
-    starts = {stem: start}
-    if every:
-        starts = {f"{stem}_{i}": found for i, found in enumerate(fitter.find_all(pixels, name=image.name), 1)}
-    for name in starts:
-        refuse_to_overwrite(outputs.folder, name)
-    return {name: fit_one(fitter, pixels, start, image, outputs, name) for name, start in starts.items()}
-
-
-def fit_one(fitter: "Fitter", pixels: np.ndarray, start, image: Path, outputs: Outputs, stem: str) -> "FitResult":
-    """Fit one object in an image and write the results."""
     from liaam.plotting import overlay
 
-    model = fitter.model
-    result = fitter.fit(pixels, start, image.name)
-    points, contours, names = result.landmarks, Contour.all_of(model.contours), result.landmark_names
-    scale = start.scale if isinstance(start, Landmarks) else None
-    facts = result.to_dict() | {"image": image.name, "scale": scale}
-    if outputs.scheme is not None:
-        points, contours, names = in_scheme(points, names, outputs.scheme), (), ()
-        facts = {key: value for key, value in facts.items() if not key.startswith("landmark_")}
-    landmarks = Landmarks(points, contours, names, image_name=image.name, scale=scale)
-    write_fit(outputs.folder, stem, landmarks, facts, pixels.shape[1::-1])
-    drawn = result.landmark_covariances if outputs.ellipses else None
-    write_image(outputs.folder / f"{stem}_fit.png", overlay(pixels, result.landmarks, model, covariances=drawn))
-    return result
+    (image, stem), model, results = named, fitter.model, {}
+    try:
+        pixels, start = inputs.read_with_start(image, init)
+        starts = {stem: start}
+        if every:
+            starts = {f"{stem}_{i}": found for i, found in enumerate(fitter.find_all(pixels, name=image.name), 1)}
+        for name in starts:
+            refuse_to_overwrite(outputs.folder, name)
+        for name, start in starts.items():
+            results[name] = result = fitter.fit(pixels, start, image.name)
+            points, contours, names = result.landmarks, Contour.all_of(model.contours), result.landmark_names
+            scale = start.scale if isinstance(start, Landmarks) else None
+            facts = result.to_dict() | {"image": image.name, "scale": scale}
+            if outputs.scheme is not None:
+                points, contours, names = in_scheme(points, names, outputs.scheme), (), ()
+                facts = {key: value for key, value in facts.items() if not key.startswith("landmark_")}
+            landmarks = Landmarks(points, contours, names, image_name=image.name, scale=scale)
+            write_fit(outputs.folder, name, landmarks, facts, pixels.shape[1::-1])
+            drawn = result.landmark_covariances if outputs.ellipses else None
+            picture = overlay(pixels, result.landmarks, model, covariances=drawn)
+            write_image(outputs.folder / f"{name}_fit.png", picture)
+    except LiaamError as error:
+        return error
+    return results
 
 
 def refuse_to_overwrite(output: Path, stem: str) -> None:

@@ -1,9 +1,8 @@
 """The commands ``liaam camera invariant`` and ``register``: what a camera's angle is used for, without a model."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -14,9 +13,6 @@ from liaam.cli.terminal import complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
 from liaam.io import atomic_path, make_folder, read_image, write_image, write_text_atomically
 from liaam.io.atomic import check_output
-
-if TYPE_CHECKING:
-    from liaam.calibration import Averaged
 
 KnownCamera = Annotated[
     str | None,
@@ -41,9 +37,9 @@ def invariant(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-invariant"),
 ) -> None:
     """Write the invariant image of each image: .png for viewing, .tif (float) and .npy for computing."""
-    from liaam.calibration import averaged
+    from liaam.calibration import agreement, averaged
     from liaam.photometry import invariant_image
-    from liaam.plotting.photometry import figure_of_sweep, invariant_picture, save_figure
+    from liaam.plotting.photometry import figure_of_agreement, figure_of_sweep, invariant_picture, save_figure
 
     camera, pictures = camera_for(images, given_camera), [read_image(path) for path in images]
     # Fail before writing anything if the images cannot be compared.
@@ -66,28 +62,20 @@ def invariant(
             if sweep:
                 save_figure(figure_of_sweep(pixels, camera), output / f"{stem}_sweep.png")
     if averages is not None:
-        compare_pictures(pictures, images, averages, output)
+        found, names = agreement(averages), [path.name for path in images]
+        lines = ["first,second,invariant,log_grey,share"]
+        table = table_of("first", "second", "invariant", "log grey", "fraction of pixels")
+        for pair in found:
+            both = names[pair.first], names[pair.second]
+            lines.append(f"{both[0]},{both[1]},{pair.invariant:.6f},{pair.log_grey:.6f},{pair.share:.6f}")
+            table.add_row(*both, f"{pair.invariant:.3f}", f"{pair.log_grey:.3f}", f"{pair.share:.2f}")
+        write_text_atomically(output / "agreement.csv", "\n".join(lines) + "\n")
+        save_figure(figure_of_agreement(pictures, names, averages, found), output / "agreement.png")
+        if len(found) <= 15:
+            show_table(table)
+        medians = (np.median([getattr(pair, key) for pair in found]) for key in ("invariant", "log_grey"))
+        say("median correlation: invariant {:.3f}, log grey {:.3f}".format(*medians))
     say(f"written to {output}, at theta {degrees(camera.theta)}")
-
-
-def compare_pictures(pictures: Sequence[np.ndarray], paths: Sequence[Path], seen: "Averaged", output: Path) -> None:
-    """Write and print the pairwise correlations of invariant images and of log grey."""
-    from liaam.calibration import agreement
-    from liaam.plotting.photometry import figure_of_agreement, save_figure
-
-    found = agreement(seen)
-    lines = ["first,second,invariant,log_grey,share"]
-    table = table_of("first", "second", "invariant", "log grey", "fraction of pixels")
-    for pair_ in found:
-        names = paths[pair_.first].name, paths[pair_.second].name
-        lines.append(f"{names[0]},{names[1]},{pair_.invariant:.6f},{pair_.log_grey:.6f},{pair_.share:.6f}")
-        table.add_row(*names, f"{pair_.invariant:.3f}", f"{pair_.log_grey:.3f}", f"{pair_.share:.2f}")
-    write_text_atomically(output / "agreement.csv", "\n".join(lines) + "\n")
-    save_figure(figure_of_agreement(pictures, [p.name for p in paths], seen, found), output / "agreement.png")
-    if len(found) <= 15:
-        show_table(table)
-    medians = (np.median([getattr(p, key) for p in found]) for key in ("invariant", "log_grey"))
-    say("median correlation: invariant {:.3f}, log grey {:.3f}".format(*medians))
 
 
 def register(

@@ -1,6 +1,6 @@
 """The command ``liaam show``."""
 
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,10 +19,7 @@ from liaam.models import MODELS, model_file as file_of
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from liaam.model import AAM
-    from liaam.photometry import CameraModel
 
 
 def show(
@@ -44,8 +41,15 @@ def show(
     ] = None,
 ) -> None:
     """Describe a model or a lamp file, and draw it with -o. Without a file, list the models that come with liaam."""
+    from liaam.model import load_model
+
     if file is None:
-        list_models()
+        for name, known in MODELS.items():
+            model = load_model(name)
+            trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
+            rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
+            print_rows({**rows, "credit": model.credit})
+        say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")
         return
     lit = file.suffix.lower() == LAMPS_SUFFIX
     if image is not None and not lit:
@@ -55,37 +59,23 @@ def show(
         raise LiaamError(f"{output}: give a name that ends in .png, .svg or .pdf")
     if output is not None:
         check_output(output)
-    draw = show_lamps(file, image) if lit else show_model(file)
+    from liaam.plotting import figure_of_lamps, figure_of_model, save_figure
+
+    if lit:
+        lamps, sample = read_lamps(file), None if image is None else read_sample(image)
+        print_rows({"lamps": ", ".join(lamps.names), "landmarks": f"{len(lamps.mean)}"})
+        on = () if sample is None else (sample.read_image(), sample.landmarks.points)
+        draw = partial(figure_of_lamps, lamps, *on)
+    else:
+        model = load_model(file)
+        print_rows(describe(model, file))
+        draw = partial(figure_of_model, model)
     if output is None:
         return
-    from liaam.plotting import save_figure
-
     with progress_bar() as progress:
         progress(0, 1, f"drawing {file.name}")
         save_figure(draw(), output)
     say(f"written to {output}")
-
-
-def show_model(file: Path) -> "Callable[[], Figure]":
-    """Print what a model holds. Return what draws it."""
-    from liaam.model import load_model
-    from liaam.plotting import figure_of_model
-
-    model = load_model(file)
-    print_rows(describe(model, file))
-    return lambda: figure_of_model(model)
-
-
-def show_lamps(file: Path, image: Path | None) -> "Callable[[], Figure]":
-    """Print what a lamp file holds. Return what draws the lamps on an image."""
-    from liaam.plotting import figure_of_lamps
-
-    lamps = read_lamps(file)
-    print_rows({"lamps": ", ".join(lamps.names), "landmarks": f"{len(lamps.mean)}"})
-    if image is None:
-        return lambda: figure_of_lamps(lamps)
-    sample = read_sample(image)
-    return lambda: figure_of_lamps(lamps, sample.read_image(), sample.landmarks.points)
 
 
 def print_rows(rows: dict[str, str]) -> None:
@@ -94,13 +84,6 @@ def print_rows(rows: dict[str, str]) -> None:
     for key, value in rows.items():
         table.add_row(key, cell(value))
     show_table(table)
-
-
-def describe_core() -> str:
-    """Say what fits: the compiled core and its instruction set, or NumPy."""
-    from liaam import _core
-
-    return f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)"
 
 
 def count_modes(model: "AAM") -> str:
@@ -114,12 +97,16 @@ def count_modes(model: "AAM") -> str:
 
 def describe(model: "AAM", path: Path) -> dict[str, str]:
     """Describe a model as labels and texts."""
+    from liaam import _core
     from liaam.fitting.methods import methods_of
 
     appearances = {k: v for view in model.views.values() for k, v in view.levels[-1].appearances.items()}
     spread = np.sqrt((model.shape_model.eigenvalues.sum()) / model.n_points)
     width, height = model.frame.size
-    more = {}
+    camera, theta, more = model.camera, np.rad2deg(model.theta), {}
+    error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
+    response = camera.response if isinstance(camera.response, (str, float)) else "measured"
+    known = "".join(f", {name}" for name in ("vignetting", "noise") if getattr(camera, name))
     if model.points is not None:
         more["starts from"] = f"{model.points.n_theirs} points of another landmarker, too"
     if model.features is not None:
@@ -136,9 +123,9 @@ def describe(model: "AAM", path: Path) -> dict[str, str]:
         **more,
         "reference frame": f"{width}×{height} px, {model.n_pixels} inside the mesh",
         "levels": "blur " + ", ".join(f"{level.blur:g}" for level in model.levels) + " px, coarse to fine",
-        "camera": describe_camera(model.camera),
+        "camera": f"response {response}, theta {theta:.1f}° ({error}){known}",
         **({"credit": model.credit} if model.credit else {}),
-        "core": describe_core(),
+        "core": f"compiled, {_core.INSTRUCTION_SET}" if _core.BUILT else "not compiled (NumPy)",
     }
 
 
@@ -157,23 +144,3 @@ def count_copies(model: "AAM") -> str:
     if not more:
         return ""
     return f" and {more} copies under {model.n_lamps} lamps" if model.n_lamps else f" and {more} mirrored copies"
-
-
-def describe_camera(camera: "CameraModel") -> str:
-    """Describe a camera in one line."""
-    error = "assumed" if camera.theta_deviation is None else f"± {np.rad2deg(camera.theta_deviation):.2f}°"
-    response = camera.response if isinstance(camera.response, (str, float)) else "measured"
-    known = [name for name in ("vignetting", "noise") if getattr(camera, name)]
-    return f"response {response}, theta {np.rad2deg(camera.theta):.1f}° ({error})" + "".join(f", {n}" for n in known)
-
-
-def list_models() -> None:
-    """List the models that come with liaam: what they are for, how accurate they are, and their terms."""
-    from liaam.model import load_model
-
-    for name, known in MODELS.items():
-        model = load_model(name)
-        trained = f"{model.n_points}, trained on {model.n_all_images} images{count_copies(model)}"
-        rows = {"model": name, "for": known.purpose, "accuracy": known.accuracy, "landmarks": trained}
-        print_rows({**rows, "credit": model.credit})
-    say("Give its name as MODEL, as in 'liaam fit face photo.jpg'.")

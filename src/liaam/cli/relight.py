@@ -7,20 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from liaam.cli.inputs import (
-    LOW_SCORE,
-    CameraOption,
-    ModelAndImages,
-    camera_for,
-    model_and_inputs,
-    names_file,
-    names_of,
-    numbers_in,
-    read_with_start,
-    refuse_inputs,
-    say_advice,
-    unique_stems,
-)
+from liaam.cli import inputs
 from liaam.cli.terminal import complain, progress_bar, say
 from liaam.errors import CameraError, ImageError, LiaamError
 from liaam.io import IMAGE_SUFFIXES, make_folder, read_image, write_image
@@ -36,7 +23,7 @@ FLAT = "flat"
 
 
 def relight(
-    files: ModelAndImages,
+    files: inputs.ModelAndImages,
     light: Annotated[
         str,
         typer.Option(
@@ -73,15 +60,15 @@ def relight(
     strict: Annotated[
         bool, typer.Option("--strict", help="Write nothing where the fit is doubtful or the light is uncertain.")
     ] = False,
-    given_camera: CameraOption = None,
+    given_camera: inputs.CameraOption = None,
 ) -> None:
     """Show the objects in images under the training light, a lamp, or the light of another image."""
-    model_file, images = model_and_inputs(files, "relight")
+    model_file, images = inputs.model_and_inputs(files, "relight")
     direction, like = light_of(light)
     outputs = output_paths(images, output, FLAT if light == FLAT else "relit")
     maps = [map_of(path) for path in outputs] if certainty else []
-    inputs = [*images, *([] if like is None else [like])]
-    refuse_inputs([*outputs, *maps], inputs)
+    read = [*images, *([] if like is None else [like])]
+    inputs.refuse_inputs([*outputs, *maps], read)
 
     from liaam.fitting import Fitter
     from liaam.model import load_model
@@ -92,19 +79,19 @@ def relight(
     lamps = None if direction is None else [Lamp(direction)]  # raises before any work
     model = load_model(model_file)
     check_colour(model, str(model_file))
-    fitter = Fitter(model, method, camera=camera_for(inputs, given_camera, model.camera))
+    fitter = Fitter(model, method, camera=inputs.camera_for(read, given_camera, model.camera))
     make_folder(outputs[0].parent)
     written, failed, other = [], False, None
     advice: defaultdict[str, list[str]] = defaultdict(list)
     with progress_bar() as progress:
-        progress(0, len(inputs), inputs[-1].name)
+        progress(0, len(read), read[-1].name)
         if like is not None:
             other, result = separated(fitter, read_image(like), None, str(like))
             failed = add_advice(advice, like, result, "its light was used although the fit may be wrong")
-        for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(inputs) - len(images)):
-            progress(i, len(inputs), image.name)
+        for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(read) - len(images)):
+            progress(i, len(read), image.name)
             try:
-                pixels, start = read_with_start(image, init)
+                pixels, start = inputs.read_with_start(image, init)
                 relighter, result = separated(fitter, pixels, start, str(image))
                 uncertain = relighter.certain < UNCERTAIN
                 written_here = not (strict and (uncertain or not result.status.ok))
@@ -124,10 +111,10 @@ def relight(
             if uncertain and result.status.ok:
                 advice[uncertainty_of(relighter)].append(image.name)
                 failed |= strict
-        progress(len(inputs), len(inputs), images[-1].name)
+        progress(len(read), len(read), images[-1].name)
     if written:
-        say(f"written to {output or names_of(written)}")
-    say_advice(advice)
+        say(f"written to {output or inputs.names_of(written)}")
+    inputs.say_advice(advice)
     if failed:
         raise typer.Exit(1)
 
@@ -136,10 +123,10 @@ def light_of(text: str) -> tuple[tuple[float, ...] | None, Path | None]:
     """Return the direction of the lamp, or the image whose light is meant; neither for the training light."""
     if text == FLAT:
         return None, None
-    if names_file(text, (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
+    if inputs.names_file(text, (*PICTURE_SUFFIXES, *UNREAD_SUFFIXES)):
         return None, existing_file(text, ImageError, "image")
     try:
-        return tuple(numbers_in(text, 3, "--light")), None
+        return tuple(inputs.numbers_in(text, 3, "--light")), None
     except CameraError:
         raise LiaamError(
             f"--light {text}: give flat, the direction of a lamp as x,y,z, such as -1,0,1, or an image under that light"
@@ -156,7 +143,7 @@ def output_paths(images: list[Path], output: Path | None, ending: str) -> list[P
         return [output]
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in IMAGE_SUFFIXES):
         raise LiaamError(f"{folder} is not a folder; for several images, give a folder with -o")
-    return [folder / f"{stem}_{ending}.png" for stem in unique_stems(images)]
+    return [folder / f"{stem}_{ending}.png" for stem in inputs.unique_stems(images)]
 
 
 def map_of(path: Path) -> Path:
@@ -170,7 +157,7 @@ def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitRes
         text = f"{result.status}: {result.message.rstrip('.')}; {what}"
         advice[text].append(image.name)
     if result.detection_doubtful and not result.status.unusable:
-        advice[LOW_SCORE].append(image.name)
+        advice[inputs.LOW_SCORE].append(image.name)
     elif np.isnan(result.quality) and result.status.ok:
         advice["quality unknown: the model has no calibrated quality; check the result"].append(image.name)
     return not result.status.ok

@@ -16,7 +16,7 @@ from rich.table import Table
 from typer.core import TyperGroup
 
 from liaam.errors import LiaamError
-from liaam.progress import Progress
+from liaam.progress import Progress, progress_bar as library_bar
 
 console = Console()
 error_console = Console(stderr=True)
@@ -36,13 +36,10 @@ def plain(text: str) -> str:
 
     Also escapes characters that change the writing direction, and lone surrogates.
     """
-    return "".join(ascii(letter)[1:-1] if _is_control(letter) else letter for letter in text)
-
-
-def _is_control(letter: str) -> bool:
-    if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp"):
-        return letter not in "\n\t"
-    return unicodedata.bidirectional(letter) in BIDIRECTIONAL
+    kind, turning = unicodedata.category, unicodedata.bidirectional
+    control = {x for x in text if kind(x) in ("Cc", "Cs", "Zl", "Zp") and x not in "\n\t"}
+    hidden = control | {x for x in text if turning(x) in BIDIRECTIONAL}
+    return "".join(ascii(letter)[1:-1] if letter in hidden else letter for letter in text)
 
 
 def cell(text: str) -> str:
@@ -109,7 +106,10 @@ def run_app(app: typer.Typer) -> None:
         complain(f"error: {error}")
         sys.exit(1)
     except OSError as error:  # an invalid name, missing permissions, a full or removed disk
-        complain(f"error: {_sentence_of(error)}")
+        name = "" if error.filename is None else os.fsdecode(error.filename)
+        shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
+        remedy = "check the name, the permissions and the free space"
+        complain(f"error: {shown}{error.strerror or error}; {remedy}")
         sys.exit(1)
 
 
@@ -117,13 +117,6 @@ def _exit_stopped(text: str) -> NoReturn:
     # Not through the console: if it was interrupted while it printed, it keeps what follows to itself.
     print(plain(text), file=sys.stderr)
     sys.exit(INTERRUPTED)
-
-
-def _sentence_of(error: OSError) -> str:
-    """Describe a system error and the file it concerns."""
-    name = "" if error.filename is None else os.fsdecode(error.filename)
-    shown = f"{name[:60]}...: " if len(name) > 255 else f"{name}: " if name else ""
-    return f"{shown}{error.strerror or error}; check the name, the permissions and the free space"
 
 
 def say(text: str) -> None:
@@ -166,27 +159,5 @@ def progress_bar(counted: bool = True) -> Iterator[Progress]:
 
     Show counts if `counted`, or else a percentage.
     """
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress as Bar,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (
-        BarColumn(),
-        MofNCompleteColumn() if counted else TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}", markup=False),
-    )
-    with Bar(*columns, console=error_console, transient=True, disable=not error_console.is_terminal) as bar:
-        task = bar.add_task("")
-
-        def report(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=plain(what))
-
-        yield report
+    with library_bar("", None, error_console.is_terminal, counted) as tell:
+        yield lambda done, total, what: tell(done, total, plain(what))

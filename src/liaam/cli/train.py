@@ -5,21 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from liaam.cli import inputs
 from liaam.cli.check import warn_of_faults
-from liaam.cli.inputs import (
-    AUTO,
-    CategoryOption,
-    LandmarkedFolder,
-    ModelFile,
-    ShapesOption,
-    StoredOption,
-    StrictOption,
-    YDownOption,
-    camera_for,
-    folder_of,
-    parse_shapes,
-    read_folder,
-)
 from liaam.cli.lamps import LAMPS_SUFFIX, TrainingLampOption, read_lamps
 from liaam.cli.models import count_copies, count_modes, describe_shapes
 from liaam.cli.terminal import complain, progress_bar, say
@@ -36,10 +23,6 @@ if TYPE_CHECKING:
 MODEL_SUFFIX = ".liaam"
 """Suffix of files that may be replaced by a model."""
 
-LAMP_WORDS: dict[str, Literal["auto"] | None] = {AUTO: AUTO, "none": None}
-"""Values of --lamps that are neither a file nor a folder."""
-
-
 MethodsOption = Annotated[
     str,
     typer.Option(
@@ -50,7 +33,7 @@ MethodsOption = Annotated[
 
 
 def train(
-    folder: LandmarkedFolder,
+    folder: inputs.LandmarkedFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
     diagonal: Annotated[float, typer.Option(help="Diagonal of the object's box in the model, in pixels.")] = 150.0,
     given_camera: Annotated[
@@ -69,7 +52,7 @@ def train(
             "a few objects under several lamps, named by object and lamp, such as 037-00. 'auto' uses lamps of "
             "generated heads if the objects are faces; 'none' uses none."
         ),
-    ] = Path(AUTO),
+    ] = Path(inputs.AUTO),
     training_lamp: TrainingLampOption = None,
     copies: Annotated[
         int | None,
@@ -93,7 +76,7 @@ def train(
         ),
     ] = None,
     methods: MethodsOption = "",
-    shapes: ShapesOption = AUTO,
+    shapes: inputs.ShapesOption = inputs.AUTO,
     leave_out: Annotated[
         bool,
         typer.Option(
@@ -101,27 +84,27 @@ def train(
         ),
     ] = True,
     name: Annotated[str | None, typer.Option(help="Name of the model, for 'liaam show'.")] = None,
-    strict: StrictOption = False,
-    category: CategoryOption = None,
-    y_down: YDownOption = False,
-    stored_orientation: StoredOption = False,
+    strict: inputs.StrictOption = False,
+    category: inputs.CategoryOption = None,
+    y_down: inputs.YDownOption = False,
+    stored_orientation: inputs.StoredOption = False,
 ) -> None:
     """Train a model on a folder of landmarked images."""
     from liaam.training import train as train_model
     from liaam.training.left_out import describe_objects
 
     check_model_name(output, folder)
-    if training_lamp is not None and not folder_of(lamps)[0].is_dir():
+    if training_lamp is not None and not inputs.folder_of(lamps)[0].is_dir():
         raise LiaamError(
             f"--training-lamp {training_lamp}: this names the training light in a folder of lamp images; give that "
             "folder with --lamps, or leave --training-lamp out"
         )
     reading = Reading(strict, category, y_down, stored_orientation)
-    data = read_folder(folder, reading)
-    camera = camera_for([s.image for s in data if isinstance(s.image, Path)], given_camera)
+    data = inputs.read_folder(folder, reading)
+    camera = inputs.camera_for([s.image for s in data if isinstance(s.image, Path)], given_camera)
     contours = [parse_contour(text) for text in contour or ()]
     light = parse_lamps(lamps, training_lamp, camera)
-    warn_of_faults(data, folder, parse_shapes(shapes))
+    warn_of_faults(data, folder, inputs.parse_shapes(shapes))
     if leave_out and (together := describe_objects([sample.name for sample in data])):
         say(together)
     with progress_bar(counted=False) as progress:
@@ -134,8 +117,8 @@ def train(
             points=points,
             contours=contours or None,
             methods=parse_methods(methods),
-            shapes=parse_shapes(shapes),
-            name=name or folder_of(folder)[0].name,
+            shapes=inputs.parse_shapes(shapes),
+            name=name or inputs.folder_of(folder)[0].name,
             leave_out=leave_out,
             strict=strict,
             progress=progress,
@@ -145,7 +128,7 @@ def train(
 
 
 def compact(
-    model_file: ModelFile,
+    model_file: inputs.ModelFile,
     output: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
     methods: MethodsOption = "",
 ) -> None:
@@ -199,9 +182,9 @@ def check_model_name(output: Path, folder: Path) -> None:
 
 def parse_lamps(lamps: Path, training_lamp: str | None, camera: "CameraModel") -> "Lamps | Literal['auto'] | None":
     """Return the lamps that --lamps names or, if it is a folder, those learnt from its images."""
-    if str(lamps) in LAMP_WORDS:
-        return LAMP_WORDS[str(lamps)]
-    if not folder_of(lamps)[0].exists():
+    if str(lamps) in (inputs.AUTO, "none"):
+        return None if str(lamps) == "none" else inputs.AUTO
+    if not inputs.folder_of(lamps)[0].exists():
         raise LiaamError(f"--lamps {lamps}: this does not exist; give a lamp file, a folder, 'auto' or 'none'")
     return read_lamps(lamps, training_lamp, camera.response)
 
@@ -216,7 +199,7 @@ def report(model: "AAM", output: Path, light: "Lamps | Literal['auto'] | None", 
         say(f"kinds of shape: {describe_shapes(model)} (--shapes 1 for one model)")
     if not len(model.shape_model.modes):
         say("the shape is rigid, without shape modes: fits find position, size and rotation only")
-    if light == AUTO and model.n_lamps:
+    if light == inputs.AUTO and model.n_lamps:
         say("the objects are faces, so the lamps are those of generated heads (--lamps none for none)")
     view = model.views[METHODS[DEFAULT_METHOD].view]
     bound = view.shape_model.left_out_bound

@@ -28,7 +28,6 @@ from liaam.progress import Progress
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
     from liaam.tracking import TrackedFrame, Tracker
-    from liaam.tracking.shading import ShadingRemover
 
 
 def track(
@@ -104,7 +103,7 @@ def track(
         )
     for fault in faults:
         complain(f"error: {fault}")
-    if faults or not counts.n_tracked:
+    if faults or counts.n == len(counts.lost):
         raise typer.Exit(1)
 
 
@@ -128,11 +127,6 @@ class Counts:
     def n(self) -> int:
         """Number of frames."""
         return sum(self.statuses.values())
-
-    @property
-    def n_tracked(self) -> int:
-        """Number of frames with landmarks."""
-        return self.n - len(self.lost)
 
     @property
     def rate(self) -> float:
@@ -203,6 +197,7 @@ def outputs(
     counts: Counts,
 ) -> Iterator[Callable[[Step], None]]:
     """Open the requested outputs, and yield the function that writes a frame to them."""
+    from liaam.tracking import TrackStatus
     from liaam.tracking.files import track_writer
     from liaam.tracking.shading import ShadingRemover
 
@@ -220,45 +215,26 @@ def outputs(
             if drawn is not None:
                 from liaam.plotting import video
 
+                parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
+                if tracked.ok and tracked.quality == tracked.quality:  # not NaN
+                    parts.append(f"quality {tracked.quality:.2f}")
                 landmarks, spread = (tracked.landmarks, tracked.covariances) if tracked.ok else (None, None)
                 spread = spread if ellipses else None
-                picture = video.annotated(frame.image, landmarks, tracker.model, caption_of(tracked), spread)
+                picture = video.annotated(frame.image, landmarks, tracker.model, "   ".join(parts), spread)
                 drawn.write(picture, frame.time)
-            if fresh is not None and remover is not None:
-                fresh.write(unshaded(remover, counts, frame, tracked, result), frame.time)
+            if fresh is not None and remover is not None:  # a grey frame, or one without the object, stays as it is
+                if tracked.status is not TrackStatus.TRACKED:
+                    remover.reset()
+                picture = frame.image
+                if result is not None:
+                    try:
+                        picture = remover.remove(picture, result, tracked.landmarks)
+                        counts.n_unshaded += 1
+                    except MethodError:
+                        counts.n_grey += 1
+                fresh.write(picture, frame.time)
 
         yield write
-
-
-def unshaded(
-    remover: "ShadingRemover",
-    counts: Counts,
-    frame: VideoFrame,
-    tracked: "TrackedFrame",
-    result: "FitResult | None",
-) -> np.ndarray:
-    """Return a frame without shading. A grey frame, or one without the object, stays as is."""
-    from liaam.tracking import TrackStatus
-
-    if tracked.status is not TrackStatus.TRACKED:
-        remover.reset()
-    if result is None:
-        return frame.image
-    try:
-        fresh = remover.remove(frame.image, result, tracked.landmarks)
-    except MethodError:  # a grey frame
-        counts.n_grey += 1
-        return frame.image
-    counts.n_unshaded += 1
-    return fresh
-
-
-def caption_of(tracked: "TrackedFrame") -> str:
-    """Describe a frame in one line."""
-    parts = [f"{tracked.index}", f"{tracked.time:.2f} s", str(tracked.status)]
-    if tracked.ok and tracked.quality == tracked.quality:  # not NaN
-        parts.append(f"quality {tracked.quality:.2f}")
-    return "   ".join(parts)
 
 
 def steps_of(
@@ -310,7 +286,7 @@ def report(counts: Counts, outputs: Sequence[Path]) -> None:
     known = [quality for quality in counts.qualities if np.isfinite(quality)]
     again = max(0, counts.statuses["found"] - 1)
     quality = f"{np.median(known):.2f}" if known else "–"
-    numbers = counts.n, counts.n_tracked, len(counts.lost), again, counts.statuses["corrected"]
+    numbers = counts.n, counts.n - len(counts.lost), len(counts.lost), again, counts.statuses["corrected"]
     table.add_row(*map(str, numbers), quality, f"{counts.rate:.1f}")
     show_table(table)
     for path in outputs:

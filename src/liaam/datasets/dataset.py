@@ -142,12 +142,25 @@ class Dataset:
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""
         source = f" from {self.source}" if self.source else ""
-        lines = [
-            f"{count_of(len(self), 'sample')}{source}",
-            *self._landmark_lines(),
-            *self._shared_lines(),
-            *self.notes,
-        ]
+        lines = [f"{count_of(len(self), 'sample')}{source}"]
+        if self.samples:
+            kinds = Counter(
+                f"{sample.landmarks.format or titles_of(suffix)} ({suffix})"
+                for sample in self.samples
+                if sample.landmark_file and (suffix := sample.landmark_file.suffix.lower())
+            )
+            formats = ", ".join(f"{kind}: {n}" for kind, n in kinds.items())
+            n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
+            missing = f", {n_missing} missing in total" if n_missing else ""
+            count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
+            lines.append(f"{count}; {formats}" if formats else count)
+        counts = Counter(sample.image for sample in self.samples if isinstance(sample.image, Path))
+        if shared := [image for image, count in counts.items() if count > 1]:
+            n_objects, names = sum(counts[image] for image in shared), some_names([image.name for image in shared])
+            holds = "image holds" if len(shared) == 1 else "images hold"
+            of_one = f"each a sample, such as {shared[0].stem}#2 ({names})"
+            lines.append(f"{len(shared)} {holds} {n_objects} objects, {of_one}")
+        lines += self.notes
         groups: dict[str, list[LeftOut]] = defaultdict(list)
         for left in self.left_out:
             if left.partly:
@@ -159,26 +172,3 @@ class Dataset:
             lines.append(f"left out {len(members)}: {reason} ({some_names([left.path.name for left in members])})")
             lines += [f"  first: {detail}"] if detail else []
         return "\n".join(lines)
-
-    def _shared_lines(self) -> list[str]:
-        counts = Counter(sample.image for sample in self.samples if isinstance(sample.image, Path))
-        shared = [image for image, count in counts.items() if count > 1]
-        if not shared:
-            return []
-        n_objects, names = sum(counts[image] for image in shared), some_names([image.name for image in shared])
-        holds = "image holds" if len(shared) == 1 else "images hold"
-        return [f"{len(shared)} {holds} {n_objects} objects, each a sample, such as {shared[0].stem}#2 ({names})"]
-
-    def _landmark_lines(self) -> list[str]:
-        if not self.samples:
-            return []
-        kinds = Counter(
-            f"{sample.landmarks.format or titles_of(suffix)} ({suffix})"
-            for sample in self.samples
-            if sample.landmark_file and (suffix := sample.landmark_file.suffix.lower())
-        )
-        formats = ", ".join(f"{kind}: {n}" for kind, n in kinds.items())
-        n_missing = sum(int(sample.landmarks.missing.sum()) for sample in self.samples)
-        missing = f", {n_missing} missing in total" if n_missing else ""
-        count = f"{len(self.samples[0].landmarks)} landmarks each{missing}"
-        return [f"{count}; {formats}" if formats else count]

@@ -9,23 +9,14 @@ the images beside it, in the folder above: ``faces/anna/face.pts`` are those of 
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from liaam.datasets.advice import (
-    ABSENT,
-    NO_IMAGE,
-    UNKNOWN,
-    UNKNOWN_IMAGE,
-    no_images,
-    no_pairs,
-    unread_images,
-    unread_landmarks,
-)
+from liaam.datasets import advice
 from liaam.datasets.dataset import Dataset, LeftOut, Sample
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import natural_key, some_names
@@ -35,6 +26,7 @@ from liaam.io.landmarks.base import Placing
 from liaam.io.landmarks.formats import may_hold_many, rank_of
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import USUAL, Notes, Reading, UnrecognisedError
+from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
 _UNREAD = "the landmarks cannot be read"
@@ -93,30 +85,28 @@ def load_folder(
         images = _images(_list_files(beside, recursive))
     wanted = [image for image in images if pattern is None or _matches(beside, image, pattern)]
     if not wanted:
-        raise ImageError(no_images(root, files, pattern, recursive))
-    pairing = _pair(beside, root, images, _track(marks, progress), wanted, reading)
+        raise ImageError(advice.no_images(root, files, pattern, recursive))
+    pairing = _Pairing(beside, root, images, wanted, reading)
+    with progress_bar("landmark files", len(marks), progress) as tell:
+        for done, file in enumerate(marks, 1):
+            pairing.add(file)
+            tell(done)
     samples, left_out = pairing.finish(), pairing.left_out
     bare = [left.path for left in left_out if left.reason == _BARE]
-    unread = unread_landmarks(files, bare, pairing.unrecognised)
+    unread = advice.unread_landmarks(files, bare, pairing.unrecognised)
     if not samples:
         reasons = [(left.path, left.reason) for left in left_out]
-        raise LandmarkError(no_pairs(root, wanted, reasons, unread, recursive))
-    orphans = [left.path for left in left_out if left.reason == NO_IMAGE]
-    left_out += [LeftOut(file, UNKNOWN) for file in unread]
-    left_out += [LeftOut(file, UNKNOWN_IMAGE) for file in unread_images(files, orphans)]
+        raise LandmarkError(advice.no_pairs(root, wanted, reasons, unread, recursive))
+    orphans = [left.path for left in left_out if left.reason == advice.NO_IMAGE]
+    left_out += [LeftOut(file, advice.UNKNOWN) for file in unread]
+    left_out += [LeftOut(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
-    if reading.strict:
-        _refuse(left_out, [*unnamed, *odd])
-    return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
-
-
-def _refuse(left_out: list[LeftOut], odd: list[LeftOut]) -> None:
-    """Raise if landmarks were left out because of a fault in them."""
-    for left in left_out:
-        if left in odd or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, ABSENT)):
+    for left in left_out if reading.strict else ():
+        if left in (*unnamed, *odd) or left.partly or left.reason.startswith((_UNREAD, _PARTIAL, advice.ABSENT)):
             raise LandmarkError(f"{left.path}: {left.reason} (refused because of --strict).")
+    return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
 
 
 def pair_files(
@@ -126,17 +116,10 @@ def pair_files(
 
     Numbers of landmarks may differ. Also return the files that were not used.
     """
-    pairing = _pair(root, place or root, images, marks, images, USUAL)
-    return pairing.finish(), pairing.left_out
-
-
-def _pair(
-    root: Path, place: Path, images: list[Path], marks: Iterable[Path], wanted: list[Path], reading: Reading
-) -> "_Pairing":
-    pairing = _Pairing(root, place, images, wanted, reading)
+    pairing = _Pairing(root, place or root, images, images, USUAL)
     for file in marks:
         pairing.add(file)
-    return pairing
+    return pairing.finish(), pairing.left_out
 
 
 def _list_files(root: Path, recursive: bool) -> list[Path]:
@@ -165,15 +148,6 @@ def _name(root: Path, path: Path) -> str:
 def _matches(root: Path, image: Path, pattern: str) -> bool:
     relative = image.relative_to(root).as_posix()
     return any(fnmatchcase(text, pattern) for text in (image.name, image.stem, relative, _name(root, image)))
-
-
-def _track(files: list[Path], progress: bool) -> Iterable[Path]:
-    if not progress:
-        return files
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(files, "Reading landmarks", console=Console(stderr=True))
 
 
 @dataclass(frozen=True)
@@ -212,7 +186,7 @@ class _Pairing:
         image = self.by_stem.get(beside.with_suffix("")) or self.names.of_file(beside)
         if not may_hold_many(file) and (image is None or image not in self.options):
             if image is None:
-                self._leave_out(file, NO_IMAGE)
+                self._leave_out(file, advice.NO_IMAGE)
             return
         notes = Notes(self.reading.strict, done=self.notes.done)
         try:
@@ -234,7 +208,10 @@ class _Pairing:
 
     def finish(self) -> list[Sample]:
         """Choose the landmarks of each image, and record the files that are not used."""
-        winners = self._winners()
+        winners: dict[Path, Path] = {}
+        # Of images of the same stem, one with landmarks is used, then lossless formats come first.
+        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
+            winners.setdefault(image.with_suffix(""), image)
         samples = []
         for image in self.wanted:
             best = winners[image.with_suffix("")]
@@ -243,40 +220,25 @@ class _Pairing:
                 self._leave_out(image, f"another image has the same name: {best.name} is used")
             elif options:
                 used, *others = options
-                samples += self._samples(image, used)
-                self._note_others(image, used, others)
+                # Of several objects, the largest is a sample in any case, others if no landmark is missing.
+                for name, landmarks in used.landmarks.objects(_name(self.root, image)):
+                    if landmarks is used.landmarks or not landmarks.missing.any():
+                        samples.append(Sample(name, image, landmarks, used.file))
+                    else:
+                        remedy = f"place them or delete the object, in {used.file.name}"
+                        reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
+                        self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
+                for other in others:
+                    left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
+                    if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
+                        self.left_out.append(left)
+                    if _disagree(used.landmarks, other.landmarks):
+                        kinds = f"{used.file.suffix} and {other.file.name}"
+                        remedy = f"remove one (the {used.file.suffix} is used)"
+                        self.notes.repair(f"landmarks disagree in {kinds}; {remedy}", image.name)
             elif image not in self.reported:
                 self._leave_out(image, _BARE)
         return samples
-
-    def _note_others(self, image: Path, used: _Option, others: list[_Option]) -> None:
-        """Record files that other ones take precedence over, and in which images they disagree."""
-        for other in others:
-            left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
-            if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
-                self.left_out.append(left)
-            if _disagree(used.landmarks, other.landmarks):
-                kinds = f"{used.file.suffix} and {other.file.name}"
-                self.notes.repair(
-                    f"landmarks disagree in {kinds}; remove one (the {used.file.suffix} is used)", image.name
-                )
-
-    def _samples(self, image: Path, option: _Option) -> Iterator[Sample]:
-        """Yield a sample of each object: of the largest in any case, of others if no landmark is missing."""
-        for name, landmarks in option.landmarks.objects(_name(self.root, image)):
-            if landmarks is option.landmarks or not landmarks.missing.any():
-                yield Sample(name, image, landmarks, option.file)
-            else:
-                remedy = f"place them or delete the object, in {option.file.name}"
-                reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
-                self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
-
-    def _winners(self) -> dict[Path, Path]:
-        """Choose among images of the same stem: one with landmarks, then by suffix (lossless formats first)."""
-        winners: dict[Path, Path] = {}
-        for image in sorted(self.wanted, key=lambda path: (not self.options[path], _rank(path, PICTURE_SUFFIXES))):
-            winners.setdefault(image.with_suffix(""), image)
-        return winners
 
     def _add_single(self, file: LandmarkFile, image: Path | None, entry: str) -> None:
         """Add the landmarks of a file for one image, which has its name, or else is the one that it names."""
@@ -288,7 +250,7 @@ class _Pairing:
                 what = "landmark files name another image than that of their own name, which is used"
                 self.notes.repair(what, file.path.name)
         if image is None:
-            self._leave_out(file.path, NO_IMAGE)
+            self._leave_out(file.path, advice.NO_IMAGE)
         else:
             self._add_option(file, image, entry)
 
@@ -304,7 +266,7 @@ class _Pairing:
                 both = f"'{entry}' and '{named[image]}' both name {image.name}; the landmarks of the second are used"
                 self.left_out.append(LeftOut(file.path, both, partly=True))
         if len(absent) == len(file.entries):
-            self._leave_out(file.path, f"{ABSENT}: {some_names(absent)}")
+            self._leave_out(file.path, f"{advice.ABSENT}: {some_names(absent)}")
         elif absent:
             verb = "is" if len(absent) == 1 else "are"
             some = f"{len(absent)} of its {len(file.entries)} images {verb} not in the folder ({some_names(absent)})"

@@ -254,8 +254,14 @@ def _order_fault(
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
     if orders and np.median(distances / usual) > ALL_OFF:
-        kind, order, elsewhere = _best_whole(shapes, own, usual, mean, orders)
-        after = np.linalg.norm(shape[order] - elsewhere, axis=1)
+        tried = []
+        for kind, each in orders.items():  # of each kind, the order nearest to the mean shape
+            placed = resistant_fit(shape[each], mean)
+            order = each[np.median(np.linalg.norm(placed - mean, axis=2), axis=1).argmin()]
+            elsewhere = _expected(shape[order], shapes, own)
+            after = np.linalg.norm(shape[order] - elsewhere, axis=1)
+            tried.append((np.median(after / usual), kind, order, elsewhere, after))
+        _, kind, order, elsewhere, after = min(tried, key=lambda each: each[0])
         if np.median(after / usual) * ALL_OFF < np.median(distances / usual):
             far, near = root_mean_square(distances), root_mean_square(after)
             return LabelFault(picture, kind, everything, order, far, near, elsewhere)
@@ -265,7 +271,8 @@ def _order_fault(
         return None
     run = np.arange(moved.min(), moved.max() + 1)
     after = np.linalg.norm(shape[order] - expected, axis=1)
-    kind = _kind_of(order[run], run)
+    turns = _turns(len(run)).items() if len(run) > 2 else ()
+    kind = next((kind for kind, each in turns if (run[each] == order[run]).all(axis=1).any()), "exchanged")
     at = moved if kind == "exchanged" else run
     before, later = root_mean_square(distances[at]), root_mean_square(after[at])
     return LabelFault(picture, kind, tuple(at.tolist()), order, before, later, expected)
@@ -288,23 +295,6 @@ def _orders(mean: np.ndarray, mirrored: np.ndarray | None, natural: float) -> di
         orders = {"left-right": mirrored[None], **orders}
     told = {kind: each[_fit(mean[each], mean) > ALL_OFF * natural] for kind, each in orders.items()}
     return {kind: each for kind, each in told.items() if len(each)}
-
-
-def _best_whole(
-    shapes: np.ndarray, own: int, usual: np.ndarray, mean: np.ndarray, orders: dict[str, np.ndarray]
-) -> tuple[str, np.ndarray, np.ndarray]:
-    """Kind, order and expected landmarks for the order of all landmarks that is nearest to its neighbours.
-
-    Of each kind only the order nearest to the mean shape is tried.
-    """
-    tried = []
-    for kind, each in orders.items():
-        placed = resistant_fit(shapes[own][each], mean)
-        order = each[np.median(np.linalg.norm(placed - mean, axis=2), axis=1).argmin()]
-        shape = shapes[own][order]
-        expected = _expected(shape, shapes, own)
-        tried.append((np.median(np.linalg.norm(shape - expected, axis=1) / usual), kind, order, expected))
-    return min(tried, key=lambda each: each[0])[1:]
 
 
 def _exchanged(shape: np.ndarray, expected: np.ndarray, usual: np.ndarray) -> np.ndarray:
@@ -356,12 +346,3 @@ def _as_run(order: np.ndarray, squares: np.ndarray) -> np.ndarray:
                     if cost < least:
                         best, least = tried, cost
     return best
-
-
-def _kind_of(order: np.ndarray, run: np.ndarray) -> str:
-    if len(run) == 2:
-        return "exchanged"
-    for kind, orders in _turns(len(run)).items():
-        if (run[orders] == order).all(axis=1).any():
-            return kind
-    return "exchanged"

@@ -124,25 +124,17 @@ def point_outliers(shapes: np.ndarray, near: np.ndarray, progress: Progress | No
         if done < PASSES - 1 and m >= MANY:
             found = _unusual(normal, own - mean, max(DOUBTFUL, RISK / (m * n)), np.full(n, LEAST))
         else:
-            found = _discovered(normal, own - mean, least)
+            # As Benjamini and Hochberg control false discoveries: the more are found, the more usual ones are reported.
+            n_found, n_before = 1, 0
+            while n_found > n_before:
+                found = _unusual(normal, own - mean, RISK * n_found / (m * n), least)
+                n_found, n_before = sum(len(outliers.points) for outliers in found), n_found
         filled = own.copy()
         for i, outliers in enumerate(found):
             at = list(outliers.points)
             filled[i, at] = mean[at] + outliers.expected[at]
     back = [align(placed, shape) for placed, shape in zip(own, shapes, strict=True)]
     return [Outliers(o.points, o.instead, b(mean + o.expected)) for o, b in zip(found, back, strict=True)]
-
-
-def _discovered(normal: _Normal, away: np.ndarray, least: np.ndarray) -> list[Outliers]:
-    """Return the misplaced points of shapes with deviations ``away`` (m, n, 2) from the mean.
-
-    As Benjamini and Hochberg control false discoveries: the more points are found, the more usual ones are reported.
-    """
-    found, n_found, n_before = [], 1, 0
-    while n_found > n_before:
-        found = _unusual(normal, away, RISK * n_found / away[..., 0].size, least)
-        n_found, n_before = sum(len(outliers.points) for outliers in found), n_found
-    return found
 
 
 def _unusual(normal: _Normal, away: np.ndarray, share: float, least: np.ndarray) -> list[Outliers]:

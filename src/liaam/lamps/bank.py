@@ -17,10 +17,10 @@ from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import count_of, json_object
 from liaam.model.file import LAMPS_FORMAT
-from liaam.model.light import SIDE, LightBasis
 from liaam.model.rounding import rounded
 from liaam.model.shape import align
 from liaam.model.tensors import Shapes, read_tensors
+from liaam.model.views import SIDE, LightBasis
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
 from liaam.photometry.invariant import CHROMATICITY

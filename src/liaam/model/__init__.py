@@ -4,6 +4,6 @@
 """
 
 from liaam.model.aam import AAM, load_model
-from liaam.model.views import MESH, SURROUNDINGS, VIEWS, Level, Reliability, View, make_view
+from liaam.model.views import MESH, SURROUNDINGS, VIEWS, Level, Reliability, View
 
-__all__ = ["AAM", "MESH", "SURROUNDINGS", "VIEWS", "Level", "Reliability", "View", "load_model", "make_view"]
+__all__ = ["AAM", "MESH", "SURROUNDINGS", "VIEWS", "Level", "Reliability", "View", "load_model"]

@@ -135,10 +135,6 @@ class Textures:
             return cls(values, usable > 0, usable.max(axis=2).astype(np.float32))
         return cls(values, np.broadcast_to((usable > 0)[..., None], values.shape), usable)
 
-    def of_rows(self, rows: np.ndarray) -> "Textures":
-        """Return some of the textures, by index or mask."""
-        return Textures(self.values[rows], self.observed[rows], self.usable[rows])
-
     @property
     def vectors(self) -> np.ndarray:
         """Textures as flat vectors, (n, d)."""
@@ -198,10 +194,21 @@ def train_appearance_model(
     usable = textures.usable if kept is None else textures.usable[kept]
     vectors, products = textures.filled(variance, kept)
     components = components_by(vectors, vectors.mean(axis=0, dtype=np.float64), products, variance)
-    unexplained = None
-    if left_out is not None:
-        unexplained = _unexplained(vectors, explained_by_others(products, variance, left_out), usable)
-    return _appearance(components, textures.values.shape[2], usable, unexplained)
+    (n, n_pixels), c = usable.shape, textures.values.shape[2]
+    if left_out is None:
+        return _appearance(components, c, usable)
+    # Row i of ``explained`` holds the combination of the other vectors that reconstructs vector i.
+    explained = explained_by_others(products, variance, left_out) if n > 1 else np.eye(n)
+    left = (np.eye(n) - explained).astype(np.float32)
+    moments = np.empty((n_pixels, c, c), np.float32)  # of the residuals at usable pixels
+    for part in chunks(n_pixels):
+        own = vectors[:, part.start * c : part.stop * c]
+        residuals = (left @ (own - own.mean(axis=0))).reshape(n, -1, c)
+        weighed = residuals * usable[:, part, None]
+        for a in range(c):
+            for b in range(a, c):
+                moments[part, a, b] = moments[part, b, a] = np.einsum("in,in->n", weighed[..., a], residuals[..., b])
+    return _appearance(components, c, usable, moments / np.maximum(usable.sum(axis=0), 1)[:, None, None])
 
 
 def _appearance(
@@ -215,26 +222,6 @@ def _appearance(
         usable.mean(axis=0).astype(np.float32),
         unexplained,
     )
-
-
-def _unexplained(vectors: np.ndarray, explained: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Second moments (n_pixels, c, c) of the residuals of vectors at usable pixels (n, n_pixels).
-
-    Row i of ``explained`` (n, n) holds the combination of the other vectors that reconstructs vector i.
-    """
-    n, n_pixels = usable.shape
-    if n < 2:
-        explained = np.eye(n)
-    left, c = (np.eye(n) - explained).astype(np.float32), vectors.shape[1] // n_pixels
-    moments = np.empty((n_pixels, c, c), np.float32)
-    for part in chunks(n_pixels):
-        own = vectors[:, part.start * c : part.stop * c]
-        residuals = (left @ (own - own.mean(axis=0))).reshape(n, -1, c)
-        weighed = residuals * usable[:, part, None]
-        for a in range(c):
-            for b in range(a, c):
-                moments[part, a, b] = moments[part, b, a] = np.einsum("in,in->n", weighed[..., a], residuals[..., b])
-    return moments / np.maximum(usable.sum(axis=0), 1)[:, None, None]
 
 
 def train_illumination(values: AppearanceModel, relit: Textures, variance: float | int) -> AppearanceModel:

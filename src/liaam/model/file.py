@@ -11,23 +11,12 @@ import numpy as np
 from liaam.errors import LiaamError, ModelFileError
 from liaam.io.files import json_object, writable
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel, spread, strongest_modes
-from liaam.model.file_checks import (
-    UNIT,
-    are_unit,
-    check_variances,
-    checked_tensor,
-    finite,
-    half_or_single,
-    optional_tensor,
-    symmetric,
-)
-from liaam.model.light import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
 from liaam.model.point_map import LEAST_NOISE, PointMap
 from liaam.model.rounding import decoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
-from liaam.model.views import MESH, VIEWS, Level, Reliability, View, make_view
-from liaam.photometry import CameraModel, camera_from, parse_response
+from liaam.model.views import MESH, SIDE, VIEWS, Level, LightBasis, Reliability, View
+from liaam.photometry import camera_from, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
 
 SCHEMA_VERSION, OF_SHAPES, OF_MIRRORED = 5, 6, 7
@@ -80,9 +69,11 @@ those of a view. Those of appearances and of the modes of light are in functions
 MOST_WEIGHT = 1e6
 """Largest weight of such a point."""
 
+UNIT = 0.1
+"""Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors."""
+
 FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"
 """Formats in the headers of model files and of lamp files."""
-
 
 UNNAMED = "soft-li"
 """Method whose calibration is stored without its name."""
@@ -157,18 +148,28 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     n_images, n_textures, views = int(header["n_images"]), int(header.get("n_textures", 0)), header["views"]
     if not isinstance(views, dict) or MESH not in views:
         raise ValueError(f"there is no view {MESH}")
+    if not isinstance(header["camera"], dict):
+        raise ValueError(f"camera {header['camera']!r} is not an object")
+    camera = camera_from(header["camera"])
     # Number of textures that each appearance was learnt from.
     counts = dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
     features = _features(header, tensors)
     channels = CHANNELS if features is None else {**CHANNELS, "features": features.width}
     sizes = {name: (channels[name], count) for name, count in counts.items()}
+    searched = half_or_single(tensors, "search_filter", (None, None, 2)) if "search_filter" in tensors else None
+    if searched is not None and not 1 <= min(searched.shape[:2]) <= max(searched.shape[:2]) <= LARGEST_FILTER:
+        raise ValueError(f"search_filter has shape {searched.shape}")
+    contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in header["contours"])
+    if any(not 0 <= i < n for indices, _ in contours for i in indices):
+        raise ValueError("a contour names a landmark that does not exist")
     made = {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()}
     return {
         "views": made,
         "triangles": triangles,
-        "camera": _camera(header),
+        # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
+        "camera": replace(camera, theta=finite(header["theta"]), response=parse_response(header["response"])),
         "n_images": n_images,
-        "contours": _contours(header["contours"], n),
+        "contours": contours,
         "landmark_names": _names(header.get("landmark_names", []), n),
         "name": _text(header["name"]),
         "credit": _text(header.get("credit", "")),
@@ -178,7 +179,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "light": _light(tensors, n) if "light.modes" in tensors else None,
         "points": _point_map(tensors, n),
         "features": features,
-        "search_filter": _search_filter(tensors),
+        "search_filter": searched,
         "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
     }
 
@@ -191,23 +192,18 @@ def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict
     made: list[dict[str, Any] | np.ndarray] = []
     for i, about in enumerate(others):
         if i and MIRRORED in about:
-            made.append(_order(about[MIRRORED], len(tensors["mean"])))
+            order, n = np.array(about[MIRRORED]), len(tensors["mean"])
+            if order.shape != (n,) or order.dtype.kind != "i" or not 0 <= order.min() <= order.max() < n:
+                raise ValueError(f"{MIRRORED} has not {n} indices of landmarks")
+            if not np.array_equal(order[order], np.arange(n)):
+                raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
+            made.append(order)
             continue
         own = {key.removeprefix(prefix_of(i)): value for key, value in tensors.items() if key.startswith(prefix_of(i))}
         if own["mean"].shape != tensors["mean"].shape:
             raise ValueError("the shapes do not have the same number of landmarks")
         made.append(_fields(about, own))
     return made
-
-
-def _order(indices: list, n: int) -> np.ndarray:
-    """Return the index of each landmark's mirror image."""
-    order = np.array(indices)
-    if order.shape != (n,) or order.dtype.kind != "i" or not 0 <= order.min() <= order.max() < n:
-        raise ValueError(f"{MIRRORED} has not {n} indices of landmarks")
-    if not np.array_equal(order[order], np.arange(n)):
-        raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
-    return order
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
@@ -224,16 +220,6 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
     return LightBasis(mean, modes, remainder)
-
-
-def _search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
-    """Filter of the search, (h, w, 2)."""
-    if "search_filter" not in tensors:
-        return None
-    found = half_or_single(tensors, "search_filter", (None, None, 2))
-    if not 1 <= min(found.shape[:2]) <= max(found.shape[:2]) <= LARGEST_FILTER:
-        raise ValueError(f"search_filter has shape {found.shape}")
-    return found
 
 
 def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:
@@ -296,10 +282,13 @@ def _view(
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    view = make_view(name, _shape_model(about, tensors, mean), triangles, tuple(levels), _reliabilities(tensors, n))
-    if n_pixels != view.warp.frame.n_pixels:
+    warp = VIEWS[name](_shape_model(about, tensors, mean), triangles)
+    if n_pixels != warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    return replace(view, warp=replace(view.warp, from_right=bool(about.get("from_right", False))))
+    named = re.compile(r"(reliability(?:/([a-z0-9-]{1,40}))?)\.weights")
+    calibrations = {found[2] or UNNAMED: found[1] for key in sorted(tensors) if (found := named.fullmatch(key))}
+    known = {method: _reliability(tensors, own, n) for method, own in calibrations.items()}
+    return View(replace(warp, from_right=bool(about.get("from_right", False))), tuple(levels), known)
 
 
 def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
@@ -312,28 +301,12 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     if not are_unit(modes) or np.abs(products - np.eye(len(modes), len(basis))).max(initial=0.0) > UNIT:
         raise ValueError("shape.modes are not orthonormal")
     eigenvalues = checked_tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
-    unexplained = optional_tensor(tensors, "shape.unexplained", np.float64, (n, 2, 2))
+    key = "shape.unexplained"
+    unexplained = checked_tensor(tensors, key, np.float64, (n, 2, 2)) if key in tensors else None
     freedom = finite(about["freedom"]) if "freedom" in about else np.inf
     if not freedom > 0:
         raise ValueError(f"freedom {freedom:g} is not positive")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
-
-
-def _camera(header: dict) -> CameraModel:
-    if not isinstance(header["camera"], dict):
-        raise ValueError(f"camera {header['camera']!r} is not an object")
-    known = camera_from(header["camera"])
-    # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
-    return replace(known, theta=finite(header["theta"]), response=parse_response(header["response"]))
-
-
-def _reliabilities(tensors: dict[str, np.ndarray], n: int) -> dict[str, Reliability]:
-    """Return the calibrations of the methods of a view, by their names."""
-    found = {}
-    for key in sorted(tensors):
-        if named := re.fullmatch(r"(reliability(?:/([a-z0-9-]{1,40}))?)\.weights", key):
-            found[named[2] or UNNAMED] = _reliability(tensors, named[1], n)
-    return found
 
 
 def _reliability(tensors: dict[str, np.ndarray], own: str, n: int) -> Reliability:
@@ -366,12 +339,22 @@ def _appearance(
     in_part = known is not None or not modes.any(axis=(0, 2)).all()  # of some, only pixels that are used are kept
     if not are_unit(modes.reshape(len(modes), n * channels), at_most=in_part):
         raise ValueError(f"{prefix}.modes are not of unit length")
+    key, errors = f"{prefix}.unexplained", None
+    if key in tensors and tensors[key].ndim == 3:  # of version 4
+        errors = half_or_single(tensors, key, (n, channels, channels))
+    elif key in tensors:
+        rows, columns = np.triu_indices(channels)
+        stored = half_or_single(tensors, key, (n, len(rows)))
+        errors = np.empty((n, channels, channels), np.float32)
+        errors[:, rows, columns] = errors[:, columns, rows] = stored
+    if errors is not None:
+        check_variances(key, errors)
     appearance = AppearanceModel(
         mean=half_or_single(tensors, f"{prefix}.mean", (n, channels)),
         modes=modes,
         eigenvalues=checked_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
         usable=half_or_single(tensors, f"{prefix}.usable", (n,)),
-        unexplained=_unexplained(tensors, f"{prefix}.unexplained", n, channels),
+        unexplained=errors,
     )
     return appearance if known is None else appearance.spread(known)
 
@@ -385,18 +368,6 @@ def _known(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.nda
     if known.sum() < LEAST_SHARE * n_pixels:
         raise ValueError(f"{prefix} has {known.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
     return known
-
-
-def _unexplained(tensors: dict[str, np.ndarray], key: str, n: int, c: int) -> np.ndarray | None:
-    """Covariances (n, c, c), stored as upper triangles or, by version 4, as matrices."""
-    if key not in tensors:
-        return None
-    if tensors[key].ndim == 3:
-        found = half_or_single(tensors, key, (n, c, c))
-    else:
-        found = symmetric(half_or_single(tensors, key, (n, c * (c + 1) // 2)), c)
-    check_variances(key, found)
-    return found
 
 
 def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple) -> np.ndarray:
@@ -421,8 +392,47 @@ def _text(value: object) -> str:
     return writable(str(value))[:LONGEST_NAME]
 
 
-def _contours(rows: list, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:
-    contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in rows)
-    if any(not 0 <= i < n for indices, _ in contours for i in indices):
-        raise ValueError("a contour names a landmark that does not exist")
-    return contours
+def half_or_single(tensors: dict[str, np.ndarray], key: str, shape: tuple) -> np.ndarray:
+    """A tensor in 16 or 32 bits, in single precision."""
+    dtype = np.float16 if tensors[key].dtype == np.float16 else np.float32
+    return checked_tensor(tensors, key, dtype, shape).astype(np.float32, copy=False)
+
+
+def checked_tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
+    """Return a tensor of a type and shape (None for any length), whose values its name allows. Raises ValueError."""
+    tensor = tensors[key]
+    fits = tensor.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
+    )
+    if tensor.dtype != dtype or not fits:
+        raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
+    if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
+        raise ValueError(f"{key} has values that are not finite")
+    if (key.endswith(("eigenvalues", "usable")) and (tensor < 0).any()) or (
+        key.endswith("usable") and (tensor > 1).any()
+    ):
+        raise ValueError(f"{key} has values out of range")
+    if key.endswith(("shape.unexplained", "landmarks", "bias")):
+        check_variances(key, tensor)
+    return tensor
+
+
+def check_variances(key: str, matrices: np.ndarray) -> None:
+    """Raise ValueError if a diagonal of matrices (n, c, c) has negative values."""
+    if (np.diagonal(matrices, axis1=1, axis2=2) < 0).any():
+        raise ValueError(f"{key} has negative variances")
+
+
+def are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
+    """Whether modes (m, d) have unit length, or at most that if only a part of them is kept."""
+    if max(modes.max(initial=0.0), -modes.min(initial=0.0)) > 2.0:  # the squares might overflow
+        return False
+    beyond = np.einsum("md,md->m", modes, modes) - 1.0
+    return bool(((beyond if at_most else np.abs(beyond)) < UNIT).all())
+
+
+def finite(value: float) -> float:
+    """Return a finite number; raise ValueError for others."""
+    if not np.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")
+    return float(value)

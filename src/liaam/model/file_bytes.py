@@ -5,18 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from liaam.model import file
 from liaam.model.appearance import AppearanceModel
-from liaam.model.file import (
-    FORMAT,
-    LEAST_SHARE,
-    MIRRORED,
-    OF_MIRRORED,
-    OF_SHAPES,
-    SCHEMA_VERSION,
-    STORED,
-    calibration_of,
-    prefix_of,
-)
 from liaam.model.mirror import mirrored_model
 from liaam.model.rounding import encoded
 from liaam.model.shape import mirror_order
@@ -32,15 +22,15 @@ def file_bytes(model: "AAM") -> bytes:
 
     header, tensors = _header(model), _tensors(model)
     if model.others:
-        header |= {"schema": OF_SHAPES, "others": []}
+        header |= {"schema": file.OF_SHAPES, "others": []}
     for i, other in enumerate(model.others):
         own, order = _tensors(other), _mirror(model, i)
         if order is None:
             header["others"].append(_header(other))
-            tensors |= {f"{prefix_of(i)}{key}": value for key, value in own.items()}
+            tensors |= {f"{file.prefix_of(i)}{key}": value for key, value in own.items()}
         else:
-            header |= {"schema": OF_MIRRORED}
-            header["others"].append({MIRRORED: order.tolist()})
+            header |= {"schema": file.OF_MIRRORED}
+            header["others"].append({file.MIRRORED: order.tolist()})
     return save(tensors, {"liaam": json.dumps(header)})
 
 
@@ -58,8 +48,8 @@ def _mirror(model: "AAM", i: int) -> np.ndarray | None:
 
 def _header(model: "AAM") -> dict:
     return {
-        "format": FORMAT,
-        "schema": SCHEMA_VERSION,
+        "format": file.FORMAT,
+        "schema": file.SCHEMA_VERSION,
         "theta": model.theta,
         "response": describe_response(model.response),
         "camera": model.camera.describe(),
@@ -93,39 +83,38 @@ def _tensors(model: "AAM") -> dict[str, np.ndarray]:
     for name, view in model.views.items():
         parts += [
             (f"{name}/shape", view.shape_model, "shape"),
-            *((f"{name}/{calibration_of(m)}", known, "reliability") for m, known in view.reliabilities.items()),
+            *((f"{name}/{file.calibration_of(m)}", known, "reliability") for m, known in view.reliabilities.items()),
         ]
         for i, level in enumerate(view.levels):
             for kind, appearance in level.appearances.items():
                 tensors |= {f"{name}/{i}/{kind}.{k}": v for k, v in _appearance_tensors(appearance).items()}
     for prefix, owner, kind in parts:
         if owner is not None:
-            tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in STORED[kind]}
-    if model.light is not None:
-        tensors |= {f"light.{key}": value for key, value in _light_tensors(model.light.modes).items()}
+            tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in file.STORED[kind]}
+    if model.light is not None:  # its modes are 0 far from the object
+        known = model.light.modes.any(axis=(0, 3))
+        about = {"known": np.packbits(known), **_mode_tensors(model.light.modes[:, known])}
+        tensors |= {f"light.{key}": value for key, value in about.items()}
     return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
 
 
 def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | None]:
     """Return the tensors that hold an appearance exactly, as few and as narrow as that is possible."""
     known = appearance.known
-    if known.sum() < LEAST_SHARE * len(known):
+    if known.sum() < file.LEAST_SHARE * len(known):
         known = np.ones(len(known), bool)
     errors = appearance.unexplained
+    if errors is not None:
+        rows, columns = np.triu_indices(errors.shape[1])
+        errors = _half_if_exact(errors[known][:, rows, columns])
     return {
         "known": None if known.all() else np.packbits(known),
         "mean": _half_if_exact(appearance.mean[known]),
         **_mode_tensors(appearance.modes[:, known]),
         "eigenvalues": appearance.eigenvalues,
         "usable": _half_if_exact(appearance.usable[known]),
-        "unexplained": None if errors is None else _half_if_exact(_upper(errors[known])),
+        "unexplained": errors,
     }
-
-
-def _light_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the tensors of the modes of light (k, side, side, 3), which are 0 far from the object."""
-    known = modes.any(axis=(0, 3))
-    return {"known": np.packbits(known), **_mode_tensors(modes[:, known])}
 
 
 def _mode_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
@@ -138,9 +127,3 @@ def _half_if_exact(values: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):
         half = values.astype(np.float16)
     return half if np.array_equal(half, values) else values
-
-
-def _upper(matrices: np.ndarray) -> np.ndarray:
-    """Return the upper triangles (n, c (c + 1) / 2), row by row, of symmetric matrices (n, c, c)."""
-    rows, columns = np.triu_indices(matrices.shape[1])
-    return matrices[:, rows, columns]

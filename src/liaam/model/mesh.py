@@ -47,18 +47,15 @@ def triangles_from_edges(points: np.ndarray, edges: np.ndarray) -> np.ndarray | 
     cycles = [
         (a, b, c) for a in neighbours for b in neighbours[a] if b > a for c in neighbours[a] & neighbours[b] if c > b
     ]
-    faces = [cycle for cycle in cycles if _is_empty(points, cycle)]
+    faces = []
+    for cycle in cycles:
+        inside = np.asarray((barycentric(points, points[list(cycle)]) > 1e-9).all(axis=1))
+        inside[list(cycle)] = False
+        if not inside.any():
+            faces.append(cycle)
     if not faces or len({i for face in faces for i in face}) < len(points):
         return None
     return _turned(points, np.array(sorted(faces), dtype=np.int32))
-
-
-def _is_empty(points: np.ndarray, cycle: tuple[int, int, int]) -> bool:
-    """Whether no other point lies strictly inside a triangle."""
-    weights = barycentric(points, points[list(cycle)])
-    inside = np.asarray((weights > 1e-9).all(axis=1))
-    inside[list(cycle)] = False
-    return not inside.any()
 
 
 def signed_areas(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -8,9 +8,7 @@ import numpy as np
 
 from liaam.errors import ModelFileError
 from liaam.model.appearance import AppearanceModel
-from liaam.model.mesh import ReferenceFrame
-from liaam.model.shape import ShapeModel
-from liaam.model.views import Level, Reliability, View, make_view
+from liaam.model.views import VIEWS, Level, View
 
 if TYPE_CHECKING:
     from liaam.model.aam import AAM
@@ -61,31 +59,27 @@ class _MirroredViews(Mapping[str, View]):
 
 
 def _view(name: str, view: View, triangles: np.ndarray, order: np.ndarray) -> View:
-    bare = make_view(name, _shape_model(view.shape_model, order), triangles)
-    pixels = _pixels(bare.warp.frame, view.warp.frame)
-    levels = tuple(
-        Level(level.blur, {kind: _appearance(kind, each, pixels) for kind, each in level.appearances.items()})
-        for level in view.levels
-    )
-    known = {method: _reliability(each, order) for method, each in view.reliabilities.items()}
-    # Levels hold the mirror images of the pixels that fits need.
-    warp = replace(bare.warp, from_right=not view.warp.from_right)
-    return replace(bare, warp=warp, levels=levels, reliabilities=known)
-
-
-def _shape_model(model: ShapeModel, order: np.ndarray) -> ShapeModel:
-    modes = (model.modes.reshape(len(model.modes), -1, 2) * [-1.0, 1.0])[:, order].reshape(model.modes.shape)
+    model, mirrored = view.shape_model, np.array([-1.0, 1.0])
+    modes = (model.modes.reshape(len(model.modes), -1, 2) * mirrored)[:, order].reshape(model.modes.shape)
     unexplained = None if model.unexplained is None else _covariances(model.unexplained)[order]
-    return replace(model, mean=(model.mean * [-1.0, 1.0])[order], modes=modes, unexplained=unexplained)
-
-
-def _pixels(frame: ReferenceFrame, other: ReferenceFrame) -> np.ndarray:
-    """Return the index of each pixel of a frame in its mirror image."""
+    shapes = replace(model, mean=(model.mean * mirrored)[order], modes=modes, unexplained=unexplained)
+    warp = VIEWS[name](shapes, triangles)
+    frame, other = warp.frame, view.warp.frame
     (width, height), (x, y) = other.size, other.origin
     number = np.zeros((height, width), int)
     number[other.pixels[:, 0], other.pixels[:, 1]] = np.arange(other.n_pixels)
     at = frame.pixels[:, ::-1] + frame.origin
-    return number[(at[:, 1] - y).astype(int), (-at[:, 0] - x).astype(int)]
+    pixels = number[(at[:, 1] - y).astype(int), (-at[:, 0] - x).astype(int)]  # of the mirror image of each pixel
+    levels = tuple(
+        Level(level.blur, {kind: _appearance(kind, each, pixels) for kind, each in level.appearances.items()})
+        for level in view.levels
+    )
+    known = {
+        method: replace(each, landmarks=_covariances(each.landmarks)[order], bias=_covariances(each.bias)[order])
+        for method, each in view.reliabilities.items()
+    }
+    # Levels hold the mirror images of the pixels that fits need.
+    return View(replace(warp, from_right=not view.warp.from_right), levels, known)
 
 
 def _appearance(kind: str, known: AppearanceModel, pixels: np.ndarray) -> AppearanceModel:
@@ -98,11 +92,6 @@ def _appearance(kind: str, known: AppearanceModel, pixels: np.ndarray) -> Appear
             errors[:, 0, 1:] *= -1.0
             errors[:, 1:, 0] *= -1.0
     return AppearanceModel(mean, modes, known.eigenvalues, known.usable[pixels], errors)
-
-
-def _reliability(known: Reliability, order: np.ndarray) -> Reliability:
-    landmarks, bias = (_covariances(each)[order] for each in (known.landmarks, known.bias))
-    return replace(known, landmarks=landmarks, bias=bias)
 
 
 def _covariances(matrices: np.ndarray) -> np.ndarray:

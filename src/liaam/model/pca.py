@@ -83,28 +83,18 @@ def strongest(products: np.ndarray, variance: float | int) -> tuple[np.ndarray, 
 def components_by(vectors: np.ndarray, mean: np.ndarray, products: np.ndarray, variance: float | int) -> Components:
     """Principal components of vectors (n, d) from their mean (d,) and their Gram matrix (n, n) about it."""
     squares, combinations = strongest(products, variance)
-    modes = _orthonormal(vectors, mean, (combinations / np.sqrt(squares)).T)
-    return Components(mean, modes, squares / max(len(vectors) - 1, 1))
-
-
-def _orthonormal(vectors: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Orthonormalise weighted sums (m, d) of centred vectors that are already nearly orthonormal."""
-    modes = np.empty((len(weights), vectors.shape[1]))
-    if not len(weights):
-        return modes
-    products = np.zeros((len(weights), len(weights)))
+    weights, n = (combinations / np.sqrt(squares)).T, len(squares)
+    modes, products = np.empty((n, vectors.shape[1])), np.zeros((n, n))
     for part in chunks(vectors.shape[1]):
         modes[:, part] = weights @ (vectors[:, part] - mean[part])
         products += modes[:, part] @ modes[:, part].T
     # The Gram matrix squares the condition number, so orthonormalise once more (Cholesky QR).
-    back = np.linalg.inv(np.linalg.cholesky(products))
-    largest = np.zeros(len(weights))
+    back, largest = np.linalg.inv(np.linalg.cholesky(products)), np.zeros(n)
     for part in chunks(vectors.shape[1]):
         modes[:, part] = back @ modes[:, part]
         own = np.take_along_axis(modes[:, part], np.abs(modes[:, part]).argmax(axis=1)[:, None], axis=1)[:, 0]
         largest = np.where(np.abs(own) > np.abs(largest), own, largest)
-    modes *= np.sign(largest)[:, None]
-    return modes
+    return Components(mean, modes * np.sign(largest)[:, None], squares / max(len(vectors) - 1, 1))
 
 
 def count_modes(squares: np.ndarray, variance: float | int) -> int:

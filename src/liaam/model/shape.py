@@ -9,17 +9,7 @@ from math import hypot, nan
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.model.pca import (
-    LeftOutCoordinates,
-    Variance,
-    count_by_evidence,
-    count_modes,
-    left_out_variances,
-    log_evidence,
-    principal_components,
-    some_folds,
-    unexplained_by_others,
-)
+from liaam.model import pca
 from liaam.model.shape_prior import Deviations, SmoothPrior, covariance, fit_freedom, fit_prior, modes_of
 
 
@@ -205,15 +195,16 @@ class ShapeModel:
 
     def project(self, shape: np.ndarray) -> np.ndarray:
         """Find the nearest shape of the model under any similarity: the result of a perfect fit, (n, 2) float64."""
-        pose = align(self.mean, shape)
-        for _ in range(20):  # alternate pose and modes: the modes move with the pose
-            local = self.shape(self._modes_only(pose.inverse()(shape)))
-            new = align(local, shape)
-            moved = float(np.abs(new(local) - pose(local)).max())
-            pose = new
+        pose, local, moved = align(self.mean, shape), self.mean, np.inf
+        for _ in range(21):  # alternate pose and modes: the modes move with the pose
+            p = self.parameters(pose.inverse()(shape))
+            p[-4:] = 0.0
+            local = self.shape(p)
             if moved < 1e-9 * diagonal_of(shape):
                 break
-        return pose(self.shape(self._modes_only(pose.inverse()(shape))))
+            new = align(local, shape)
+            pose, moved = new, float(np.abs(new(local) - pose(local)).max())
+        return pose(local)
 
     def log_density(self, shape: np.ndarray) -> float:
         """Log-likelihood of a shape (n, 2), whatever its position, size and rotation, up to a constant."""
@@ -224,11 +215,6 @@ class ShapeModel:
         beyond = np.square(upright - self.mean).sum() - np.square(p).sum()
         inside = (np.square(p) / variances + np.log(variances)).sum()
         return float(-0.5 * (inside + beyond / noise + n_beyond * np.log(noise)))
-
-    def _modes_only(self, shape: np.ndarray) -> np.ndarray:
-        p = self.parameters(shape)
-        p[-4:] = 0.0
-        return p
 
 
 def own_parameters(n: int, n_all: int) -> np.ndarray:
@@ -290,25 +276,25 @@ def choose_recipe(mean: np.ndarray, shapes: np.ndarray, prior: str, folds: Seque
 def shape_model_on(
     mean: np.ndarray,
     shapes: np.ndarray,
-    variance: Variance,
+    variance: pca.Variance,
     recipe: Recipe,
     folds: Sequence[np.ndarray] | None = None,
 ) -> ShapeModel:
     """Learn the modes of shapes (n_shapes, n_points, 2) around a given mean shape (n_points, 2)."""
-    folds = some_folds(len(shapes)) if folds is None else folds
+    folds = pca.some_folds(len(shapes)) if folds is None else folds
     deviations = deviations_from(mean, shapes, recipe.mirrored)
     if recipe.smooth is not None:
         model = _smooth_model(deviations, variance, recipe.smooth, folds)
         return replace(model, eigenvalues=WIDER * model.eigenvalues) if recipe.prior == "wide" else model
     own = deviations.own
     if variance == "auto":
-        variance = count_by_evidence(own, folds, deviations.dimension)
-    components = principal_components(own, variance)
+        variance = pca.count_by_evidence(own, folds, deviations.dimension)
+    components = pca.principal_components(own, variance)
     modes = components.modes - components.modes @ deviations.rigid.T @ deviations.rigid
     eigenvalues = components.eigenvalues
     if recipe.prior == "shrunk":
-        eigenvalues = left_out_variances(own, folds, len(modes))
-    left = unexplained_by_others(own, variance, folds).astype(np.float64)
+        eigenvalues = pca.left_out_variances(own, folds, len(modes))
+    left = pca.unexplained_by_others(own, variance, folds).astype(np.float64)
     return ShapeModel(mean, np.ascontiguousarray(modes), eigenvalues, _moments(left))
 
 
@@ -326,36 +312,31 @@ def deviations_from(mean: np.ndarray, shapes: np.ndarray, order: np.ndarray | No
 
 
 def _smooth_model(
-    deviations: Deviations, variance: Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
+    deviations: Deviations, variance: pca.Variance, prior: SmoothPrior, folds: Sequence[np.ndarray]
 ) -> ShapeModel:
     """Shape model from a covariance shrunk towards smooth deformations."""
     spread = covariance(deviations, prior)
     modes, values = modes_of(spread, deviations.rigid)
     folds = [fold for fold in folds if len(deviations.own) - len(fold) >= 2]
-    parts = [_left_out(deviations, fold, prior) for fold in folds]
-    left_out = [_coordinates(*part, prior.noise) for part in parts]
+    parts = []  # deviations of each fold from the mean of the others, and the others' modes and eigenvalues
+    for fold in folds:
+        part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
+        away = deviations.own[fold] - part.own.mean(axis=0)
+        parts.append((away, *modes_of(covariance(part, prior), deviations.rigid)))
+    left_out = [
+        pca.LeftOutCoordinates(v + prior.noise * v.mean(), np.square(away @ own.T), np.square(away).sum(axis=1))
+        for away, own, v in parts
+    ]
     if variance == "auto":
-        evidence = [log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
+        evidence = [pca.log_evidence(part, len(part.eigenvalues)) for part in left_out if part.eigenvalues[0] > 0]
         kept = int(np.sum(evidence, axis=0).argmax()) if evidence else 0
     else:
-        kept = count_modes(values, variance)
+        kept = pca.count_modes(values, variance)
     freedom = fit_freedom(left_out, kept)
     left = np.zeros_like(deviations.own)
     for fold, (away, own_modes, _) in zip(folds, parts, strict=True):
         left[fold] = away - away @ own_modes[:kept].T @ own_modes[:kept]
     return ShapeModel(deviations.mean, modes[:kept], values[:kept], _moments(left), freedom)
-
-
-def _left_out(
-    deviations: Deviations, fold: np.ndarray, prior: SmoothPrior
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Deviations of a fold from the mean of the others, and the others' modes and eigenvalues."""
-    part = deviations.of(np.setdiff1d(np.arange(len(deviations.own)), fold))
-    return deviations.own[fold] - part.own.mean(axis=0), *modes_of(covariance(part, prior), deviations.rigid)
-
-
-def _coordinates(away: np.ndarray, modes: np.ndarray, values: np.ndarray, noise: float) -> LeftOutCoordinates:
-    return LeftOutCoordinates(values + noise * values.mean(), np.square(away @ modes.T), np.square(away).sum(axis=1))
 
 
 def _moments(left: np.ndarray) -> np.ndarray:

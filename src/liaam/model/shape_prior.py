@@ -10,7 +10,7 @@ Taylor, BMVC 1995, likewise mix in the modes of a finite element model). ``share
 the likelihood of left-out shapes. The modes are the eigenvectors of C.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import lgamma
@@ -142,7 +142,12 @@ def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrio
         if not np.trace(sample) > 0:
             continue
         count += len(fold)
-        total += np.array(list(_densities(sample, away, part, mixtures)))
+        trace, smooth = np.trace(sample), {w: smooth_covariance(part.mean, part.rigid, w) for w in WIDTHS}
+        noises = np.array(NOISES)[:, None] * trace / part.dimension
+        for own, (share, width) in zip(total, mixtures, strict=True):
+            modes, values = modes_of((1.0 - share) * sample + share * trace * smooth[width], part.rigid)
+            squares, variances = np.square(away @ modes.T).sum(axis=0), values + noises
+            own -= 0.5 * (squares / variances + len(fold) * np.log(2.0 * np.pi * variances)).sum(axis=1)
     if not count:
         return SmoothPrior(0.0, WIDTHS[0], NOISES[0])
     best, noise = np.unravel_index(total.argmax(), total.shape)
@@ -157,27 +162,9 @@ def fit_freedom(left_out: Sequence[LeftOutCoordinates], kept: int) -> float:
     squares = [(part.squares[:, :kept] / part.eigenvalues[:kept]).sum(axis=1) for part in left_out]
     if not squares or not kept:
         return np.inf
-    densities = [_log_student(np.concatenate(squares), kept, freedom).sum() for freedom in FREEDOMS]
+    together, half = np.concatenate(squares), 0.5 * kept
+    densities = [(-0.5 * together).sum()]  # up to a constant, of the normal distribution
+    for freedom in FREEDOMS[:-1]:
+        constant = lgamma(0.5 * freedom + half) - lgamma(0.5 * freedom) - half * np.log(0.5 * freedom)
+        densities.insert(-1, (constant - (0.5 * freedom + half) * np.log1p(together / freedom)).sum())
     return FREEDOMS[int(np.argmax(densities))] if np.isfinite(densities).all() else np.inf
-
-
-def _log_student(squares: np.ndarray, dimension: int, freedom: float) -> np.ndarray:
-    """Log density of a Student distribution at squared Mahalanobis distances, up to a constant."""
-    if not np.isfinite(freedom):
-        return -0.5 * squares
-    half = 0.5 * dimension
-    constant = lgamma(0.5 * freedom + half) - lgamma(0.5 * freedom) - half * np.log(0.5 * freedom)
-    return constant - (0.5 * freedom + half) * np.log1p(squares / freedom)
-
-
-def _densities(
-    sample: np.ndarray, away: np.ndarray, part: Deviations, mixtures: list[tuple[float, float]]
-) -> Iterator[np.ndarray]:
-    """Yield for each mixture the log density of the deviations ``away`` under each noise, (n_noises,)."""
-    smooth = {width: smooth_covariance(part.mean, part.rigid, width) for width in WIDTHS}
-    total = np.trace(sample)
-    noises = np.array(NOISES)[:, None] * total / part.dimension
-    for share, width in mixtures:
-        modes, values = modes_of((1.0 - share) * sample + share * total * smooth[width], part.rigid)
-        squares, variances = np.square(away @ modes.T).sum(axis=0), values + noises
-        yield -0.5 * (squares / variances + len(away) * np.log(2.0 * np.pi * variances)).sum(axis=1)

@@ -155,7 +155,10 @@ class PiecewiseAffineWarp:
         If V(W(x; p)) = values(x), then grad V = (dW/dx)^-T grad values. Nearly flat triangles give 0.
         """
         vertices, triangles = self._vertices(self.shape_model.shape(p)), self.frame.triangles
-        at_rest, now = (_edges(points, triangles) for points in (self.frame.points, vertices))
+        at_rest, now = (  # two edges of each triangle as columns
+            (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1)
+            for points in (self.frame.points, vertices)
+        )
         flat = ~(np.abs(np.linalg.det(now)) > FLAT * np.abs(np.linalg.det(at_rest)))
         back = (at_rest @ _inverse(now, flat))[self._owners]
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
@@ -166,11 +169,6 @@ FEWEST = 8
 
 FLAT = 0.05
 """Fraction of its area on the mean shape below which a triangle counts as flat."""
-
-
-def _edges(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Two edges of each triangle as columns, (t, 2, 2)."""
-    return (points[triangles[:, 1:]] - points[triangles[:, :1]]).transpose(0, 2, 1)
 
 
 def _inverse(matrices: np.ndarray, flat: np.ndarray) -> np.ndarray:

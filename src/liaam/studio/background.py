@@ -8,9 +8,8 @@ import os
 import threading
 import time
 from collections.abc import Mapping
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import suppress
-from functools import cached_property, lru_cache
+from contextlib import closing, suppress
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,7 @@ from liaam.studio.pictures import file_tag
 from liaam.studio.project import Project
 from liaam.studio.template import Template, template_of
 from liaam.studio.training import Publish, Trainer
+from liaam.workers import in_order
 
 LOOK_SECONDS = 3.0  # how often the folder is looked at for files that other programs add
 QUIET_SECONDS = 0.2  # files that are added together arrive in shorter intervals
@@ -131,12 +131,9 @@ class Background:
         wanted, models = self._may_use_face() and not self._without_faces, self.models
         if wanted == (models.spare is not None):
             return
-        if wanted:
-            models.publish(self._face, FACE_FACTS, "spare")
-        else:
-            models.publish(None, place="spare")
-            if self.project.templates.is_own:
-                self.project.templates.offer(None)
+        models.publish(self._face if wanted else None, FACE_FACTS, "spare")
+        if not wanted and self.project.templates.is_own:
+            self.project.templates.offer(None)
         self._publish("project", {})
 
     def _is_paused(self) -> bool:
@@ -151,7 +148,14 @@ class Background:
             return own
         if not waiting or not self._may_use_face():
             return None
-        has_faces = templates.current is not None or self._has_faces(waiting)
+        has_faces = templates.current is not None
+        if not has_faces:  # it finds a face in half of the first few pictures that it has not been tried on
+            tagged = [(name, file_tag(path), path) for name, path in waiting]
+            fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
+            trial = partial(propose, self._fitter_of(self._face))
+            found = list(in_order(trial, [path for *_, path in fresh], THREADS))
+            has_faces = bool(fresh) and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh)
+            self._without_faces.update(each[:2] for each in fresh)
         if has_faces:
             self._without_faces.clear()
         self._lend()
@@ -159,34 +163,21 @@ class Background:
             templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
 
-    def _has_faces(self, waiting: list[Picture]) -> bool:
-        """Whether the face model finds a face in half of the first few pictures that it has not been tried on."""
-        fitter = self._fitter_of(self._face)
-        tagged = [(name, file_tag(path), path) for name, path in waiting]
-        fresh = [each for each in tagged if each[:2] not in self._without_faces][:TRIED]
-        with ThreadPoolExecutor(THREADS) as pool:
-            found = list(pool.map(lambda each: propose(fitter, each[2]), fresh))
-        if fresh and 2 * sum(not proposal["doubtful"] for proposal in found) >= len(fresh):
-            return True
-        self._without_faces.update(each[:2] for each in fresh)
-        return False
-
     def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()
-        with ThreadPoolExecutor(THREADS) as pool:
-            pending = {pool.submit(propose, fitter, path): name for name, path in waiting}
+        with closing(in_order(partial(propose, fitter), [path for _, path in waiting], THREADS)) as proposals:
             try:
-                while pending and not self._is_paused() and model in (self.models.own, self.models.spare):
-                    for future in wait(pending, seconds, FIRST_COMPLETED).done:
-                        batch[pending.pop(future)] = {**future.result(), "model": model.key}
-                    if batch and (not pending or time.monotonic() - saved > seconds):
+                for done, ((name, _), proposal) in enumerate(zip(waiting, proposals, strict=True), 1):
+                    batch[name] = {**proposal, "model": model.key}
+                    if done == total or time.monotonic() - saved > seconds:
                         self.project.add_proposals(batch, order)
                         batch, saved = {}, time.monotonic()
-                        self._show(total - len(pending), total)
+                        self._show(done, total)
+                    if self._is_paused() or model not in (self.models.own, self.models.spare):
+                        return
             finally:
-                pool.shutdown(wait=False, cancel_futures=True)
                 self._show(0, 0)
 
     def _show(self, done: int, total: int) -> None:
@@ -204,8 +195,7 @@ class Background:
         if revisions == self._checked:
             return True
         found: dict[str, tuple[str, str, list[int]]] = {}
-        faults = find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else []
-        for fault in faults:
+        for fault in find_label_faults([item.points for item in done]) if len(done) >= LEAST_PICTURES else ():
             item = done[fault.picture]
             found.setdefault(item.name, (item.revision, fault.message, [int(index) for index in fault.points]))
         self.project.set_slips(found)

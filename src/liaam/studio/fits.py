@@ -43,7 +43,7 @@ LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 
 MODELS_KEPT = 2
 """Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
 
-FITTERS_KEPT, RESIDUALS_KEPT = 16, 4
+FITTERS_KEPT = 16
 
 Light = tuple[Sequence[Lamp], float]
 """Lamps, and the fraction of ambient light."""
@@ -139,7 +139,6 @@ class Fits:
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
         self._found: Kept[tuple[str, str, tuple[int, ...], int], Sequence[Detection]] = Kept(settings.fits_kept)
         self._layers: Kept[tuple[str, str, int], tuple[bytes, Any]] = Kept(LAYER_BYTES, lambda layer: len(layer[0]))
-        self._residuals: Kept[str, layers.Residual] = Kept(RESIDUALS_KEPT)
         self._lights: Kept[tuple[str, tuple[int, int]], Relighter] = Kept(LIGHT_BYTES, lambda light: light.nbytes)
         self._recent: deque[ModelInUse] = deque(maxlen=MODELS_KEPT)
         self._forgetting, self._large = threading.Lock(), threading.Lock()
@@ -235,35 +234,35 @@ class Fits:
 
         return self._layers.get((fit.id, what, size), make)
 
-    def _residual(self, fit: Fit) -> layers.Residual:
-        def make() -> layers.Residual:
-            with self.pictures.at_work(fit.source) as image:
-                return layers.residual_of(fit.fitter, image, fit.result)
-
-        return self._residuals.get(fit.id, make)
-
-    def draw(self, fit: Fit, what: str, size: int) -> tuple[np.ndarray, dict[str, Any] | None]:
+    def draw(
+        self, fit: Fit, what: str, size: int | None, light: Light | None = None
+    ) -> tuple[np.ndarray, dict[str, Any] | None]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
-        Also return the limit of its colours and what they show, or its place, as JSON for the page.
+        Also return the limit of its colours and what they show, or its place, as JSON for the page. The ``light`` is
+        for ``relit``.
         """
+        if what == "overlay":
+            from liaam.plotting import overlay
+
+            with self.pictures.at_work(fit.source) as pixels:
+                image = shown(pixels, fit.source.size, fit.source.raw)
+            return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances), None
         if what == "residual":
-            residual, to = self._residual(fit), fitted_size(*fit.source.size, size)
-            shape, part = layers.scaled(fit.result, fit.source.size, to).landmarks, fit.fitter.part_for(fit.result)
-            facts = {"limit": residual.limit, "what": residual.what}
-            return layers.residual_layer(part.model, shape, residual, to), facts
-        light, to = self._light(fit, size)
+            to = fitted_size(*fit.source.size, size or max(fit.source.size))
+            with self.pictures.at_work(fit.source) as image:
+                return layers.residual_layer(fit.fitter, image, fit.result, to)
+        relighter, to = self._relighter(fit, size)
         if what == "normals":
-            layer, box = layers.normals_layer(light)
+            layer, box = layers.normals_layer(relighter)
             return layer, {"box": box}
         if what == "shading":
-            return layers.shading_layer(light, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
-        return averaged(light.flat(), to), None
+            return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
+        return averaged(relighter.under_lamps(*light) if what == "relit" and light else relighter.flat(), to), None
 
     def relit(self, fit: Fit, light: Light, size: int) -> np.ndarray:
         """Return the picture with the object under lamps, (h, w, 3) uint8."""
-        relighter, to = self._light(fit, size)
-        return averaged(relighter.under_lamps(*light), to)
+        return self.draw(fit, "relit", size, light)[0]
 
     def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
@@ -271,7 +270,8 @@ class Fits:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")
         stem, kind = plain_name(fit.source.name).rpartition(".")[0] or plain_name(fit.source.name), FILES[what]
         if kind == "image/png":
-            return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, png_bytes(self._whole(fit, what, light))
+            content = png_bytes(self.draw(fit, what, None, light)[0])
+            return f"{stem}_{'fit' if what == 'overlay' else what}.png", kind, content
         landmarks = Landmarks(fit.result.landmarks, Contour.all_of(fit.model.contours), fit.model.landmark_names)
         if what == "json":
             text = fit_text(landmarks, fit.result.to_dict() | {"image": fit.source.name, "image_size": fit.source.size})
@@ -279,42 +279,29 @@ class Fits:
             text = text_of(landmarks, f".{what}")
         return f"{stem}.{what}", kind, text.encode()
 
-    def _whole(self, fit: Fit, what: str, light: Light) -> np.ndarray:
-        if what == "overlay":
-            from liaam.plotting import overlay
+    def _relighter(self, fit: Fit, size: int | None) -> tuple[Relighter, tuple[int, int]]:
+        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size; None: the picture's.
 
-            with self.pictures.at_work(fit.source) as pixels:
-                image = shown(pixels, fit.source.size, fit.source.raw)
-            return overlay(image, fit.result.landmarks, fit.model, covariances=fit.result.landmark_covariances)
-        relighter = self._whole_light(fit)
-        if what == "shading":
-            return layers.shading_layer(relighter, fit.source.size)
-        return relighter.flat() if what == "flat" else relighter.under_lamps(*light)
-
-    def _light(self, fit: Fit, size: int) -> tuple[Relighter, tuple[int, int]]:
-        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size."""
-        size = min(size, LIGHT_SIZE)
-        to = fitted_size(*fit.source.size, max(size, LAYER_SIZE))
-        light = self._lights.get((fit.id, to), lambda: self._taken_apart(fit, to))
-        return light, fitted_size(*fit.source.size, size)
-
-    def _whole_light(self, fit: Fit) -> Relighter:
-        """Return the relighter of a fit in full size. Large ones are not cached: they take 100 bytes per pixel."""
+        Larger ones than :data:`LIGHT_SIZE` are not cached: they take 100 bytes per pixel.
+        """
         whole = fit.source.size
-        if prod(whole) > self.settings.whole_pixels:
-            size = f"{whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
-            text = f"{fit.source.name} has {size} that the studio relights in full size"
-            raise Refusal(422, f"{text}: use 'liaam relight', or a smaller picture")
-        if max(whole) <= LIGHT_SIZE:
-            return self._light(fit, max(whole))[0]
-        with self._large:
-            return self._taken_apart(fit, whole)
 
-    def _taken_apart(self, fit: Fit, to: tuple[int, int]) -> Relighter:
-        if fit.no_flat is not None:
-            raise MethodError(fit.no_flat)
-        with self.pictures.at_work(fit.source) as image:
-            return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
+        def make(to: tuple[int, int]) -> Relighter:
+            if fit.no_flat is not None:
+                raise MethodError(fit.no_flat)
+            with self.pictures.at_work(fit.source) as image:
+                return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
+
+        if size is None and prod(whole) > self.settings.whole_pixels:
+            text = f"{whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
+            text = f"{fit.source.name} has {text} that the studio relights in full size"
+            raise Refusal(422, f"{text}: use 'liaam relight', or a smaller picture")
+        if size is None and max(whole) > LIGHT_SIZE:
+            with self._large:
+                return make(whole), whole
+        size = min(size or LIGHT_SIZE, LIGHT_SIZE)
+        at = fitted_size(*whole, max(size, LAYER_SIZE))
+        return self._lights.get((fit.id, at), partial(make, at)), fitted_size(*whole, size)
 
     def _searcher(self, current: ModelInUse, raw: bool) -> Fitter:
         return self._fitter(current, (*methods_of(current.model), DEFAULT_METHOD)[0], raw)

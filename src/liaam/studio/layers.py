@@ -3,14 +3,14 @@
 These functions work on arrays; :mod:`liaam.studio.fits` caches their results.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.solution import residual_at
-from liaam.model import AAM
 from liaam.model.shape import Similarity
 from liaam.photometry import is_grey, linear_to_srgb
 from liaam.photometry.encoding import stored_values
@@ -42,18 +42,12 @@ _ROWS = {
 """Legend of the channels of each metric."""
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """One channel of a fit's residual, the limit of its colour scale, and its name."""
+def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return the channel of a fit's residual with the largest mean square.
 
-    values: np.ndarray
-    """(n_pixels, 2) float32: image minus model at the pixels of the model's frame, and whether the image was usable."""
-    limit: float
-    what: str
-
-
-def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residual:
-    """Return the channel of a fit's residual with the largest mean square."""
+    It is (n_pixels, 2) float32: image minus model at the pixels of the model's frame, and whether the image was usable.
+    Also return the limit of its colour scale and its name, as JSON for the page.
+    """
     fitter = fitter.part_for(result)
     method, model = result.method, fitter.model
     residual, usable = residual_at(fitter, image, result)
@@ -67,7 +61,7 @@ def residual_of(fitter: Fitter, image: np.ndarray, result: FitResult) -> Residua
     if frame is not model.frame:  # select the model's pixels from those of a larger frame
         rows, columns = (model.frame.pixels + (model.frame.origin - frame.origin)[::-1].astype(int)).T
         values = frame.picture(values)[rows, columns]
-    return Residual(values, max(limit, 1e-6), names[row] if row < len(names) else method.metric)
+    return values, {"limit": max(limit, 1e-6), "what": names[row] if row < len(names) else method.metric}
 
 
 def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> FitResult:
@@ -93,11 +87,15 @@ def scaled(result: FitResult, size: tuple[int, int], to: tuple[int, int]) -> Fit
     )
 
 
-def residual_layer(model: AAM, shape: np.ndarray, residual: Residual, size: tuple[int, int]) -> np.ndarray:
-    """Draw the residual of a shape (n, 2) on a layer of a size (width, height), where the image is usable."""
-    canvas = np.broadcast_to(np.uint8(0), (size[1], size[0], 3))  # takes no memory
-    painted, inside = paint(canvas, shape, model, residual.values)
-    return coloured(painted[..., 0] / residual.limit, RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5))
+def residual_layer(
+    fitter: Fitter, image: np.ndarray, result: FitResult, to: tuple[int, int]
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Draw the residual of a fit at a size (width, height), where the image is usable; also return its facts."""
+    (values, facts), model = residual_of(fitter, image, result), fitter.part_for(result).model
+    shape = rescaled(result.landmarks, image.shape[:2], (to[1], to[0]))
+    canvas = np.broadcast_to(np.uint8(0), (to[1], to[0], 3))  # takes no memory
+    painted, inside = paint(canvas, shape, model, values)
+    return coloured(painted[..., 0] / facts["limit"], RESIDUAL_COLOURS, inside & (painted[..., 1] > 0.5)), facts
 
 
 def taken_apart(

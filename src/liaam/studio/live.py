@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from liaam.errors import MethodError
@@ -164,9 +164,9 @@ def routes(videos: LiveVideos) -> list[Route]:
     # A thread for each step keeps the frames in order, and makes one tracker at a time.
     tracking, painting = ThreadPoolExecutor(1, "live-track"), ThreadPoolExecutor(1, "live-paint")
 
-    async def begin(request: Request) -> Response:
-        video = await wrap_future(tracking.submit(videos.open))
-        return JSONResponse({"id": video.id, "header": video.rows.header}, 201)
+    def begin(_: Request) -> dict[str, str]:
+        video = tracking.submit(videos.open).result()
+        return {"id": video.id, "header": video.rows.header}
 
     async def update(request: Request) -> Response:
         video, frame = videos.get(request.path_params["id"]), Frame(request.query_params)
@@ -185,7 +185,7 @@ def routes(videos: LiveVideos) -> list[Route]:
 
     return [
         route("POST", RECORDINGS, _seekable, Request.body),
-        Route("/api/live", begin, methods=["POST"]),
+        route("POST", "/api/live", begin, status=201),
         Route("/api/live/{id}/frames", update, methods=["POST"]),
         route("DELETE", "/api/live/{id}", lambda request: videos.close(request.path_params["id"])),
     ]

@@ -18,6 +18,7 @@ from math import prod
 from pathlib import Path
 from typing import Generic, TypeVar
 
+import cv2
 import numpy as np
 
 from liaam.drawing import as_picture
@@ -83,9 +84,8 @@ class Kept(Generic[K, V]):
     def get(self, key: K, make: Callable[[], V]) -> V:
         """Return the value of a key, computed if it is missing. All waiting threads get an error of ``make``."""
         with self._lock:
-            if key in self._values:
-                self._values.move_to_end(key)
-                return self._values[key][0]
+            if (value := self.peek(key)) is not None:
+                return value
             known = self._being_made.get(key)
             future = self._being_made[key] = known or Future()
         if known is None:
@@ -308,8 +308,6 @@ def shown(image: np.ndarray, size: tuple[int, int], raw: bool = False) -> np.nda
 
 def averaged(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Scale an image down to (width, height) by averaging pixels; the dtype is kept."""
-    import cv2
-
     if (image.shape[1], image.shape[0]) == size:
         return image
     return cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA)
@@ -317,20 +315,16 @@ def averaged(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def jpeg_bytes(image: np.ndarray) -> bytes:
     """Encode an image (h, w, 3) uint8 as JPEG without chroma subsampling."""
-    return _encoded(".jpg", image)
+    sampling = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+    return _encoded(".jpg", image, *sampling, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
 
 
 def png_bytes(image: np.ndarray) -> bytes:
     """Encode an image (h, w, 3) or (h, w, 4) uint8 as PNG, quickly rather than small."""
-    return _encoded(".png", image)
+    return _encoded(".png", image, cv2.IMWRITE_PNG_COMPRESSION, 1)
 
 
-def _encoded(suffix: str, image: np.ndarray) -> bytes:
-    import cv2
-
-    jpeg = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    jpeg += [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-    options = jpeg if suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 1]
+def _encoded(suffix: str, image: np.ndarray, *options: int) -> bytes:
     order = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
     return cv2.imencode(suffix, cv2.cvtColor(np.ascontiguousarray(image), order), options)[1].tobytes()
 

@@ -241,7 +241,20 @@ class PictureStates:
         if did in ("scaled", "unscaled"):
             self.landmarks.share_bar(written, sharing and sharing.bar)
         for file in written:
-            self._write(file, did, revisions[file.name])
+            marks, template = self.landmarks.of(file), self.templates.current
+            if did in ("scaled", "unscaled"):
+                has_place = self.landmarks.target(file).suffix.lower() != ".pts"
+                if template is not None and marks.landmarks is not None and marks.fits(template) and has_place:
+                    self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
+                continue
+            template = self.templates.needed
+            if did == "undeleted":
+                copy = self._copy_of(revisions[file.name] or "")
+                points = [None if x != x else (x, y) for x, y in copy.points.tolist()]
+                self.landmarks.save(file, template, points, copy.invisible, copy.scale)
+            else:
+                points = (self.proposal_of(file) or {})["points"] if did == "accepted" else [None] * len(template)
+                self.landmarks.save(file, template, points, ())
         now = {file.name: self.landmarks.of(file).revision for file in written}
         return {"changed": list(revisions), "refused": refused, "revisions": now}
 
@@ -249,7 +262,16 @@ class PictureStates:
         """Return the revision of what an action is done to; refuse one that changes nothing."""
         marks, proposal = self.landmarks.of(file), self.proposal_of(file)
         if did in ("scaled", "unscaled"):
-            self._check_scale(file, sharing)
+            known, size = self.landmarks.scale_bar(file), self.listing.usable_size(file)
+            shares = "before" in known  # it was drawn on another picture
+            if sharing is None and not shares:
+                raise Refusal(409, "the scale was not set together with others")
+            if sharing and not sharing.anyway and self.landmarks.scale_of(file) is not None and not shares:
+                raise Refusal(409, "has a scale of its own")
+            if sharing and not sharing.anyway and sorted(size) != sorted(sharing.size):
+                raise Refusal(409, "has another size in pixels, so perhaps another scale")
+            if sharing and known["bar"] == sharing.bar:
+                raise Refusal(409, "has this scale already")
             return marks.revision
         if did == "undeleted" and marks.n_placed:
             raise Refusal(409, "there are landmarks again")
@@ -281,37 +303,6 @@ class PictureStates:
         revision = revision_of(text.encode())
         self.store.put("deleted", {revision: text})
         return revision
-
-    def _check_scale(self, file: File, sharing: Sharing | None) -> None:
-        """Refuse to replace a scale of the picture's own, and to share one among pictures of several sizes."""
-        known, size = self.landmarks.scale_bar(file), self.listing.usable_size(file)
-        shares = "before" in known  # it was drawn on another picture
-        if sharing is None:
-            if not shares:
-                raise Refusal(409, "the scale was not set together with others")
-        elif not sharing.anyway and self.landmarks.scale_of(file) is not None and not shares:
-            raise Refusal(409, "has a scale of its own")
-        elif not sharing.anyway and sorted(size) != sorted(sharing.size):
-            raise Refusal(409, "has another size in pixels, so perhaps another scale")
-        elif known["bar"] == sharing.bar:
-            raise Refusal(409, "has this scale already")
-
-    def _write(self, file: File, did: str, revision: str | None) -> None:
-        """Write landmarks from the proposal or from a copy, or remove them; or write their scale."""
-        if did in ("scaled", "unscaled"):
-            marks, template = self.landmarks.of(file), self.templates.current
-            has_place = self.landmarks.target(file).suffix.lower() != ".pts"
-            if template is not None and marks.landmarks is not None and marks.fits(template) and has_place:
-                self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
-            return
-        template = self.templates.needed
-        if did == "undeleted":
-            copy = self._copy_of(revision or "")
-            points = [None if x != x else (x, y) for x, y in copy.points.tolist()]
-            self.landmarks.save(file, template, points, copy.invisible, copy.scale)
-        else:
-            points = (self.proposal_of(file) or {})["points"] if did == "accepted" else [None] * len(template)
-            self.landmarks.save(file, template, points, ())
 
     def _copy_of(self, revision: str) -> Landmarks:
         """Return deleted landmarks; raise LandmarkError if they are gone."""

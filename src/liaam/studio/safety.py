@@ -12,9 +12,11 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
+import anyio
+import h11
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import HTTPConnection
-from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from liaam.errors import LiaamError
@@ -66,7 +68,6 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer or refuse one request."""
-        import h11
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -84,29 +85,27 @@ class Guard:
                 await send({"type": "websocket.close", "code": 1008})
 
     async def _handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        request = HTTPConnection(scope)
-        refusal = self._refusal(request.headers)
-        given = request.query_params.getlist("token")
+        request = Request(scope)
+        refusal, given = self._refusal(request.headers), request.query_params.getlist("token")
         is_page = scope["method"] == "GET" and scope["path"] == "/"
-        shows_token = refusal is None and is_page and len(given) == 1 and self._is_token(given[0])
-        if refusal is None and not shows_token:
-            lines = request.headers.getlist("authorization")
-            bearers = [text[7:].strip() for text in lines if text[:7].lower() == "bearer "]
-            if not any(map(self._is_token, (*bearers, request.cookies.get(self.settings.cookie, "")))):
-                no_token = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
-                refusal = Refusal(401, no_token)
-        if refusal is not None:
-            # The message contains no user input, so it needs no escaping.
-            page = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"
-            wants_page = "text/html" in request.headers.get("accept", "")
-            answer = HTMLResponse(page, refusal.status) if wants_page else _answer_of(refusal)
-            await answer(scope, receive, send)
-        elif shows_token:
-            answer = RedirectResponse("/", 303)
+        if refusal is None and is_page and len(given) == 1 and self._is_token(given[0]):
+            answer: Response = RedirectResponse("/", 303)
             answer.set_cookie(self.settings.cookie, self.settings.token, httponly=True, samesite="strict")
             await answer(scope, receive, send)
-        else:
+            return
+        bearers = [
+            text[7:].strip() for text in request.headers.getlist("authorization") if text[:7].lower() == "bearer "
+        ]
+        if refusal is None and not any(map(self._is_token, (*bearers, request.cookies.get(self.settings.cookie, "")))):
+            no_token = "this browser does not have the studio's token: open the address that 'liaam studio' printed"
+            refusal = Refusal(401, no_token)
+        if refusal is None:
             await self._limited(scope, request.headers, receive, send)
+            return
+        # The message contains no user input, so it needs no escaping.
+        page = f"<!doctype html><meta charset=utf-8><title>liaam studio</title><p>{refusal}</p>"
+        wants_page = "text/html" in request.headers.get("accept", "")
+        await (HTMLResponse(page, refusal.status) if wants_page else _answer_of(refusal))(scope, receive, send)
 
     def _refusal(self, headers: Headers) -> Refusal | None:
         hosts = headers.getlist("host")
@@ -126,58 +125,44 @@ class Guard:
         is_upload = scope["path"].endswith((UPLOADS, GUEST, FILES, RECORDINGS))  # of any set of landmarks
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         too_large = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
-        declared = headers.get("content-length", "")
+        declared, parts = headers.get("content-length", ""), []
         with ExitStack() as stack:
             try:
                 if declared.isdecimal() and int(declared[:20]) > limit:
                     raise too_large
                 hold = stack.enter_context(self.crowd.one(is_upload and scope["method"] == "POST"))
                 # Nobody waits for the body of a request that needs none.
-                body = b"" if scope["method"] in ("GET", "HEAD") else await self._read(receive, limit, hold, too_large)
+                if scope["method"] not in ("GET", "HEAD"):
+                    with anyio.fail_after(self.settings.body_seconds):
+                        async for part in Request(scope, receive).stream():
+                            limit -= len(part)
+                            if limit < 0:
+                                raise too_large
+                            hold(len(part))
+                            parts.append(part)
+            except ClientDisconnect:
+                return
+            except TimeoutError:
+                stack.close()  # and there is nothing to read
+                late = Refusal(408, "the rest of the request did not arrive in time: send it again")
+                await _answer_of(late, close=True)(scope, receive, send)
+                return
             except Refusal as refusal:
                 stack.close()
-                await self._refuse_body(scope, receive, send, refusal)
+                left = self.settings.upload_bytes  # a client that is cut off would not read the answer
+                with anyio.move_on_after(self.settings.drain_seconds), suppress(ClientDisconnect):
+                    async for part in Request(scope, receive).stream():
+                        left -= len(part)
+                        if left <= 0:
+                            break
+                await _answer_of(refusal, close=True)(scope, receive, send)
                 return
-            if body is None:
-                return
-            messages = iter([{"type": "http.request", "body": body}])
+            messages = iter([{"type": "http.request", "body": b"".join(parts)}])
 
             async def again() -> Message:
                 return next(messages, None) or await receive()
 
             await self.app(scope, again, send)
-
-    async def _read(self, receive: Receive, limit: int, hold: Callable[[int], None], excess: Refusal) -> bytes | None:
-        import anyio
-
-        parts, left = [], limit
-        with anyio.move_on_after(self.settings.body_seconds):
-            while True:
-                message = await receive()
-                if message["type"] != "http.request":
-                    return None
-                part = message.get("body", b"")
-                left -= len(part)
-                if left < 0:
-                    raise excess
-                hold(len(part))
-                parts.append(part)
-                if not message.get("more_body", False):
-                    return b"".join(parts)
-        raise Refusal(408, "the rest of the request did not arrive in time: send it again")
-
-    async def _refuse_body(self, scope: Scope, receive: Receive, send: Send, refusal: Refusal) -> None:
-        """Discard the rest of the body for a while, because a client that is cut off does not read the answer."""
-        import anyio
-
-        left = self.settings.upload_bytes if refusal.status != 408 else 0  # after a time-out there is nothing to read
-        with anyio.move_on_after(self.settings.drain_seconds):
-            while left > 0:
-                message = await receive()
-                left -= len(message.get("body", b""))
-                if message["type"] != "http.request" or not message.get("more_body", False):
-                    break
-        await _answer_of(refusal, close=True)(scope, receive, send)
 
 
 RETRY_AFTER = 2  # seconds until a client should retry a request to a busy studio

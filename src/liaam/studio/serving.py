@@ -71,8 +71,8 @@ def serve(
         settings = Settings(host=host, port=listener.getsockname()[1], face=face)
         studio = Studio(folder, model, settings)
         server = make_server(studio)
-        server.on_start = lambda: _welcome(settings, open_browser, say)
         studio.background.start()
+        _welcome(settings, open_browser, say)  # requests wait until the server runs
         try:
             server.run([listener])
         except KeyboardInterrupt:  # uvicorn repeats the signal once it has stopped
@@ -87,13 +87,6 @@ def make_server(studio: "Studio") -> Any:
     from liaam.studio.app import make_app
 
     class Server(uvicorn.Server):
-        on_start: Callable[[], None] | None = None
-
-        async def startup(self, *args: Any, **options: Any) -> None:
-            await super().startup(*args, **options)
-            if self.started and self.on_start is not None:
-                self.on_start()
-
         async def shutdown(self, *args: Any, **options: Any) -> None:
             studio.end_events()  # otherwise the server would wait for the event streams
             await super().shutdown(*args, **options)

@@ -14,7 +14,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -200,87 +202,68 @@ def choose_held_out(names: Sequence[str], before: Sequence[str]) -> tuple[str, .
 
 
 def _work(job: Job, pipe: Any) -> None:
+    """Train the model, then measure another that is trained without the held-out pictures."""
     obey_parent()  # the server terminates this process
     with suppress(AttributeError, OSError):
         os.nice(5)  # requests of the user have priority
     with suppress(BrokenPipeError, ConnectionError):
         try:
-            pipe.send(("done", _Worker(job, pipe.send, dict(job.slips)).run()))
+            left_out = dict(job.slips)
+            model, warned = _train(job, pipe.send, left_out, lamps="auto")
+            model.save(job.model)
+            pipe.send(("model", left_out))
+            without = f", without {', '.join(left_out)}" if left_out else ""
+            summary = f"trained on {model.n_all_images} pictures{without}{warned}"
+            with suppress(LiaamError, MemoryError):  # such as too few pictures without those
+                rest, _ = _train(job, pipe.send, left_out, job.held_out, "measuring", leave_out=False, lamps=None)
+                fitter, errors = Fitter(rest), {}  # relative to the diagonal of the points
+                for item in job.done:
+                    if item.name in job.held_out:
+                        with suppress(LiaamError, MemoryError):
+                            found = fitter.fit(item.path).landmarks
+                            error = point_error(found, item.points) / diagonal_of(item.points)
+                            if np.isfinite(error):
+                                errors[item.name] = round(error, 5)
+                pipe.send(("measured", errors))
+            pipe.send(("done", summary))
         except (LiaamError, MemoryError) as fault:
             pipe.send(("failed", str(fault) or "the training ran out of memory: train on smaller pictures"))
 
 
-@dataclass
-class _Picture:
-    """A picture for :func:`liaam.training.train`; records its error."""
+def _train(
+    job: Job, send: Callable, left_out: dict[str, str], unused: Sequence[str] = (), what: str = "", **options: Any
+) -> tuple[AAM, str]:
+    """Train a model; also return its warnings. Add pictures that turn out to be unusable to those ``left_out``."""
+    from liaam.training import train
 
-    name: str
-    path: Path
-    landmarks: Landmarks
-    fault: str | None = None
+    faults: dict[str, str] = {}
 
-    def read_image(self) -> np.ndarray:
+    def read(item: Annotated) -> np.ndarray:
         try:
-            image = read_image(self.path)
-            refuse_unscaled(image, self.name, "srgb")
+            image = read_image(item.path)
+            refuse_unscaled(image, item.name, "srgb")
             return image
         except ImageError as fault:
-            self.fault = str(fault)
+            faults[item.name] = str(fault)
             raise
 
+    def progress(done: int, total: int, doing: str) -> None:
+        send(("progress", {"done": done, "total": total, "what": what or doing}))
 
-@dataclass
-class _Worker:
-    """Runs a job and reports its progress."""
-
-    job: Job
-    send: Callable[[tuple[str, Any]], None]
-    left_out: dict[str, str] = field(default_factory=dict)
-    warned: str = ""
-
-    def run(self) -> str:
-        """Train the model, then measure another that is trained without the held-out pictures; return a summary."""
-        model = self._train((), lamps="auto")
-        model.save(self.job.model)
-        self.send(("model", self.left_out))
-        without = f", without {', '.join(self.left_out)}" if self.left_out else ""
-        summary = f"trained on {model.n_all_images} pictures{without}{self.warned}"
-        with suppress(LiaamError, MemoryError):  # such as too few pictures without those
-            rest = self._train(self.job.held_out, "measuring", leave_out=False, lamps=None)
-            self.send(("measured", self._measure(rest)))
-        return summary
-
-    def _train(self, unused: Sequence[str], what: str = "", **options: Any) -> AAM:
-        """Train a model. Leave out pictures that turn out to be unusable and start again."""
-        from liaam.training import train
-
-        def progress(done: int, total: int, doing: str) -> None:
-            self.send(("progress", {"done": done, "total": total, "what": what or doing}))
-
-        used = [item for item in self.job.done if item.name not in {*self.left_out, *unused}]
-        contours, names = self.job.contours, self.job.names
-        items = [_Picture(item.name, item.path, Landmarks(item.points, contours, names)) for item in used]
-        while True:
-            try:
-                with warnings.catch_warnings(record=True) as caught:
-                    warnings.simplefilter("always", UserWarning)
-                    model = train(items, name=self.job.name, progress=progress, **OPTIONS, **options)
-                self.warned = "".join(f"; {warning.message}" for warning in caught)
-                return model
-            except (ImageError, TrainingError):
-                unfit = {item.name: item.fault for item in items if item.fault is not None}
-                if not unfit or len(items) - len(unfit) < LEAST:
-                    raise
-                self.left_out |= unfit
-                items = [item for item in items if item.name not in unfit]
-
-    def _measure(self, model: AAM) -> dict[str, float]:
-        """Return the mean error in held-out pictures that can be fitted, relative to the diagonal of the points."""
-        fitter, errors = Fitter(model), {}
-        for item in self.job.done:
-            if item.name in self.job.held_out:
-                with suppress(LiaamError, MemoryError):
-                    error = point_error(fitter.fit(item.path).landmarks, item.points) / diagonal_of(item.points)
-                    if np.isfinite(error):
-                        errors[item.name] = round(error, 5)
-        return errors
+    while True:
+        used = [item for item in job.done if item.name not in {*left_out, *unused}]
+        marks = [Landmarks(item.points, job.contours, job.names) for item in used]
+        items = [
+            SimpleNamespace(name=item.name, landmarks=own, read_image=partial(read, item))
+            for item, own in zip(used, marks, strict=True)
+        ]
+        try:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", UserWarning)
+                model = train(items, name=job.name, progress=progress, **OPTIONS, **options)
+            return model, "".join(f"; {warning.message}" for warning in caught)
+        except (ImageError, TrainingError):
+            if not faults or len(items) - len(faults) < LEAST:
+                raise
+            left_out |= faults
+            faults.clear()

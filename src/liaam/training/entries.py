@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -94,16 +93,6 @@ def contours_of(given: Iterable, n: int) -> tuple[tuple[tuple[int, ...], bool], 
     return tuple(known)
 
 
-def _size_for(landmarks: str | os.PathLike, image: Any) -> tuple[int, int] | None:
-    """Return (width, height) of an image, (h, w, ...) or a path, if the format of a landmark file needs it."""
-    if Path(landmarks).suffix.lower() not in (".asf", ".tps", ".nts"):
-        return None
-    if isinstance(image, str | os.PathLike):
-        return image_size(image)
-    height, width = np.shape(image)[:2] if np.ndim(image) > 1 else (0, 0)
-    return (width, height) if width else None
-
-
 def _complete(entries: list[Entry], strict: bool) -> list[Entry]:
     """Leave out the samples with missing landmarks; if too few are complete, place these as the others suggest.
 
@@ -164,7 +153,13 @@ def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[st
             path, read = Path(image), partial(read_image, image)
             file_name, name = path.name, str(path.parent / path.stem)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
-            landmarks = read_landmarks(landmarks, _size_for(landmarks, image), file_name)
+            size = None
+            if Path(landmarks).suffix.lower() in (".asf", ".tps", ".nts"):  # they need that of the image
+                if isinstance(image, str | os.PathLike):
+                    size = image_size(image)
+                elif np.ndim(image) > 1 and np.shape(image)[1]:
+                    size = np.shape(image)[1], np.shape(image)[0]
+            landmarks = read_landmarks(landmarks, size, file_name)
     if order and isinstance(landmarks, Landmarks):
         try:
             landmarks = landmarks.in_order_of(order)

@@ -54,6 +54,13 @@ def check_images(
     if images cannot be read, and a TrainingError if objects, which the warp's mesh covers, are outside their images,
     black or saturated. The messages name all these images.
     """
+
+    def read_grey(entry: Entry) -> np.ndarray:
+        import cv2  # heavy: imported when first needed
+
+        image = as_colour(entry.read_image(), entry.name)
+        return cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+
     seen, *faults = zip(*in_threads(partial(_look, warp, response), entries), strict=True)
     damaged, outside, exposure = ([fault for fault in each if fault] for each in faults)
     if damaged:
@@ -71,7 +78,7 @@ def check_images(
     names, others = ([entry.name for entry, own in zip(entries, grey, strict=True) if own == g] for g in (True, False))
     warnings.warn(grey_use(names, others), stacklevel=5)  # the caller of train, which is decorated
     if len(others) < LEAST_COLOUR:
-        return [replace(entry, read_image=partial(_read_grey, entry)) for entry in entries], np.ones(len(entries), bool)
+        return [replace(entry, read_image=partial(read_grey, entry)) for entry in entries], np.ones(len(entries), bool)
     return list(entries), grey
 
 
@@ -83,9 +90,14 @@ def _look(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> tuple[
     except ImageError as fault:
         return False, str(fault), "", ""
     points = warp.interpolate(entry.points)
-    faults = describe_outside(entry.points, image.shape, points), _exposure(image, points)
-    outside, exposure = (f"{entry.name}: {fault}" if fault else "" for fault in faults)
-    return is_grey(image), "", outside, exposure
+    outside, exposure = describe_outside(entry.points, image.shape, points), ""
+    x, y = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+    dark, clipped = exposure_faults(image[y, x])
+    usable = max(0.0, 1.0 - dark - clipped)
+    if usable < LEAST_USABLE:
+        what = f"almost completely {'black' if dark >= clipped else 'saturated'}"
+        exposure = f"{entry.name}: the object is {what} ({usable:.0%} of its pixels are usable)"
+    return is_grey(image), "", f"{entry.name}: {outside}" if outside else "", exposure
 
 
 def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.ndarray | None = None) -> str:
@@ -104,24 +116,3 @@ def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.n
         f"{n} of {len(landmarks)} landmarks lie outside the image of {size} pixels (point {worst + 1} by "
         f"{beyond[worst]:.0f} pixels)"
     )
-
-
-def _exposure(image: np.ndarray, points: np.ndarray) -> str:
-    """Describe an object that is black or saturated almost everywhere; empty otherwise."""
-    x, y = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
-    dark, clipped = exposure_faults(image[y, x])
-    usable = max(0.0, 1.0 - dark - clipped)
-    if usable >= LEAST_USABLE:
-        return ""
-    return (
-        f"the object is almost completely {'black' if dark >= clipped else 'saturated'} ({usable:.0%} of its pixels "
-        "are usable)"
-    )
-
-
-def _read_grey(entry: Entry) -> np.ndarray:
-    """Read an image as three equal channels."""
-    image = as_colour(entry.read_image(), entry.name)
-    import cv2  # heavy: imported when first needed
-
-    return cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)

@@ -11,7 +11,6 @@ from liaam.fitting.templates import pixels_for_search
 from liaam.model import AAM, MESH
 from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.rounding import rounded
-from liaam.model.warp import PiecewiseAffineWarp
 
 ALL = "all"
 """Value of ``methods``: all of :data:`liaam.fitting.METHODS` that a model can have."""
@@ -69,49 +68,35 @@ def compact(model: AAM, methods: Methods = ()) -> AAM:
 
 
 def keep_only(model: AAM, methods: Sequence[Method]) -> AAM:
-    """Return a model that holds only what these methods, the search and relighting need, in few bits."""
-    for name, view in model.views.items():
+    """Return a model that holds only what these methods, the search and relighting need, in few bits.
+
+    Of ``soft``, levels before the last keep only the pixels that fits use, and of ``search`` those of the search.
+    """
+    asked = set().union(*(needed_by(method) for method in methods if method.view == MESH))
+    for view_name, view in model.views.items():
         n, levels = len(view.levels), []
         for i, level in enumerate(view.levels):
-            names = {*wanted(methods, name, i, n), "features"}
-            own = {k: v for k, v in level.appearances.items() if k in names}
-            levels.append(replace(level, appearances=_narrowed(own, methods, view.warp, level.blur, i == n - 1)))
-        model = model.with_view(name, levels=tuple(levels))
+            names, found = {*wanted(methods, view_name, i, n), "features"}, {}
+            for name, known in level.appearances.items():
+                if name not in names:
+                    continue
+                if name == "soft" and i < n - 1:
+                    known = known.only_at(pixels_for(view.warp, level.blur))
+                if name == "search":
+                    known = known.only_at(pixels_for_search(view.warp))
+                if name in EIGHT_BITS and name not in asked:
+                    errors = None if known.unexplained is None else _half(known.unexplained)
+                    mean, usable = _half(known.mean), _half(known.usable)
+                    found[name] = AppearanceModel(mean, rounded(known.modes), known.eigenvalues, usable, errors)
+                else:
+                    found[name] = replace(known, modes=_half(known.modes))
+            levels.append(replace(level, appearances=found))
+        model = model.with_view(view_name, levels=tuple(levels))
     if model.light is not None:
         model = replace(model, light=replace(model.light, modes=rounded(model.light.modes)))
     if model.others:
         model = replace(model, others=tuple(keep_only(other, methods) for other in model.others))
     return model
-
-
-def _narrowed(
-    appearances: dict[str, AppearanceModel],
-    methods: Sequence[Method],
-    warp: PiecewiseAffineWarp,
-    blur: float,
-    is_last: bool,
-) -> dict[str, AppearanceModel]:
-    """Return the appearances of a level in the precision that fits need.
-
-    Of ``soft``, levels before the last keep only the pixels that fits use, and of ``search`` those of the search.
-    """
-    asked = set().union(*(needed_by(method) for method in methods if method.view == MESH))
-    found = {}
-    for name, appearance in appearances.items():
-        if name == "soft" and not is_last:
-            appearance = appearance.only_at(pixels_for(warp, blur))
-        if name == "search":
-            appearance = appearance.only_at(pixels_for_search(warp))
-        few = name in EIGHT_BITS and name not in asked
-        found[name] = _rounded(appearance) if few else replace(appearance, modes=_half(appearance.modes))
-    return found
-
-
-def _rounded(appearance: AppearanceModel) -> AppearanceModel:
-    """Round modes to 8 bits, and the rest to 16."""
-    errors = None if appearance.unexplained is None else _half(appearance.unexplained)
-    mean, usable = _half(appearance.mean), _half(appearance.usable)
-    return AppearanceModel(mean, rounded(appearance.modes), appearance.eigenvalues, usable, errors)
 
 
 def _half(values: np.ndarray) -> np.ndarray:

@@ -16,8 +16,7 @@ from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.reliability import LeftOut, calibrate
-from liaam.training.steps import FITTED, Steps, learning_cost
-from liaam.training.textures import SOURCES, Sampled
+from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
 """Largest numbers of models to train without a fold, and of left-out images to fit."""

@@ -123,7 +123,14 @@ class TrainingOptions:
         for prior in self.priors(0).values():
             check_prior(prior)
         for view, blurs in self.blurs_by_view.items():
-            _check_blurs(view, blurs)
+            if not isinstance(blurs, Sequence) or not all(isinstance(blur, Real) for blur in blurs):
+                raise TrainingError(f"blurs {blurs!r} of the view {view}: give a tuple of numbers, from coarse to fine")
+            falling = list(blurs) == sorted(blurs, reverse=True)
+            if not 1 <= len(blurs) <= MAX_LEVELS or not falling or not 0 <= blurs[-1] <= blurs[0] <= MAX_BLUR:
+                raise TrainingError(
+                    f"blurs {blurs} of the view {view}: give 1 to {MAX_LEVELS} of 0 to {MAX_BLUR:g} pixels of the "
+                    "reference frame, from coarse to fine"
+                )
         if not 0 <= self.n_copies <= MOST_COPIES:
             raise TrainingError(f"copies {self.n_copies}: give 0 to {MOST_COPIES} relit copies of each image")
 
@@ -173,14 +180,3 @@ def _by_view(option: str, given: Any, usual: Mapping[str, Any]) -> dict[str, Any
     if unknown:
         raise TrainingError(f"{option}: unknown view {unknown[0]!r}; choose from {', '.join(usual)}")
     return {**usual, **given}
-
-
-def _check_blurs(view: str, blurs: Blurs) -> None:
-    if not isinstance(blurs, Sequence) or not all(isinstance(blur, Real) for blur in blurs):
-        raise TrainingError(f"blurs {blurs!r} of the view {view}: give a tuple of numbers, from coarse to fine")
-    falling = list(blurs) == sorted(blurs, reverse=True)
-    if not 1 <= len(blurs) <= MAX_LEVELS or not falling or not 0 <= blurs[-1] <= blurs[0] <= MAX_BLUR:
-        raise TrainingError(
-            f"blurs {blurs} of the view {view}: give 1 to {MAX_LEVELS} of 0 to {MAX_BLUR:g} pixels of the "
-            "reference frame, from coarse to fine"
-        )

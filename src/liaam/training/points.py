@@ -20,12 +20,29 @@ Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Se
 its points; or the points of each image."""
 
 
+def _apart(pair: tuple[Entry, np.ndarray]) -> float:
+    return float(np.linalg.norm(pair[0].points.mean(axis=0) - pair[1].mean(axis=0)))
+
+
 def map_of_points(points: Points, entries: Sequence[Entry], mean: np.ndarray) -> PointMap:
     """Learn the map from the points of another landmarker to the landmarks of samples with a mean shape (n, 2)."""
     known = [
         (entry, found) for entry, found in zip(entries, _points_of(points, entries), strict=True) if found is not None
     ]
-    known = _of_one_object([(entry, _checked(entry.name, found, known[0][1])) for entry, found in known])
+    # Of several objects in an image for which the landmarker found the same points, keep the nearest to them.
+    nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}
+    m = len(getattr(known[0][1], "points", known[0][1])) if known else 0
+    for entry, found in known:
+        array = np.array(getattr(found, "points", found), dtype=np.float64)
+        if array.shape != (m, 2) or m < 3 or m > MAX_POINTS or not np.isfinite(array).all() or not np.ptp(array):
+            raise TrainingError(
+                f"{entry.name}: the points of the other landmarker, of shape {array.shape}, are not {max(m, 3)} finite "
+                f"(x, y); every image needs the same 3 to {MAX_POINTS} points in the same order"
+            )
+        pair = entry, array
+        key = image_of(entry.name), array.tobytes()
+        nearest[key] = min(nearest.get(key, pair), pair, key=_apart)
+    known = list(nearest.values())
     if len(known) < 3:
         where = f" of {points}" if isinstance(points, (str, os.PathLike)) else ""
         raise TrainingError(
@@ -49,20 +66,6 @@ def points_of(points: Points | None, group: np.ndarray) -> Points | None:
     return [points[i] for i in group if i < len(points)]
 
 
-def _of_one_object(known: Sequence[tuple[Entry, np.ndarray]]) -> list[tuple[Entry, np.ndarray]]:
-    """Of several objects in an image for which the landmarker found the same points, keep the nearest to them."""
-    nearest: dict[tuple[str, bytes], tuple[Entry, np.ndarray]] = {}
-    for pair in known:
-        key = image_of(pair[0].name), pair[1].tobytes()
-        nearest[key] = min(nearest.get(key, pair), pair, key=_distance)
-    return list(nearest.values())
-
-
-def _distance(pair: tuple[Entry, np.ndarray]) -> float:
-    entry, found = pair
-    return float(np.linalg.norm(entry.points.mean(axis=0) - found.mean(axis=0)))
-
-
 def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray | None]:
     """Yield the points of each sample, or None."""
     if isinstance(points, (str, os.PathLike)):
@@ -72,31 +75,14 @@ def _points_of(points: Points, entries: Sequence[Entry]) -> Iterator[np.ndarray 
             return
         if not folder.is_dir():
             raise TrainingError(f"points: {folder} is not a folder; give the folder of the other landmarker's files")
-        yield from (_read(folder, entry) for entry in entries)
+        for entry in entries:  # a file has the name of the sample, with or without its subfolder
+            names = dict.fromkeys((entry.name, Path(entry.name).name))
+            files = (folder / f"{name}{suffix}" for name in names for suffix in LANDMARK_SUFFIXES)
+            found = next((file for file in files if file.is_file()), None)
+            yield None if found is None else read_landmarks(found, entry.read_image().shape[1::-1]).points
     elif callable(points):
         yield from (points(as_colour(entry.read_image(), entry.name)) for entry in entries)
     elif len(points) != len(entries):
         raise TrainingError(f"points: there are points for {len(points)} images, but {len(entries)} images")
     else:
         yield from points
-
-
-def _read(folder: Path, entry: Entry) -> np.ndarray | None:
-    """Read the points of a sample from a file with its name, with or without its subfolder."""
-    names = dict.fromkeys((entry.name, Path(entry.name).name))
-    files = (folder / f"{name}{suffix}" for name in names for suffix in LANDMARK_SUFFIXES)
-    found = next((file for file in files if file.is_file()), None)
-    if found is None:
-        return None
-    return read_landmarks(found, entry.read_image().shape[1::-1]).points
-
-
-def _checked(name: str, points, first) -> np.ndarray:
-    """Return points as (m, 2) float64."""
-    array, m = np.array(getattr(points, "points", points), dtype=np.float64), len(getattr(first, "points", first))
-    if array.shape != (m, 2) or m < 3 or m > MAX_POINTS or not np.isfinite(array).all() or not np.ptp(array):
-        raise TrainingError(
-            f"{name}: the points of the other landmarker, of shape {array.shape}, are not {max(m, 3)} finite (x, y); "
-            f"every image needs the same 3 to {MAX_POINTS} points in the same order"
-        )
-    return array

@@ -5,7 +5,7 @@ threshold depends on the object and the model. Training therefore fits models to
 starts, and at the best wrong places that a search finds.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -115,23 +115,18 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]
         if not fitters or fitters[0].model is not picture.model:
             fitters = [Fitter(picture.model, method, OPTIONS, restarts=False) for method in methods]
         rng = np.random.default_rng([7, i])
-        starts, places = (_near(picture, rng), _far(picture, rng)), []
+        near, far = _near(picture, rng), _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
+        starts, places = (near, shifted_into(far, (picture.image.shape[1], picture.image.shape[0]))), []
         if not picture.relit and is_searchable(model):
             places = finder.others_in(LinearImage(picture.image, model.response), PLACES)
         for fitter, method in zip(fitters, methods, strict=True):
             if not (method.needs_colour and is_grey(picture.image)):
-                fits[method.name] += _fits_of(picture, fitter, starts, places)
+                tried = [_fit(picture, fitter, start, k == 0) for k, start in enumerate(starts)]
+                wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
+                # Of the wrong places, that which explains most.
+                fits[method.name] += [*filter(None, tried), *sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]]
     learnt = {method.name: learnt_from(model, fits[method.name], method.view) for method in methods}
     return {name: each for name, each in learnt.items() if each is not None}
-
-
-def _fits_of(
-    picture: LeftOut, fitter: Fitter, starts: Iterable[np.ndarray], places: Iterable[Detection]
-) -> Iterator[LeftOutFit]:
-    """Fit a left-out image from a near and a far start, and at the wrong place that explains most."""
-    yield from (fit for k, start in enumerate(starts) if (fit := _fit(picture, fitter, start, k == 0)))
-    wrong = [fit for place in places if (fit := _fit(picture, fitter, place)) and fit.wrong]
-    yield from sorted(wrong, key=lambda fit: -fit.evidence[0])[:1]
 
 
 def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
@@ -164,12 +159,14 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     if not weights[1] > 0:  # quality must increase with the explained contrast
         return None
     alike = Alike.of(model.shape_model.mean, model.contours)
+    # The covariance of left-out shapes: a lower bound, because lost fits are not among the errors.
+    unexplained, nothing = model.views[view].shape_model.unexplained, np.zeros((model.n_points, 2, 2))
     about = learn_covariances(
         np.array([fit.errors for fit in known]),
         np.array([fit.spreads for fit in known]),
         variance_factor(np.array([fit.surprise for fit in known])),
         np.array([fit.unit for fit in known]),
-        _by_shape(model, view, alike),
+        nothing if unexplained is None else widened(unexplained, model.n_images, alike),
         alike,
     )
     made = Reliability(weights=weights, **about)
@@ -184,24 +181,11 @@ def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
     return _moved(align(mean, picture.points)(mean), rng, turn=4.0, shift=0.02)
 
 
-def _far(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
-    """Return a start too far away for a fit to recover, shifted into the image if possible."""
-    start = _moved(_near(picture, rng), rng, turn=30.0, shift=0.4)
-    return shifted_into(start, (picture.image.shape[1], picture.image.shape[0]))
-
-
 def _moved(shape: np.ndarray, rng: np.random.Generator, turn: float, shift: float) -> np.ndarray:
     centre, towards = shape.mean(axis=0), rng.uniform(0.0, 2.0 * np.pi)
     angle = np.deg2rad(rng.choice([-1, 1]) * turn * rng.uniform(0.5, 1.0))
     step = shift * diagonal_of(shape) * np.array([np.cos(towards), np.sin(towards)])
     return (shape - centre) @ rotation(angle).T + centre + step
-
-
-def _by_shape(model: AAM, view: str, alike: Alike) -> np.ndarray:
-    """Return the covariance (n, 2, 2) of left-out shapes: a lower bound, because lost fits are not among the errors."""
-    unexplained = model.views[view].shape_model.unexplained
-    nothing = np.zeros((model.n_points, 2, 2))
-    return nothing if unexplained is None else widened(unexplained, model.n_images, alike)
 
 
 def _weights(evidence: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -54,18 +54,13 @@ class FilterLearner:
 
     def add(self, image: np.ndarray, points: np.ndarray) -> None:
         """Add a training image or a copy of one, in a pose near that of its landmarks."""
+        import cv2  # heavy: imported when first needed
+
         rng = np.random.default_rng([40, self.count])
         pose = align(self.mean, points)
         turn, growth = np.deg2rad(rng.uniform(-TURN, TURN)), np.exp(rng.uniform(-GROWTH, GROWTH))
         matrix = pose.matrix @ rotation(turn) * growth
         offset = pose.offset + pose.scale * rng.uniform(-SHIFT, SHIFT, 2)
-        self.total += self._window(image, matrix, offset)
-        self.count += 1
-
-    def _window(self, image: np.ndarray, matrix: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Return the orientations (h, w, 2) around a place, given the map from the filter to the image."""
-        import cv2  # heavy: imported when first needed
-
         grey = Grey.of(image, self.response, float(np.sqrt(np.linalg.det(matrix))))
         matrix, offset = matrix / grey.reduce, (offset + 0.5) / grey.reduce - 0.5
         left = max(np.linalg.det(matrix) - 1.0, 0.0)  # what is left to average over, as a variance
@@ -75,7 +70,8 @@ class FilterLearner:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         seen = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         field = soft_directions(seen, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
-        return np.stack([np.real(field), np.imag(field)], axis=-1)
+        self.total += np.stack([np.real(field), np.imag(field)], axis=-1)
+        self.count += 1
 
     def learnt(self) -> np.ndarray:
         """Return the filter, (h, w, 2) float32, whose response to the mean is 1."""
@@ -106,24 +102,23 @@ def _covariances(blur: float, reach: int) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _random_images() -> np.ndarray:
-    """Draw the random images, (LEAVES, SIDE, SIDE) float32, once for all models of a process."""
-    rng = np.random.default_rng(41)
-    return np.stack([_leaves(rng) for _ in range(LEAVES)])
+    """Draw the random images, (LEAVES, SIDE, SIDE) float32, once for all models of a process.
 
-
-def _leaves(rng: np.random.Generator) -> np.ndarray:
-    """Draw a random image, (SIDE, SIDE) float32: ellipses and boxes that hide each other, with some noise."""
+    They are ellipses and boxes that hide each other, with some noise.
+    """
     import cv2  # heavy: imported when first needed
 
-    image = np.full((SIDE, SIDE), rng.uniform(), np.float32)
-    few, many = (0.5 * SIDE) ** -2, SMALLEST**-2
-    for radius in (many + rng.uniform(size=N_LEAVES) * (few - many)) ** -0.5:
-        x, y = rng.uniform(-10.0, SIDE + 10.0, 2).tolist()
-        box = (x, y), (2.0 * radius, 2.0 * radius * rng.uniform(0.3, 1.0)), rng.uniform(0.0, 180.0)
-        if rng.uniform() < 0.5:
-            cv2.ellipse(image, box, float(rng.uniform()), -1, cv2.LINE_AA)
-        else:
-            corners = np.rint(cv2.boxPoints(box)).astype(np.int32)
-            cv2.fillConvexPoly(image, corners, float(rng.uniform()), cv2.LINE_AA)
-    grain = cv2.GaussianBlur(rng.normal(size=image.shape).astype(np.float32), (0, 0), 1.0)
-    return image + 0.03 * grain
+    rng, images, (few, many) = np.random.default_rng(41), [], ((0.5 * SIDE) ** -2, SMALLEST**-2)
+    for _ in range(LEAVES):
+        image = np.full((SIDE, SIDE), rng.uniform(), np.float32)
+        for radius in (many + rng.uniform(size=N_LEAVES) * (few - many)) ** -0.5:
+            x, y = rng.uniform(-10.0, SIDE + 10.0, 2).tolist()
+            box = (x, y), (2.0 * radius, 2.0 * radius * rng.uniform(0.3, 1.0)), rng.uniform(0.0, 180.0)
+            if rng.uniform() < 0.5:
+                cv2.ellipse(image, box, float(rng.uniform()), -1, cv2.LINE_AA)
+            else:
+                corners = np.rint(cv2.boxPoints(box)).astype(np.int32)
+                cv2.fillConvexPoly(image, corners, float(rng.uniform()), cv2.LINE_AA)
+        grain = cv2.GaussianBlur(rng.normal(size=image.shape).astype(np.float32), (0, 0), 1.0)
+        images.append(image + 0.03 * grain)
+    return np.stack(images)

@@ -56,8 +56,17 @@ def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = A
         shapes = shapes[:, spread_points(shapes[0], POINTS)]
     apart = procrustes_distances(shapes)
     if wanted != AUTO:
-        return _checked(_clusters(apart, int(wanted)), int(wanted))
-    owners = _owners(names, apart)
+        groups = _clusters(apart, int(wanted))
+        if len(groups) < int(wanted) or len(groups[-1]) < FEWEST:
+            sizes = ", ".join(str(len(group)) for group in groups)
+            raise TrainingError(
+                f"shapes {wanted}: the images form groups of {sizes}, and a model needs {FEWEST} images; ask for "
+                "fewer shapes, or add images"
+            )
+        return groups
+    owners = (apart < SAME).argmax(axis=1)  # the object of each image; copies of an image are of one object
+    for members in objects_of(names).values():
+        owners[members] = members[0]
     best, evidence = everything, _evidence(shapes, owners, everything)
     for groups in _groupings(apart) if np.isfinite(evidence) else ():
         found = _evidence(shapes, owners, groups)
@@ -107,14 +116,6 @@ def _groupings(apart: np.ndarray) -> Iterator[list[np.ndarray]]:
         yield sorted((np.flatnonzero(nearest == i) for i in range(n_groups)), key=len, reverse=True)
 
 
-def _owners(names: Sequence[str], apart: np.ndarray) -> np.ndarray:
-    """Return the index of the object of each image. Copies of an image are of one object."""
-    owners = (apart < SAME).argmax(axis=1)
-    for members in objects_of(names).values():
-        owners[members] = members[0]
-    return owners
-
-
 def _evidence(shapes: np.ndarray, owners: np.ndarray, groups: list[np.ndarray]) -> float:
     """Return the mean log-likelihood of left-out shapes, with one Gaussian for each group."""
     total = 0.0
@@ -127,13 +128,3 @@ def _evidence(shapes: np.ndarray, owners: np.ndarray, groups: list[np.ndarray]) 
         density = fit_prior(deviations_from(procrustes_mean(own), own), folds).evidence
         total += len(group) * (density + np.log(len(group) / len(shapes)))
     return total / len(shapes)
-
-
-def _checked(groups: list[np.ndarray], wanted: int) -> list[np.ndarray]:
-    if len(groups) < wanted or len(groups[-1]) < FEWEST:
-        sizes = ", ".join(str(len(group)) for group in groups)
-        raise TrainingError(
-            f"shapes {wanted}: the images form groups of {sizes}, and a model needs {FEWEST} images; ask for "
-            "fewer shapes, or add images"
-        )
-    return groups

@@ -1,7 +1,6 @@
 """Estimate from the symmetry of objects how far their landmarks lie to one side of where they should."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
@@ -37,8 +36,18 @@ def sideways_offset(
     """
     if len(entries) < FEWEST:
         return 0.0
+
+    def compare(entry: Entry) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean and difference of both gradients (n_pixels, 2), and their shift (2,) by an offset of one pixel."""
+        image = camera.flatten(as_colour(entry.read_image(), entry.name))
+        both = ((image, entry.points), mirrored(image, entry.points, order))
+        (own, known), (other, also) = (sample_appearance(*pair, warp, "soft", camera.response, blur) for pair in both)
+        own, other = (values[:, :2] * (known * also)[:, None] for values in (own, other))
+        move = sum(align(warp.rest, points).inverse().matrix[:, 0] for _, points in both)
+        return (own + other) / 2.0, own - other, np.asarray(move)
+
     some = np.unique(np.linspace(0, len(entries) - 1, MOST).astype(int))
-    compared = in_threads(partial(_compare, order, warp, camera, blur), [entries[i] for i in some])
+    compared = in_threads(compare, [entries[i] for i in some])
     means, differences, moves = (np.array(each) for each in zip(*compared, strict=True))
     slopes = warp.slopes(means.mean(axis=0)).reshape(*means.shape[1:], 2)  # slopes along x and y, then channels
     shifted = np.einsum("ia,pac->ipc", moves, slopes)  # differences that an offset of one pixel makes
@@ -61,18 +70,3 @@ def describe_offset(offset: float) -> str:
         f"the landmarks lie {abs(offset):.1f} pixels to the {side} of where the symmetry of the objects puts them; "
         "mirrored copies allow for it"
     )
-
-
-def _compare(
-    order: np.ndarray, warp: PiecewiseAffineWarp, camera: CameraModel, blur: float, entry: Entry
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and difference of the gradients (n_pixels, 2) of an image and of its mirror image on the reference frame.
-
-    Also their shift on the frame, (2,), for an offset of one pixel.
-    """
-    image = camera.flatten(as_colour(entry.read_image(), entry.name))
-    both = ((image, entry.points), mirrored(image, entry.points, order))
-    (own, known), (other, also) = (sample_appearance(*pair, warp, "soft", camera.response, blur) for pair in both)
-    own, other = (values[:, :2] * (known * also)[:, None] for values in (own, other))
-    move = sum(align(warp.rest, points).inverse().matrix[:, 0] for _, points in both)
-    return (own + other) / 2.0, own - other, np.asarray(move)

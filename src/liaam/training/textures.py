@@ -23,16 +23,39 @@ from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import Response, invariant_row
 from liaam.photometry.encoding import Encoding, as_colour
 from liaam.photometry.features import Encoder
+from liaam.progress import Progress
 from liaam.training.entries import Entry
 from liaam.training.options import Blurs
 from liaam.training.search_filter import FilterLearner
-from liaam.training.steps import Steps
 
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
 """Appearances that are learnt from the textures of another."""
 
+FITTED = 6
+"""Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image."""
+
 Wanted = dict[str, list[list[str]]]
 """Names of the appearances to learn, by view and level."""
+
+
+def learning_cost(n: int) -> int:
+    """Time of learning a level's appearances from n images, in units of the time of sampling one of them."""
+    return max(1, n // 10)
+
+
+@dataclass
+class Steps:
+    """Reports all steps of training on one scale."""
+
+    report: Progress | None
+    total: int
+    done: int = 0
+
+    def next(self, what: str, cost: int = 1) -> None:
+        """Report the next step and its cost, in units of the time of sampling an image."""
+        if self.report:
+            self.report(self.done, self.total, what)
+        self.done += cost
 
 
 @dataclass(frozen=True)
@@ -77,14 +100,13 @@ def sample_all(
     wanted: Wanted,
     steps: Steps,
     copied: Copies,
-    encoder: Encoder | None = None,
-    filters: FilterLearner | None = None,
+    encoder: Encoder | None,
+    filters: FilterLearner,
 ) -> Sampled:
     """Sample the textures of all entries and their copies at the views' levels, for the appearances to learn.
 
-    ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user.
-
-    ``filters`` sees all images and copies.
+    ``varied`` is sampled only with relit copies, and ``features`` only with a function of the user. ``filters`` sees
+    all images and copies.
 
     Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
     """
@@ -119,8 +141,7 @@ def sample_all(
     for i, entry in enumerate(entries):
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
-        if filters is not None:
-            filters.add(image, entry.points)
+        filters.add(image, entry.points)
         own = np.flatnonzero(coloured == i)
         for name in view_of:
             for row in [first[i]] if name in COPIED_APPEARANCES else own:
@@ -128,8 +149,7 @@ def sample_all(
         made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
         for row, (copy, points) in enumerate(made, first[i] + 1):
             steps.next(f"a copy of {entry.name}")
-            if filters is not None:
-                filters.add(copy, points)
+            filters.add(copy, points)
             for name in copied_names:
                 sample(copy, points, name, row, not grey[i])
     textures = {name: {i: Textures.of(*each) for i, each in by_level.items()} for name, by_level in room.items()}
@@ -191,7 +211,8 @@ def level_appearances(
         if name == "illumination":
             # Evidence from left-out images under the training light cannot choose the number of illumination modes.
             kept = 0.98 if variance == "auto" else variance
-            relit = textures.of_rows(sampled.copies)
+            rows = sampled.copies
+            relit = Textures(textures.values[rows], textures.observed[rows], textures.usable[rows])
             appearances[name] = train_illumination(appearances["value"], relit, kept)
             continue
         if name == "invariant":

@@ -10,7 +10,7 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.lamps import Copies, Lamps, learn_lamps
-from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, make_view
+from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
@@ -26,9 +26,8 @@ from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
-from liaam.training.steps import FITTED, Steps, learning_cost
 from liaam.training.symmetry import describe_offset, sideways_offset
-from liaam.training.textures import level_appearances, sample_all
+from liaam.training.textures import FITTED, Steps, learning_cost, level_appearances, sample_all
 from liaam.workers import one_blas_thread
 
 
@@ -141,7 +140,7 @@ def _train_one(
     triangles = mesh_of(mean, options.triangles, edges)
 
     model = AAM(
-        views={view: make_view(view, learnt[priors[view]], triangles) for view in VIEWS},
+        views={view: View(warp_of(learnt[priors[view]], triangles), ()) for view, warp_of in VIEWS.items()},
         triangles=triangles,
         camera=camera,
         n_images=len(entries),
