@@ -44,10 +44,7 @@ MODELS_KEPT = 2
 """Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
 
 FITTERS_KEPT = 16
-
-Light = tuple[Sequence[Lamp], float]
-"""Lamps, and the fraction of ambient light."""
-
+Light = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
 finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""

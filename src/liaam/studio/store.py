@@ -178,9 +178,10 @@ class Store:
             else:
                 self.faults[key] = self.folder.plain(fault)
 
-    def sweep(self) -> None:
-        """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
-        with suppress(LiaamError):
+    def prepare(self) -> None:
+        """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
+        with suppress(LiaamError, OSError):
+            _ = self.id
             state = _state_of(self.folder.root, self.state)
             for folder in (self.folder.root / self.set_name, state, state / "kept"):
                 sweep(folder)
@@ -191,8 +192,7 @@ class Table(dict[str, Any]):
 
     def __init__(self, store: Store, kind: str) -> None:
         super().__init__(store.all(kind))
-        self._store = store
-        self._kind = kind
+        self._store, self._kind = store, kind
 
     def of(self, picture: File) -> Any:
         """Return the value for a picture, unless the picture, by its ``tag``, was replaced since."""
@@ -272,8 +272,5 @@ def folder_locked(folder: Path, address: str) -> Iterator[None]:
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
         yield
-        if is_locked:
-            with suppress(OSError):
-                os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)

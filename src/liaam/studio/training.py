@@ -36,12 +36,7 @@ from liaam.workers import fresh_interpreters, obey_parent
 
 LEAST = 3  # minimum number of pictures for training
 
-OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
-"""Options of training. ``smooth`` shapes work best with few annotated pictures."""
-
-
-Publish = Callable[[str, Any], None]
-"""Sends an event of a kind to the pages."""
+Publish = Callable[[str, Any], None]  # sends an event of a kind to the pages
 
 
 @dataclass(frozen=True)
@@ -260,7 +255,8 @@ def _train(
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always", UserWarning)
-                model = train(items, name=job.name, progress=progress, **OPTIONS, **options)
+                # Smooth shapes work best with few annotated pictures.
+                model = train(items, prior="smooth", methods="all", name=job.name, progress=progress, **options)
             return model, "".join(f"; {warning.message}" for warning in caught)
         except (ImageError, TrainingError):
             if not faults or len(items) - len(faults) < LEAST:
