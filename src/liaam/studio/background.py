@@ -32,9 +32,7 @@ from liaam.workers import in_order
 
 LOOK_SECONDS = 3.0  # how often the folder is looked at for files that other programs add
 QUIET_SECONDS = 0.2  # files that are added together arrive in shorter intervals
-STOP_SECONDS = 60.0
-"""How long the end of the thread is waited for. What it does at the moment takes seconds on a busy machine."""
-
+STOP_SECONDS = 60.0  # how long the end of the thread is waited for, which takes seconds on a busy machine
 TRIED = 4  # number of pictures in which faces are looked for before the points of the face model are offered
 
 THREADS = min(4, os.cpu_count() or 1)
@@ -54,8 +52,7 @@ class Background:
         self.project, self.models, self.trainer = project, models, trainer
         self.progress: dict[str, int] | None = None  # of the pictures that are being fitted
         self._publish = publish
-        self.woken = threading.Event()
-        """Set to have the folder looked at now."""
+        self.woken = threading.Event()  # set to have the folder looked at now
         self._stopped = threading.Event()
         self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()

@@ -28,10 +28,7 @@ from liaam.photometry.encoding import as_colour
 from liaam.studio.safety import Refusal, refusing
 
 STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
-
-OWN_SUFFIXES = (".pts", ".ljson")
-"""Suffixes of the landmark files that the studio writes, in the order in which they are read."""
-
+OWN_SUFFIXES = (".pts", ".ljson")  # of the landmark files that the studio writes, in the order in which they are read
 SETS = f"{STATE}/sets"  # its subfolder for those of further sets of landmarks, each in a subfolder by its name
 SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
 

@@ -32,9 +32,7 @@ from liaam.studio.settings import Settings
 
 JPEG_QUALITY = 92
 CHROMA_STEP = 1 / 4096  # step of chroma's 16-bit integers: natural logarithm of a ratio of light
-CHROMA_MASKED = -32768
-"""Value in chroma of a pixel that is dark or saturated in a channel, so that its logarithm is undefined."""
-
+CHROMA_MASKED = -32768  # of a pixel that is dark or saturated in a channel, so that its logarithm is undefined
 COPIED_FROM, COPY_SIDE = 4_000_000, 1000
 """Pixels of pictures from which on a copy is fitted, and the least of its sides; the longest has twice as many."""
 

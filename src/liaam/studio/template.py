@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 
 LONGEST_NAME = 100
 FARTHEST = 1e6  # maximum absolute coordinate in pixels
-_MOST = 10**6
-"""Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
-
+_MOST = 10**6  # maximum number of points of a stored template, above that of a new one, so that it can always be read
 _TILT = 45.0  # maximum angle between the axis of symmetry and the vertical, in degrees
 _ALIKE = 0.05
 """Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
@@ -50,8 +48,7 @@ class Template:
 
     names: tuple[str, ...]  # unique name of each point
     contours: tuple[Contour, ...] = ()
-    mirror: tuple[int, ...] | None = None
-    """Index of each point's twin, its mirror image (itself on the axis); None without symmetry."""
+    mirror: tuple[int, ...] | None = None  # index of each point's twin (itself on the axis); None without symmetry
     points: tuple[tuple[float, float], ...] | None = None  # typical layout, in any units
 
     def __len__(self) -> int:

@@ -72,8 +72,7 @@ class Trainer:
         self.project, self.models, self._publish = project, models, publish
         self.versions, self._lock = Versions(project.store), threading.RLock()
         self.state = Training()
-        self.is_measuring = False
-        """Whether the model of this training is in use already."""
+        self.is_measuring = False  # whether the model of this training is in use already
         self._process: Any = None
         self._listener: threading.Thread | None = None
         self._stopped = False
