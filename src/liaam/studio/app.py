@@ -296,7 +296,8 @@ class Studio:
     def _relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        return Response(jpeg_bytes(self.fits.relit(fit, light, size)), media_type="image/jpeg", headers=KEPT)
+        image, _ = self.fits.draw(fit, "relit", size, light)
+        return Response(jpeg_bytes(image), media_type="image/jpeg", headers=KEPT)
 
     def _export_fit(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")

@@ -42,8 +42,6 @@ BATCH_SECONDS = 0.5
 
 FACE_FACTS = {"source": FACE, "trained": None, "pictures": {}}
 
-Picture = tuple[str, Path]
-
 
 class Background:
     """Fits pictures with each new model, and checks landmarks, in a thread."""
@@ -136,7 +134,7 @@ class Background:
     def _is_paused(self) -> bool:
         return self._stopped.is_set() or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
 
-    def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
+    def _find_model(self, waiting: list[tuple[str, Path]]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
         own, templates = self.models.own, self.project.templates
         if own is not None:
@@ -160,7 +158,7 @@ class Background:
             templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
 
-    def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
+    def _propose(self, model: ModelInUse, waiting: list[tuple[str, Path]]) -> None:
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()

@@ -252,10 +252,6 @@ class Fits:
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
         return averaged(relighter.under_lamps(*light) if what == "relit" and light else relighter.flat(), to), None
 
-    def relit(self, fit: Fit, light: Light, size: int) -> np.ndarray:
-        """Return the picture with the object under lamps, (h, w, 3) uint8."""
-        return self.draw(fit, "relit", size, light)[0]
-
     def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
         if what not in FILES:
@@ -272,10 +268,7 @@ class Fits:
         return f"{stem}.{what}", kind, text.encode()
 
     def _relighter(self, fit: Fit, size: int | None) -> tuple[Relighter, tuple[int, int]]:
-        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size; None: the picture's.
-
-        Larger ones than :data:`LIGHT_SIZE` are not cached: they take 100 bytes per pixel.
-        """
+        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size; None: the picture's."""
         whole = fit.source.size
 
         def make(to: tuple[int, int]) -> Relighter:
@@ -289,7 +282,7 @@ class Fits:
             raise Refusal(
                 422, f"{text} that the studio relights in full size: use 'liaam relight', or a smaller picture"
             )
-        if size is None and max(whole) > LIGHT_SIZE:
+        if size is None and max(whole) > LIGHT_SIZE:  # not cached: it takes 100 bytes per pixel
             with self._large:
                 return make(whole), whole
         size = min(size or LIGHT_SIZE, LIGHT_SIZE)

@@ -34,10 +34,7 @@ SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
 
 MOST_FOLDERS = 1000  # maximum number of folders that are listed
 LONGEST_NAME = 120  # maximum number of characters of a name
-ADDED = "added"
-"""Subfolder of added pictures if the folder has pictures in its subfolders only: with one of its own, it would no
-longer list these."""
-
+ADDED = "added"  # subfolder of added pictures if others are in subfolders only, which one beside these would hide
 SOME_SIZE = (640, 480)  # size of a picture that is assumed where a landmark file needs one
 
 Signature = tuple[int, int, int]
@@ -67,10 +64,9 @@ class Folder:
 
     def time(self, subfolder: str) -> int:
         """Return the time of the last added or removed entry of a subfolder, in nanoseconds."""
-        try:
+        with suppress(OSError):
             return (self.root / subfolder).stat().st_mtime_ns
-        except OSError:
-            return 0
+        return 0
 
     def plain(self, fault: object) -> str:
         """Return an error message in which the folder's path is replaced by its name."""

@@ -61,9 +61,6 @@ class Marks:
         return template is not None and count == len(template)
 
 
-_NO_MARKS = Marks()
-
-
 class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
@@ -80,10 +77,10 @@ class LandmarkFiles:
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
         if self._listing.winners[picture.stem] != picture.name:
-            return _NO_MARKS
+            return Marks()
         own = self._listing.own(picture)
         if own is None:
-            return self._foreign().get(picture.name, _NO_MARKS)
+            return self._foreign().get(picture.name, Marks())
         if not self.is_read(picture):
             self._read[own.name] = (own.signature, self._read_own(own))
         return self._read[own.name][1]
@@ -95,7 +92,7 @@ class LandmarkFiles:
 
     def is_current(self, picture: File) -> bool:
         """Whether the listing is current for a picture: no file was added or removed, and its files are unchanged."""
-        foreign = self._foreign().get(picture.name, _NO_MARKS)
+        foreign = self._foreign().get(picture.name, Marks())
         others = [self._listing.own(picture), self._listing.files.get(foreign.file)]
         return self._listing.is_current(picture, *filter(None, others))
 

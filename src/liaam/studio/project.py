@@ -13,7 +13,7 @@ import time
 import zipfile
 from collections import deque
 from collections.abc import Container, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -133,11 +133,8 @@ class Project:
 
     def _rescan(self, strict: bool = False) -> None:
         """Scan the folder; only if ``strict``, raise if a change of the template cannot be finished yet."""
-        try:
+        with nullcontext() if strict else suppress(Refusal):  # it has been noted
             self.templates.finish()
-        except Refusal:  # it has been noted
-            if strict:
-                raise
         self._listing.scan()
 
     def _stamp(self) -> str:

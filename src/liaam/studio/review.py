@@ -114,7 +114,6 @@ class PictureStates:
             state = "done" if self.is_done(file) else "partial"
         else:
             state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
-        checked = self.log.who("checked", file.name, marks.placement) if state == "done" else None
         slip, wrong = self.slip_of(file) if state == "done" else (None, [])
         return {
             "name": file.name,
@@ -128,7 +127,7 @@ class PictureStates:
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
-            "checked": checked,
+            "checked": self.log.who("checked", file.name, marks.placement) if state == "done" else None,
             "slip": slip,
             "slip_points": wrong,
             "left_out": self.log.who("left out", file.name),

@@ -263,14 +263,13 @@ def folder_locked(folder: Path, address: str) -> Iterator[None]:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
     try:
         try:
-            is_locked = lock(descriptor)  # False on a file system without locks
+            lock(descriptor)  # not on a file system without locks
         except BlockingIOError as fault:
             holder = os.read(descriptor, 1000).decode(errors="replace")
             raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
-        if is_locked:
-            with suppress(OSError):  # only used for an error message
-                os.ftruncate(descriptor, 0)
-                os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
+        with suppress(OSError):  # only used for an error message
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
         yield
     finally:
         os.close(descriptor)

@@ -50,8 +50,7 @@ class Job:
     model: Path
     name: str
     held_out: tuple[str, ...] = ()  # pictures on which a model that is trained without them is measured
-    slips: dict[str, str] = field(default_factory=dict)
-    """Pictures that are left out because their landmarks may be wrong, and what they may have."""
+    slips: dict[str, str] = field(default_factory=dict)  # pictures left out for landmarks that may be wrong, and why
 
 
 @dataclass(frozen=True)
