@@ -231,7 +231,7 @@ class TestFit:
         works = (
             lambda: fit(fits),
             lambda: fits.layer(made, "flat", 100),
-            lambda: fits.relit(made, (FRONT, 0.3), 90),
+            lambda: fits.draw(made, "relit", 90, (FRONT, 0.3)),
             lambda: fits.export(made, "overlay", (FRONT, 0.3)),
             lambda: fits.pictures.chroma(source, 60, "srgb"),
         )
@@ -390,11 +390,11 @@ class TestLight:
 
     def test_from_the_front_is_flat(self, fits, fitted):
         flat = decode_image(fits.layer(fitted, "flat", 320)[0]).astype(int)
-        assert np.abs(fits.relit(fitted, (FRONT, 0.3), 320) - flat).max() <= 1
+        assert np.abs(fits.draw(fitted, "relit", 320, (FRONT, 0.3))[0] - flat).max() <= 1
 
     def test_from_a_side_brightens_that_side_and_leaves_the_rest(self, fits, fitted, scene):
-        left = fits.relit(fitted, ([Lamp((-1.0, 0.0, 0.5))], 0.2), 320).astype(int)
-        right = fits.relit(fitted, ([Lamp((1.0, 0.0, 0.5))], 0.2), 320).astype(int)
+        left = fits.draw(fitted, "relit", 320, ([Lamp((-1.0, 0.0, 0.5))], 0.2))[0].astype(int)
+        right = fits.draw(fitted, "relit", 320, ([Lamp((1.0, 0.0, 0.5))], 0.2))[0].astype(int)
         x, y = np.rint(fitted.result.landmarks.mean(axis=0)).astype(int)
         reach = int(np.ptp(fitted.result.landmarks[:, 0]) / 3)
         change = (left - right).mean(axis=2)
@@ -404,11 +404,11 @@ class TestLight:
         assert np.array_equal(left[far], scene.image[far])
 
     def test_comes_in_the_size_asked_for(self, fits, fitted):
-        assert fits.relit(fitted, ([Lamp((1.0, 0.0, 0.5))], 0.2), 80).shape == (80, 60, 3)
+        assert fits.draw(fitted, "relit", 80, ([Lamp((1.0, 0.0, 0.5))], 0.2))[0].shape == (80, 60, 3)
 
     def test_a_method_without_shading_says_so(self, fits):
         with pytest.raises(MethodError, match="method grey does not separate"):
-            fits.relit(fit(fits, method="grey"), (FRONT, 0.3), 320)
+            fits.draw(fit(fits, method="grey"), "relit", 320, (FRONT, 0.3))
 
     def test_on_request(self, page):
         made = page.fit(picture="face.png").json()

@@ -46,12 +46,7 @@ from liaam.studio.store import folder_locked
 from liaam.studio.training import Trainer
 
 IMAGE_SIZE, CHROMA_SIZE = 2048, 640  # default longest sides in pixels
-
-FORMATS = {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES}
-"""Suffixes of the files that can be added."""
-
 SHOWN_OF_METHOD = ("name", "summary", "needs_colour")
-
 KEPT = {"cache-control": "private, max-age=86400, immutable"}  # headers of answers that never change
 OVERVIEW_SECONDS = 0.2  # how long a request for the project may read files; the rest is read in the background
 
@@ -85,7 +80,7 @@ class Studio:
             if of is None:
                 lock.enter_context(folder_locked(checked_folder(folder), self.settings.address.partition("?")[0]))
             self.project: Project = of[0].project.of_set(of[1]) if of else Project(folder, self.settings)
-            self.project.prepare()
+            self.project.store.prepare()
             self._others: dict[str, Studio] = {}  # of further sets of landmarks
             self._making = threading.Lock()
             self.models, self.events = ModelStore(), Events(self.settings.heartbeat_seconds)
@@ -192,7 +187,7 @@ class Studio:
             "default_method": DEFAULT_METHOD,
             "default_ambient": AMBIENT,
             "fitting": self.background.progress,
-            "formats": FORMATS,
+            "formats": {"pictures": PICTURE_SUFFIXES, "landmarks": LANDMARK_SUFFIXES, "videos": VIDEO_SUFFIXES},
             "limits": {"upload_bytes": self.settings.upload_bytes, "pixels": self.settings.pixels},
             "problems": project.problems,
         }
@@ -301,7 +296,8 @@ class Studio:
     def _relit(self, request: Request) -> Response:
         fit, light = self.fits.get(request.path_params["id"]), light_of(request.query_params)
         size = checked_size(request.query_params.get("size"), LAYER_SIZE)
-        return Response(jpeg_bytes(self.fits.relit(fit, light, size)), media_type="image/jpeg", headers=KEPT)
+        image, _ = self.fits.draw(fit, "relit", size, light)
+        return Response(jpeg_bytes(image), media_type="image/jpeg", headers=KEPT)
 
     def _export_fit(self, request: Request) -> Response:
         fit, what = self.fits.get(request.path_params["id"]), request.query_params.get("what", "")

@@ -32,9 +32,7 @@ from liaam.workers import in_order
 
 LOOK_SECONDS = 3.0  # how often the folder is looked at for files that other programs add
 QUIET_SECONDS = 0.2  # files that are added together arrive in shorter intervals
-STOP_SECONDS = 60.0
-"""How long the end of the thread is waited for. What it does at the moment takes seconds on a busy machine."""
-
+STOP_SECONDS = 60.0  # how long the end of the thread is waited for, which takes seconds on a busy machine
 TRIED = 4  # number of pictures in which faces are looked for before the points of the face model are offered
 
 THREADS = min(4, os.cpu_count() or 1)
@@ -44,8 +42,6 @@ BATCH_SECONDS = 0.5
 
 FACE_FACTS = {"source": FACE, "trained": None, "pictures": {}}
 
-Picture = tuple[str, Path]
-
 
 class Background:
     """Fits pictures with each new model, and checks landmarks, in a thread."""
@@ -54,8 +50,7 @@ class Background:
         self.project, self.models, self.trainer = project, models, trainer
         self.progress: dict[str, int] | None = None  # of the pictures that are being fitted
         self._publish = publish
-        self.woken = threading.Event()
-        """Set to have the folder looked at now."""
+        self.woken = threading.Event()  # set to have the folder looked at now
         self._stopped = threading.Event()
         self._fitter_of = lru_cache(maxsize=1)(Fitter)
         self._without_faces: set[tuple[str, str]] = set()
@@ -139,7 +134,7 @@ class Background:
     def _is_paused(self) -> bool:
         return self._stopped.is_set() or (self.trainer.state.state == "running" and not self.trainer.is_measuring)
 
-    def _find_model(self, waiting: list[Picture]) -> ModelInUse | None:
+    def _find_model(self, waiting: list[tuple[str, Path]]) -> ModelInUse | None:
         """Return the model of the folder, or else the face model if it finds faces."""
         own, templates = self.models.own, self.project.templates
         if own is not None:
@@ -163,7 +158,7 @@ class Background:
             templates.offer(template_of_model(self._face), FACE)
         return self.models.spare
 
-    def _propose(self, model: ModelInUse, waiting: list[Picture]) -> None:
+    def _propose(self, model: ModelInUse, waiting: list[tuple[str, Path]]) -> None:
         order, fitter, total = self.project.templates.order, self._fitter_of(model.model), len(waiting)
         batch: dict[str, Any] = {}
         seconds, saved = BATCH_SECONDS * (1 + total / 1000), time.monotonic()

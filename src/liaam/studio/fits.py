@@ -40,14 +40,9 @@ second per megapixel. Exported files have the full size."""
 
 LAYER_BYTES = 30_000_000  # bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
-MODELS_KEPT = 2
-"""Number of models whose fits are cached: the current and the previous one. Each has tens of megabytes of fitters."""
-
+MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
 FITTERS_KEPT = 16
-
-Light = tuple[Sequence[Lamp], float]
-"""Lamps, and the fraction of ambient light."""
-
+Light = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
 finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
@@ -56,8 +51,7 @@ FILES = {"pts": "text/plain", "ljson": "application/json", "csv": "text/csv", "j
 FILES |= dict.fromkeys(("overlay", "flat", "shading", "relit"), "image/png")
 """Kinds of files of a fit, and their media types."""
 
-WARM_UP = (480, 640)
-"""Height and width of the image that is fitted when a new model is published, so that the first real fit is fast."""
+WARM_UP = (480, 640)  # height and width of the image that a new model is fitted to, so that the first real fit is fast
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +65,7 @@ class Fit:
     search_seconds: float
     fit_seconds: float
     no_flat: str | None  # why its shading cannot be computed
-    error: tuple[float, float] | None
-    """Distance from the picture's landmarks, in pixels and in percent of their diagonal."""
+    error: tuple[float, float] | None  # from the picture's landmarks, in pixels and in percent of their diagonal
     of: tuple[str, str]  # ``picture`` or ``upload``, and its name or id
     trained_on: bool = False  # whether the picture is one of those that the model was trained on
 
@@ -150,9 +143,8 @@ class Fits:
             return
         with self._forgetting:  # models may be published by two threads
             self._recent.append(current)
-            recent = list(self._recent)
-        numbers = {model.number for model in recent}
-        models = {id(model.model) for model in recent}
+            numbers = {model.number for model in self._recent}
+            models = {id(model.model) for model in self._recent}
         self._fitters.keep_only(lambda key, _: key[0] in models)
         self._found.keep_only(lambda key, _: key[-1] in numbers)
         self._fits.keep_only(lambda _, fit: id(fit.model) in models)
@@ -260,10 +252,6 @@ class Fits:
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
         return averaged(relighter.under_lamps(*light) if what == "relit" and light else relighter.flat(), to), None
 
-    def relit(self, fit: Fit, light: Light, size: int) -> np.ndarray:
-        """Return the picture with the object under lamps, (h, w, 3) uint8."""
-        return self.draw(fit, "relit", size, light)[0]
-
     def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
         if what not in FILES:
@@ -280,10 +268,7 @@ class Fits:
         return f"{stem}.{what}", kind, text.encode()
 
     def _relighter(self, fit: Fit, size: int | None) -> tuple[Relighter, tuple[int, int]]:
-        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size; None: the picture's.
-
-        Larger ones than :data:`LIGHT_SIZE` are not cached: they take 100 bytes per pixel.
-        """
+        """Return a relighter, computed at no less than :data:`LAYER_SIZE`, and the output size; None: the picture's."""
         whole = fit.source.size
 
         def make(to: tuple[int, int]) -> Relighter:
@@ -293,10 +278,11 @@ class Fits:
                 return layers.taken_apart(fit.fitter, image, fit.result, to, fit.source.raw)
 
         if size is None and prod(whole) > self.settings.whole_pixels:
-            text = f"{whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
-            text = f"{fit.source.name} has {text} that the studio relights in full size"
-            raise Refusal(422, f"{text}: use 'liaam relight', or a smaller picture")
-        if size is None and max(whole) > LIGHT_SIZE:
+            text = f"{fit.source.name} has {whole[0]} x {whole[1]} pixels, more than the {self.settings.whole_pixels:,}"
+            raise Refusal(
+                422, f"{text} that the studio relights in full size: use 'liaam relight', or a smaller picture"
+            )
+        if size is None and max(whole) > LIGHT_SIZE:  # not cached: it takes 100 bytes per pixel
             with self._large:
                 return make(whole), whole
         size = min(size or LIGHT_SIZE, LIGHT_SIZE)

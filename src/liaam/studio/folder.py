@@ -11,7 +11,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -28,19 +28,13 @@ from liaam.photometry.encoding import as_colour
 from liaam.studio.safety import Refusal, refusing
 
 STATE = ".liaam-studio"  # name of the subfolder for the studio's own files
-
-OWN_SUFFIXES = (".pts", ".ljson")
-"""Suffixes of the landmark files that the studio writes, in the order in which they are read."""
-
+OWN_SUFFIXES = (".pts", ".ljson")  # of the landmark files that the studio writes, in the order in which they are read
 SETS = f"{STATE}/sets"  # its subfolder for those of further sets of landmarks, each in a subfolder by its name
 SET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,29}")
 
 MOST_FOLDERS = 1000  # maximum number of folders that are listed
 LONGEST_NAME = 120  # maximum number of characters of a name
-ADDED = "added"
-"""Subfolder of added pictures if the folder has pictures in its subfolders only: with one of its own, it would no
-longer list these."""
-
+ADDED = "added"  # subfolder of added pictures if others are in subfolders only, which one beside these would hide
 SOME_SIZE = (640, 480)  # size of a picture that is assumed where a landmark file needs one
 
 Signature = tuple[int, int, int]
@@ -70,10 +64,9 @@ class Folder:
 
     def time(self, subfolder: str) -> int:
         """Return the time of the last added or removed entry of a subfolder, in nanoseconds."""
-        try:
+        with suppress(OSError):
             return (self.root / subfolder).stat().st_mtime_ns
-        except OSError:
-            return 0
+        return 0
 
     def plain(self, fault: object) -> str:
         """Return an error message in which the folder's path is replaced by its name."""
@@ -120,6 +113,7 @@ class Listing:
         self.unlisted: list[str] = []
         self._times: dict[str, int] = {}
         self._sizes: dict[str, tuple[Signature, tuple[int, int] | str]] = {}
+        self._added: dict[str, str] = {}  # name of each picture that :meth:`add` has written, by its stem
         self._arrange()
 
     def scan(self) -> None:
@@ -181,8 +175,7 @@ class Listing:
         marks = [file for file in files if file.name.startswith(self.place)]
         outside = [file for file in files if not self.place or not file.name.startswith(self.place)]
         self.pictures = [file for file in outside if file.suffix in PICTURE_SUFFIXES]
-        own_files = [file for file in marks if file.suffix in OWN_SUFFIXES]
-        own_files.sort(key=lambda file: -OWN_SUFFIXES.index(file.suffix))
+        own_files = [file for suffix in OWN_SUFFIXES[::-1] for file in marks if file.suffix == suffix]
         self._own = {file.stem.removeprefix(self.place): file for file in own_files}
         others = {*LANDMARK_SUFFIXES} - {*OWN_SUFFIXES}
         self.other_files = [file for file in marks if file.suffix in others]
@@ -213,11 +206,6 @@ class Listing:
                     continue
         self._times[subfolder] = time
         return found, sorted(below, key=natural_key)
-
-    def fault_of(self, picture: File) -> str | None:
-        """Return why a picture cannot be used, or None if it can."""
-        size = self.size_of(picture)
-        return size if isinstance(size, str) else None
 
     def usable_size(self, picture: File) -> tuple[int, int]:
         """Return the width and height of a picture."""
@@ -273,6 +261,43 @@ class Listing:
         )
         return [f"{count_of(len(names), what)} ({some_names(names, 3)}) {why}" for names, what, why in notices if names]
 
+    def add(self, name: str, data: bytes) -> dict[str, Any]:
+        """Write a file that replaces none, and none of the landmarks that are there.
+
+        Return its ``name`` in the folder, its ``kind``, and whether it was ``known`` before.
+        """
+        name = plain_name(name)
+        suffix = Path(name).suffix.lower()
+        is_picture = suffix in PICTURE_SUFFIXES
+        if not is_picture and suffix not in LANDMARK_SUFFIXES:
+            raise Refusal(415, f"{name} is neither a picture nor a landmark file that liaam reads")
+        if not data:
+            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
+        if not is_relative(name):
+            raise Refusal(422, f"{name} is the name of a hidden file: rename it")
+        place = f"{ADDED}/{name}" if self.pictures and all("/" in each.name for each in self.pictures) else name
+        place = place if is_picture else f"{self.place}{place}"
+        path = self.folder.inside(place)
+        is_known = path.exists()
+        if is_known and path.read_bytes() != data:
+            raise Refusal(409, f"{name}: the folder has another file of this name; rename one of them")
+        if not is_known:
+            if not is_picture:
+                with refusing():
+                    parse_landmark_data(name, data, SOME_SIZE)
+            elif not is_raw(name):  # RAW files can only be read from the disk
+                size_in_header(data, name, self.most_pixels)
+            stem = place.removesuffix(Path(place).suffix)
+            if is_picture and (other := self._added.setdefault(stem, self.winners.get(stem, place))) != place:
+                raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
+            others = [stem + own for own in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
+            there = [other for other in others if self.folder.inside(other).exists()]
+            if there:
+                raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes_atomically(path, data)
+        return {"name": place, "kind": "picture" if is_picture else "landmarks", "known": is_known}
+
 
 def sets_in(folder: Folder) -> list[str]:
     """Return the names of the further sets of landmarks of a folder."""
@@ -297,8 +322,7 @@ def checked_folder(folder: str | os.PathLike[str]) -> Path:
         if not folder.is_dir():
             what = "is a file, not a folder" if folder.exists() else "does not exist"
             raise ImageError(f"{folder} {what}: name the folder that holds the pictures.")
-        with os.scandir(folder):
-            pass
+        list(folder.iterdir())
     if not may_write_in(folder):
         raise ImageError(f"{folder} cannot be written to: check the rights on it; landmarks are saved beside pictures.")
     return real_path(folder)
@@ -329,50 +353,6 @@ def status_of(fault: BaseException | None) -> int:
 def revision_of(data: bytes) -> str:
     """Return a hash of the contents of a file."""
     return hashlib.sha256(data).hexdigest()[:16]
-
-
-@dataclass(frozen=True, eq=False)
-class Intake:
-    """Writes files to the folder. It replaces none, and none of the landmarks that are there."""
-
-    listing: Listing
-    _stems: dict[str, str] = field(default_factory=dict)
-    """Name of each added picture by its stem, until the folder is listed again."""
-
-    def add(self, name: str, data: bytes) -> dict[str, Any]:
-        """Write a file; return its ``name`` in the folder, its ``kind``, and whether it was ``known`` before."""
-        name = plain_name(name)
-        suffix = Path(name).suffix.lower()
-        is_picture = suffix in PICTURE_SUFFIXES
-        if not is_picture and suffix not in LANDMARK_SUFFIXES:
-            raise Refusal(415, f"{name} is neither a picture nor a landmark file that liaam reads")
-        if not data:
-            raise Refusal(422, f"{name} is empty (0 bytes): copy or export it again")
-        if not is_relative(name):
-            raise Refusal(422, f"{name} is the name of a hidden file: rename it")
-        pictures = self.listing.pictures
-        place = f"{ADDED}/{name}" if pictures and all("/" in each.name for each in pictures) else name
-        place = place if is_picture else f"{self.listing.place}{place}"
-        path = self.listing.folder.inside(place)
-        is_known = path.exists()
-        if is_known and path.read_bytes() != data:
-            raise Refusal(409, f"{name}: the folder has another file of this name; rename one of them")
-        if not is_known:
-            if not is_picture:
-                with refusing():
-                    parse_landmark_data(name, data, SOME_SIZE)
-            elif not is_raw(name):  # RAW files can only be read from the disk
-                size_in_header(data, name, self.listing.most_pixels)
-            stem = place.removesuffix(Path(place).suffix)
-            if is_picture and (other := self._stems.setdefault(stem, self.listing.winners.get(stem, place))) != place:
-                raise Refusal(409, f"{place} and {other} have the same name except for the suffix: rename one of them")
-            others = [stem + own for own in OWN_SUFFIXES] if suffix in OWN_SUFFIXES else []
-            there = [other for other in others if self.listing.folder.inside(other).exists()]
-            if there:
-                raise Refusal(409, f"{place}: the picture has landmarks already, in {there[0]}")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes_atomically(path, data)
-        return {"name": place, "kind": "picture" if is_picture else "landmarks", "known": is_known}
 
 
 def size_in_header(data: bytes, name: str, most_pixels: int) -> tuple[int, int]:

@@ -12,7 +12,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -61,9 +61,6 @@ class Marks:
         return template is not None and count == len(template)
 
 
-_NO_MARKS = Marks()
-
-
 class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
@@ -73,18 +70,17 @@ class LandmarkFiles:
         self._paired: dict[str, Marks] = {}
         self._faults: dict[str, str] = {}
         self.problems: list[str] = []
-        self._paired_files: object = None
-        self._paired_version = -1
+        self._pairs_of, self._paired_version = lru_cache(1)(self._pair), -1
         self.bars = bars  # shared by all sets of landmarks of the folder
         self._invisible = Table(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""
         if self._listing.winners[picture.stem] != picture.name:
-            return _NO_MARKS
+            return Marks()
         own = self._listing.own(picture)
         if own is None:
-            return self._foreign().get(picture.name, _NO_MARKS)
+            return self._foreign().get(picture.name, Marks())
         if not self.is_read(picture):
             self._read[own.name] = (own.signature, self._read_own(own))
         return self._read[own.name][1]
@@ -96,7 +92,7 @@ class LandmarkFiles:
 
     def is_current(self, picture: File) -> bool:
         """Whether the listing is current for a picture: no file was added or removed, and its files are unchanged."""
-        foreign = self._foreign().get(picture.name, _NO_MARKS)
+        foreign = self._foreign().get(picture.name, Marks())
         others = [self._listing.own(picture), self._listing.files.get(foreign.file)]
         return self._listing.is_current(picture, *filter(None, others))
 
@@ -123,21 +119,17 @@ class LandmarkFiles:
     def _foreign(self) -> dict[str, Marks]:
         """Return the landmarks of files in other formats by picture, paired as ``liaam train`` does."""
         listing = self._listing
-        if self._paired_version == listing.version:
-            return self._paired
-        self._paired_version = listing.version
-        files = (tuple(listing.other_files), tuple(listing.winners.values())) if listing.other_files else None
-        if files != self._paired_files or files is None:
-            self._paired, self._faults, self.problems = self._pair() if files else ({}, {}, [])
-            self._paired_files = files
+        if self._paired_version != listing.version:
+            self._paired_version, others = listing.version, tuple(listing.other_files)
+            found = self._pairs_of(others, tuple(listing.winners.values())) if others else ({}, {}, [])
+            self._paired, self._faults, self.problems = found
         return self._paired
 
-    def _pair(self) -> tuple[dict[str, Marks], dict[str, str], list[str]]:
+    def _pair(self, others: tuple[File, ...], pictures: tuple[str, ...]) -> tuple[dict, dict, list]:
         """Pair pictures with files of other formats; return landmarks, errors by picture, and other errors."""
         root, listing, name_of = self._folder.root, self._listing, self._folder.name_of
-        images = [root / name for name in listing.winners.values()]
-        files = [root / file.name for file in listing.other_files]
-        samples, left_out = pair_files(root, images, files, root / listing.place)
+        files = [root / file.name for file in others]
+        samples, left_out = pair_files(root, [root / name for name in pictures], files, root / listing.place)
         marks, faults, problems = {}, {}, []
 
         @cache  # one file may hold the landmarks of all pictures

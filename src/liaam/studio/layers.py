@@ -23,9 +23,7 @@ LAYERS = ("residual", "shading", "flat", "normals")
 RESIDUAL_COLOURS = ((33, 102, 172), (247, 247, 247), (178, 24, 43))
 """Colours below, at and above 0: the picture is darker than, equal to, or brighter than the model."""
 
-SHADING_COLOURS = ((38, 36, 92), (148, 148, 148), (255, 214, 92))
-"""Colours of shadow, of the training light, and of brighter light."""
-
+SHADING_COLOURS = ((38, 36, 92), (148, 148, 148), (255, 214, 92))  # of shadow, of the training light, of brighter light
 SHADING_LIMIT = float(np.log(4.0))
 """Limit of the colour scale: 1/4 and 4 times the training light. It is the same for all pictures, to compare them."""
 

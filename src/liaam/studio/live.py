@@ -32,8 +32,7 @@ from liaam.tracking.shading import ShadingRemover
 
 AT_ONCE = 3  # frames of a video in progress: one arrives, one is tracked, and the shading of one is removed
 IDLE_SECONDS = 60.0  # time without a frame after which a video may end
-SIDE, WHOLE_SIDE = 16, 20_000
-"""Shortest side of a frame, and longest side of the video that it is a reduced copy of, pixels."""
+SIDE, WHOLE_SIDE = 16, 20_000  # shortest side of a frame, and longest of the video that it is a reduced copy of, pixels
 
 
 class LiveVideo:
@@ -115,8 +114,7 @@ class LiveVideos:
 
     def __init__(self, models: ModelStore, settings: Settings | None = None) -> None:
         self.models = models
-        self.settings = settings or Settings()
-        self._videos: Kept[str, LiveVideo] = Kept(self.settings.live_kept)
+        self._videos: Kept[str, LiveVideo] = Kept((settings or Settings()).live_kept)
         models.listeners.append(lambda _: self._videos.keep_only(lambda *_: False))
 
     def open(self) -> LiveVideo:

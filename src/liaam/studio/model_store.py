@@ -19,6 +19,8 @@ from liaam.studio.store import Store
 MODEL_FILE = "model.liaam"  # file of the trained model; the facts about it are in the store
 SHOWN_VERSIONS = 30  # number of versions that the page shows
 
+Place = Literal["guest", "own", "spare"]
+
 
 @dataclass(frozen=True, eq=False)
 class ModelInUse:
@@ -34,9 +36,6 @@ class ModelInUse:
     def key(self) -> str:
         """Identifier of the model that survives a restart."""
         return self.facts["trained"] or f"{self.facts['source']} {self.model.name}"
-
-
-Place = Literal["guest", "own", "spare"]
 
 
 class ModelStore:

@@ -32,14 +32,11 @@ from liaam.studio.settings import Settings
 
 JPEG_QUALITY = 92
 CHROMA_STEP = 1 / 4096  # step of chroma's 16-bit integers: natural logarithm of a ratio of light
-CHROMA_MASKED = -32768
-"""Value in chroma of a pixel that is dark or saturated in a channel, so that its logarithm is undefined."""
-
+CHROMA_MASKED = -32768  # of a pixel that is dark or saturated in a channel, so that its logarithm is undefined
 COPIED_FROM, COPY_SIDE = 4_000_000, 1000
 """Pixels of pictures from which on a copy is fitted, and the least of its sides; the longest has twice as many."""
 
-DECODED_BYTES = 150_000_000
-ENCODED_BYTES = 50_000_000
+DECODED_BYTES, ENCODED_BYTES = 150_000_000, 50_000_000  # of cached pictures
 DECODED_AT_ONCE = 50_000_000
 """Pixels decoded concurrently: two pictures of an ordinary camera, or one of the largest. Decoding takes 7 to 14 bytes
 per pixel."""
@@ -52,10 +49,7 @@ V = TypeVar("V")
 
 
 class Kept(Generic[K, V]):
-    """A thread-safe least-recently-used cache of at most a total weight. A value above it is not cached.
-
-    Concurrent requests for a missing key share one computation.
-    """
+    """A thread-safe least-recently-used cache of at most a total weight; concurrent requests share one computation."""
 
     def __init__(self, limit: int, weigh: Callable[[V], int] = lambda _: 1) -> None:
         self.limit, self.weight = limit, 0
@@ -100,7 +94,7 @@ class Kept(Generic[K, V]):
         return future.result()
 
     def put(self, key: K, value: V) -> None:
-        """Cache a value."""
+        """Cache a value, unless it weighs more than all values may."""
         weight = self._weigh(value)
         with self._lock:
             self.weight -= self._values.pop(key, (value, 0))[1]

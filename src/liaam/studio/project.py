@@ -13,7 +13,7 @@ import time
 import zipfile
 from collections import deque
 from collections.abc import Container, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -26,10 +26,10 @@ from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.landmarks import Landmarks, collection_text, parse_landmark_data
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
-from liaam.studio.folder import File, Folder, Intake, Listing, checked_folder, plain_name, revision_of, sets_in
+from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
 from liaam.studio.pictures import Source, source_of
-from liaam.studio.review import PictureStates, ReviewLog, Sharing, parse_who
+from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
 from liaam.studio.settings import Settings
 from liaam.studio.store import Store, Table
@@ -40,8 +40,7 @@ REST_SECONDS = 0.3  # files are read more slowly until so long after a request, 
 READ_AT_ONCE = 100  # number of pictures whose files an overview reads in any case
 LONG = 2000  # number of pictures above which an overview reads no more files than these
 
-EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}
-"""Kinds of files with the landmarks of all pictures, and the ends of their names."""
+EXPORTS = {"pts": "-pts.zip", "coco": ".json", "tps": ".tps", "csv": ".csv"}  # ends of the names of files, by kind
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,6 @@ class Project:
         self._log = ReviewLog(self.store)
         parts = (listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log)
         self._states = PictureStates(*parts)
-        self._intake = Intake(listing)
         self._rescan()
 
     @property
@@ -127,12 +125,6 @@ class Project:
                 self._sets[name] = Project(self.root, self.settings, name, self._sets[""])
             return self._sets[name]
 
-    def prepare(self) -> None:
-        """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
-        with self._lock, suppress(LiaamError, OSError):
-            _ = self.store.id
-            self.store.sweep()
-
     @property
     def problems(self) -> list[str]:
         """Messages for the user about files that cannot be read, are skipped, or belong to no picture."""
@@ -141,11 +133,8 @@ class Project:
 
     def _rescan(self, strict: bool = False) -> None:
         """Scan the folder; only if ``strict``, raise if a change of the template cannot be finished yet."""
-        try:
+        with nullcontext() if strict else suppress(Refusal):  # it has been noted
             self.templates.finish()
-        except Refusal:  # it has been noted
-            if strict:
-                raise
         self._listing.scan()
 
     def _stamp(self) -> str:
@@ -215,16 +204,13 @@ class Project:
                 self._listing.mark_unreadable(file, str(fault))
 
     def annotated(self, among: Container[str] | None = None) -> list[Annotated]:
-        """Return the done pictures, which have all their points, except those left out of training.
-
-        With ``among``, only those with one of these names, as of the last scan.
-        """
+        """Return the done pictures that are not left out of training; with ``among``, of these at the last scan."""
         states, found = self._states, []
         with self._lock:
             if among is None:
                 self._rescan(strict=True)
             for file in self._listing.pictures:
-                is_among = (among is None or file.name in among) and self._listing.fault_of(file) is None
+                is_among = (among is None or file.name in among) and not isinstance(self._listing.size_of(file), str)
                 if is_among and states.is_done(file) and self._log.who("left out", file.name) is None:
                     marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
                     assert marks.landmarks is not None
@@ -278,16 +264,16 @@ class Project:
             proposals = self._proposals
             by = {file: (proposals.of(file) or {"model": None}).get("model", "") for file in self._listing.pictures}
             blank = [file for file in by if by[file] != model and not self._landmarks.of(file).n_placed]
-            names = [file.name for file in blank if self._listing.fault_of(file) is None]
+            names = [file.name for file in blank if not isinstance(self._listing.size_of(file), str)]
             ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
             known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
             turns = zip_longest(known, (name for name in names if name not in ranks))
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:
-        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Intake.add`)."""
+        """Add a picture or a landmark file to the folder (:meth:`liaam.studio.folder.Listing.add`)."""
         with self._lock:
-            return self._intake.add(name, data)
+            return self._listing.add(name, data)
 
     def set_slips(self, slips: dict[str, tuple[str, str, list[int]]]) -> None:
         """Set the revision of the landmarks, the slip in them and its points, by picture."""
@@ -339,21 +325,21 @@ class Project:
             before = current["points"] if has_file else [None] * len(template)
             moved = [None if p is None else list(p) for p in points] != before or invisible != current["invisible"]
             bar = parse_bar(data["bar"]) if "bar" in data else current["bar"]
-            if moved or bar != current["bar"]:
-                if data.get("revision") != current["revision"]:
-                    clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
-                    gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
-                    raise Refusal(409, gone if current["revision"] is None else clash, current=current)
-                if bar != current["bar"]:
-                    self._landmarks.set_bar(file, bar)
-                if moved:
-                    self.templates.keep()  # the first save fixes a template that was taken from a file
-                if moved or self._landmarks.of(file).n_placed:
-                    self._landmarks.save(file, template, points, invisible)
-                if moved:
-                    with suppress(LiaamError):  # the landmarks are saved
-                        did = "placed" if any(points) else "cleared"
-                        self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
+            is_scaled = bar != current["bar"]
+            if (moved or is_scaled) and data.get("revision") != current["revision"]:
+                clash = f"the landmarks of {name} were changed elsewhere in the meantime: check them"
+                gone = f"the landmark file of {name} was deleted in the meantime: save it again, or let it be"
+                raise Refusal(409, gone if current["revision"] is None else clash, current=current)
+            if is_scaled:
+                self._landmarks.set_bar(file, bar)
+            if moved:
+                self.templates.keep()  # the first save fixes a template that was taken from a file
+            if moved or (is_scaled and self._landmarks.of(file).n_placed):
+                self._landmarks.save(file, template, points, invisible)
+            if moved:
+                with suppress(LiaamError):  # the landmarks are saved
+                    did = "placed" if any(points) else "cleared"
+                    self._log.add_change(who, file.name, did, self._landmarks.of(file).revision)
             if "unchecked" in data and not any(points):
                 tag = file.tag if data["unchecked"] else None
                 if self._unchecked.get(file.name) != tag:
@@ -366,7 +352,7 @@ class Project:
 
         The data are JSON with ``pictures``, their names, ``did``, one of :data:`liaam.studio.review.ACTIONS`,
         and perhaps ``who``. For "scaled", ``bar`` is the scale bar, ``of`` the name of the picture on which it was
-        drawn, and ``anyway`` see :class:`liaam.studio.review.Sharing`.
+        drawn; with ``anyway``, pictures of another size, or with a scale of their own, get it as well.
         """
         data = self.checked(data, "pictures, a list of names, and did")
         names = data.get("pictures")
@@ -376,14 +362,13 @@ class Project:
         with self._lock:
             self._rescan(strict=True)
             files = [self._find(name) for name in dict.fromkeys(names)]
-            did, sharing = str(data.get("did")), None
-            if did == "scaled":
-                bar, drawn_on = parse_bar(data.get("bar")), data.get("of")
-                if bar is None or not isinstance(drawn_on, str):
-                    raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
-                size = self._listing.usable_size(self._find(drawn_on))
-                sharing = Sharing(bar, size, data.get("anyway") is True)
-            return self._states.apply(files, did, who, sharing)
+            if data.get("did") != "scaled":
+                return self._states.apply(files, str(data.get("did")), who)
+            bar, drawn_on = parse_bar(data.get("bar")), data.get("of")
+            if bar is None or not isinstance(drawn_on, str):
+                raise Refusal(422, "send the scale bar, bar, and the picture on which it was drawn, of")
+            size = self._listing.usable_size(self._find(drawn_on))
+            return self._states.apply(files, "scaled", who, bar, None if data.get("anyway") is True else size)
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the newest entries of a picture in the log."""
@@ -412,10 +397,7 @@ class Project:
         return template_of(landmarks)
 
     def add_proposals(self, proposals: Mapping[str, dict[str, Any]], order: str | None = None) -> None:
-        """Save landmarks proposed by a model, by picture, unless they are for another :attr:`order` of points.
-
-        Each has the ``tag`` of the picture that was fitted; the default is the current tag.
-        """
+        """Save proposals by picture, whose ``tag`` is by default the current one; none for another order of points."""
         with self._lock:
             if order in (None, self.templates.order):
                 files = self._listing.files

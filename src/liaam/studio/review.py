@@ -37,6 +37,9 @@ LONGEST_NAME = 60
 SHOWN = 20  # number of entries of a picture that the page shows
 SAME_WORK = timedelta(minutes=10)  # changes of a picture by one person within this time are one entry
 
+Bar = dict[str, Any] | None
+Size = tuple[int, int] | None
+
 
 class ReviewLog:
     """The log of a folder, by name of the picture."""
@@ -49,8 +52,7 @@ class ReviewLog:
 
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
         """Append an entry for each picture, given with the revision of what was done to."""
-        time = datetime.now(UTC).isoformat(timespec="seconds")
-        facts = {"time": time, "who": who, "did": did}
+        facts = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "who": who, "did": did}
         entries = [{**facts, "picture": name, "revision": revision} for name, revision in pictures.items()]
         self._store.append("review", entries)
         for entry in entries:
@@ -77,15 +79,6 @@ class ReviewLog:
         """Return whose action stands for a picture; if a ``revision`` is given, for this one."""
         last = self.standing(name, did)
         return None if last is None or last["revision"] != revision else last["who"] or "someone"
-
-
-@dataclass(frozen=True)
-class Sharing:
-    """A scale bar that several pictures share."""
-
-    bar: dict[str, Any]
-    size: tuple[int, int]  # size of the picture on which it was drawn
-    anyway: bool  # whether pictures of another size, or with a scale of their own, get it as well
 
 
 @dataclass(eq=False)
@@ -121,7 +114,6 @@ class PictureStates:
             state = "done" if self.is_done(file) else "partial"
         else:
             state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
-        checked = self.log.who("checked", file.name, marks.placement) if state == "done" else None
         slip, wrong = self.slip_of(file) if state == "done" else (None, [])
         return {
             "name": file.name,
@@ -135,7 +127,7 @@ class PictureStates:
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
-            "checked": checked,
+            "checked": self.log.who("checked", file.name, marks.placement) if state == "done" else None,
             "slip": slip,
             "slip_points": wrong,
             "left_out": self.log.who("left out", file.name),
@@ -218,8 +210,8 @@ class PictureStates:
             f"{size[0]} x {size[1]} pixels, which may have been replaced: place them again, or put the picture back"
         )
 
-    def apply(self, files: list[File], did: str, who: str, sharing: Sharing | None = None) -> dict[str, Any]:
-        """Apply an action; ``sharing`` is the scale bar of "scaled".
+    def apply(self, files: list[File], did: str, who: str, bar: Bar = None, like: Size = None) -> dict[str, Any]:
+        """Apply an action. "scaled" sets ``bar``; with ``like``, only in pictures of this size without a scale yet.
 
         Return ``changed``, the names of the pictures that changed; ``refused``, reasons by name of the others;
         and ``revisions`` of landmarks that were written, by name.
@@ -230,7 +222,7 @@ class PictureStates:
         refused: dict[str, str] = {}
         for file in files:
             try:
-                revisions[file.name] = self._revision(file, did, sharing)
+                revisions[file.name] = self._revision(file, did, bar, like)
             except (Refusal, LandmarkError) as fault:
                 refused[file.name] = self.store.folder.plain(fault)
         if revisions:
@@ -239,7 +231,7 @@ class PictureStates:
             self.templates.keep()  # the first save fixes a template that was taken from a file or offered
         written = [file for file in files if file.name in revisions] if did in WRITING else []
         if did in ("scaled", "unscaled"):
-            self.landmarks.share_bar(written, sharing and sharing.bar)
+            self.landmarks.share_bar(written, bar)
         for file in written:
             marks, template = self.landmarks.of(file), self.templates.current
             if did in ("scaled", "unscaled"):
@@ -258,19 +250,19 @@ class PictureStates:
         now = {file.name: self.landmarks.of(file).revision for file in written}
         return {"changed": list(revisions), "refused": refused, "revisions": now}
 
-    def _revision(self, file: File, did: str, sharing: Sharing | None) -> str | None:
+    def _revision(self, file: File, did: str, bar: Bar, like: Size) -> str | None:
         """Return the revision of what an action is done to; refuse one that changes nothing."""
         marks, proposal = self.landmarks.of(file), self.proposal_of(file)
         if did in ("scaled", "unscaled"):
             known, size = self.landmarks.scale_bar(file), self.listing.usable_size(file)
             shares = "before" in known  # it was drawn on another picture
-            if sharing is None and not shares:
+            if bar is None and not shares:
                 raise Refusal(409, "the scale was not set together with others")
-            if sharing and not sharing.anyway and self.landmarks.scale_of(file) is not None and not shares:
+            if like and self.landmarks.scale_of(file) is not None and not shares:
                 raise Refusal(409, "has a scale of its own")
-            if sharing and not sharing.anyway and sorted(size) != sorted(sharing.size):
+            if like and sorted(size) != sorted(like):
                 raise Refusal(409, "has another size in pixels, so perhaps another scale")
-            if sharing and known["bar"] == sharing.bar:
+            if bar and known["bar"] == bar:
                 raise Refusal(409, "has this scale already")
             return marks.revision
         if did == "undeleted" and marks.n_placed:

@@ -22,8 +22,7 @@ from liaam.studio.safety import Refusal
 
 SIZES = (16, 16384)  # smallest and largest size of the longest side that a request may ask for, in pixels
 MOST_LAMPS = 8  # maximum number of lamps of a relit picture
-ROOM = 100
-"""Maximum number of events queued for a page. One further behind is disconnected, and loads the project again."""
+ROOM = 100  # maximum number of events queued for a page; one further behind is disconnected, and loads again
 
 
 def route(

@@ -62,9 +62,7 @@ class Guard:
     """Refuses requests from other sites, without the token, or with too large a body; adds headers to responses."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self.app = app
-        self.settings = settings
-        self.crowd = Crowd(settings)
+        self.app, self.settings, self.crowd = app, settings, Crowd(settings)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer or refuse one request."""

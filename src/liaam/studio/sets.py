@@ -79,14 +79,14 @@ def agreement(project: Project) -> dict[str, Any]:
     names = project.templates.needed.names
     specimens = [Specimen(f"{picture}#{i}", points, names=names) for i, (picture, points) in enumerate(every)]
     table = measurement_error(specimens, measure(specimens), "image")
-    first = len(table["measure"]) - len(names)  # the rows of the points are the last
-    points = zip(names, table["sd"][first:], table["sd_percent"][first:], strict=True)
+    sd, percent = (table[name][-len(names) :] for name in ("sd", "sd_percent"))  # the rows of the points are the last
+    points = zip(names, sd, percent, strict=True)
     variance = {picture: np.var([*own.values()], axis=0, ddof=1) for picture, own in pictures.items()}
     spread = {picture: float(np.sqrt(own.sum(axis=1).mean())) for picture, own in variance.items()}
-    overall = [float(np.sqrt(np.square(table[name][first:]).mean())) for name in ("sd", "sd_percent")]
     return {
         "observers": sorted({observer for own in pictures.values() for observer in own}),
-        **dict(zip(("sd", "percent"), overall, strict=True)),
+        "sd": float(np.sqrt(np.square(sd).mean())),
+        "percent": float(np.sqrt(np.square(percent).mean())),
         "repeatability": finite_or_none(table["repeatability"][0]),
         "points": sorted(points, key=lambda row: -row[1]),
         "pictures": sorted(spread.items(), key=lambda item: -item[1]),

@@ -6,7 +6,6 @@ from pathlib import Path
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")  # names and addresses of the loopback
 DEFAULT_PORT = 8765
-
 STATIC = Path(__file__).with_name("static")
 
 
@@ -32,11 +31,9 @@ class Settings:
     fits_kept: int = 64  # number of fits in memory
     live_kept: int = 4  # number of videos that are tracked live at a time; the one that was used least recently ends
     points: int = 1000  # maximum number of points of a template
-    drain_seconds: float = 5.0
-    """How long too large a body is read and discarded, so that the client can read the answer."""
+    drain_seconds: float = 5.0  # how long too large a body is read and discarded, so that the client reads the answer
     heartbeat_seconds: float = 15.0  # interval of the comments that keep an idle event stream open
-    face: bool = True
-    """Whether the face model that comes with liaam proposes points in a folder that has none of its own."""
+    face: bool = True  # whether the face model of liaam proposes points in a folder that has none of its own
     static: Path = STATIC  # folder of the page
 
     @property

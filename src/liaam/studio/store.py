@@ -178,9 +178,10 @@ class Store:
             else:
                 self.faults[key] = self.folder.plain(fault)
 
-    def sweep(self) -> None:
-        """Remove partial files of a killed process, here and beside the pictures. Call it before any other writes."""
-        with suppress(LiaamError):
+    def prepare(self) -> None:
+        """Create the folder's id and remove partial files of a killed process. Call it before any other writes."""
+        with suppress(LiaamError, OSError):
+            _ = self.id
             state = _state_of(self.folder.root, self.state)
             for folder in (self.folder.root / self.set_name, state, state / "kept"):
                 sweep(folder)
@@ -191,8 +192,7 @@ class Table(dict[str, Any]):
 
     def __init__(self, store: Store, kind: str) -> None:
         super().__init__(store.all(kind))
-        self._store = store
-        self._kind = kind
+        self._store, self._kind = store, kind
 
     def of(self, picture: File) -> Any:
         """Return the value for a picture, unless the picture, by its ``tag``, was replaced since."""
@@ -263,17 +263,13 @@ def folder_locked(folder: Path, address: str) -> Iterator[None]:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
     try:
         try:
-            is_locked = lock(descriptor)  # False on a file system without locks
+            lock(descriptor)  # not on a file system without locks
         except BlockingIOError as fault:
             holder = os.read(descriptor, 1000).decode(errors="replace")
             raise LiaamError(f"{folder} is open in another studio{holder}: use that one, or stop it first.") from fault
-        if is_locked:
-            with suppress(OSError):  # only used for an error message
-                os.ftruncate(descriptor, 0)
-                os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
+        with suppress(OSError):  # only used for an error message
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f" ({address}, process {os.getpid()})".encode())
         yield
-        if is_locked:
-            with suppress(OSError):
-                os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)

@@ -11,7 +11,7 @@ import re
 import secrets
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,9 +32,7 @@ if TYPE_CHECKING:
 
 LONGEST_NAME = 100
 FARTHEST = 1e6  # maximum absolute coordinate in pixels
-_MOST = 10**6
-"""Maximum number of points of a stored template, far above that of a new one, so that it can always be read."""
-
+_MOST = 10**6  # maximum number of points of a stored template, above that of a new one, so that it can always be read
 _TILT = 45.0  # maximum angle between the axis of symmetry and the vertical, in degrees
 _ALIKE = 0.05
 """Maximum distance between a mirrored point and its twin, as a fraction of the shape's diagonal. It is generous,
@@ -50,8 +48,7 @@ class Template:
 
     names: tuple[str, ...]  # unique name of each point
     contours: tuple[Contour, ...] = ()
-    mirror: tuple[int, ...] | None = None
-    """Index of each point's twin, its mirror image (itself on the axis); None without symmetry."""
+    mirror: tuple[int, ...] | None = None  # index of each point's twin (itself on the axis); None without symmetry
     points: tuple[tuple[float, float], ...] | None = None  # typical layout, in any units
 
     def __len__(self) -> int:
@@ -59,18 +56,11 @@ class Template:
 
     def as_json(self) -> dict[str, Any]:
         """Return the template as JSON for :func:`parse_template`."""
-        return {
-            "names": list(self.names),
-            "contours": [{"indices": list(c.indices), "closed": c.closed} for c in self.contours],
-            "mirror": None if self.mirror is None else list(self.mirror),
-            "points": None if self.points is None else [list(point) for point in self.points],
-        }
+        return json.loads(json.dumps(asdict(self)))  # lists instead of tuples
 
 
-def parse_template(data: Any, most: int) -> Template:
+def parse_template(data: Mapping[str, Any], most: int) -> Template:
     """Parse and check a template from JSON."""
-    if not isinstance(data, dict):
-        raise Refusal(422, "the template is not an object: send names, contours, mirror and points")
     names = data.get("names")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name.strip() for name in names):
         raise Refusal(422, "the template has no valid list of names: give every point a name")
@@ -142,9 +132,7 @@ def mirror_by_names(names: Sequence[str]) -> tuple[int, ...] | None:
     keys = [tuple(word.casefold() for word in _WORD.findall(name)) for name in names]
     index = {key: i for i, key in enumerate(keys)}
     swapped = [tuple(_TWINS.get(word, word) for word in key) for key in keys]
-    if len(index) < len(keys) or all(a == b for a, b in zip(keys, swapped, strict=True)):
-        return None
-    if not all(key in index for key in swapped):
+    if len(index) < len(keys) or swapped == keys or not index.keys() >= {*swapped}:
         return None
     return tuple(index[key] for key in swapped)
 
@@ -264,10 +252,7 @@ class Templates:
         self._saved_of = facts.get("of", "")  # the model that offered the saved template
 
     def save(self, template: Template, data: dict[str, Any]) -> bool:
-        """Save a template; return whether points were added, removed or reordered.
-
-        ``data`` is the request, with ``mapping``, the old index of each point, and ``revision`` if known.
-        """
+        """Save a template of a request, ``data``, for :meth:`liaam.studio.project.Project.save_template`."""
         self.finish()
         self._listing.scan()
         # The user's points may replace those that a model offers, unless these were accepted.

@@ -36,12 +36,7 @@ from liaam.workers import fresh_interpreters, obey_parent
 
 LEAST = 3  # minimum number of pictures for training
 
-OPTIONS: dict[str, Any] = {"prior": "smooth", "methods": "all"}
-"""Options of training. ``smooth`` shapes work best with few annotated pictures."""
-
-
-Publish = Callable[[str, Any], None]
-"""Sends an event of a kind to the pages."""
+Publish = Callable[[str, Any], None]  # sends an event of a kind to the pages
 
 
 @dataclass(frozen=True)
@@ -55,8 +50,7 @@ class Job:
     model: Path
     name: str
     held_out: tuple[str, ...] = ()  # pictures on which a model that is trained without them is measured
-    slips: dict[str, str] = field(default_factory=dict)
-    """Pictures that are left out because their landmarks may be wrong, and what they may have."""
+    slips: dict[str, str] = field(default_factory=dict)  # pictures left out for landmarks that may be wrong, and why
 
 
 @dataclass(frozen=True)
@@ -77,8 +71,7 @@ class Trainer:
         self.project, self.models, self._publish = project, models, publish
         self.versions, self._lock = Versions(project.store), threading.RLock()
         self.state = Training()
-        self.is_measuring = False
-        """Whether the model of this training is in use already."""
+        self.is_measuring = False  # whether the model of this training is in use already
         self._process: Any = None
         self._listener: threading.Thread | None = None
         self._stopped = False
@@ -260,7 +253,8 @@ def _train(
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always", UserWarning)
-                model = train(items, name=job.name, progress=progress, **OPTIONS, **options)
+                # Smooth shapes work best with few annotated pictures.
+                model = train(items, prior="smooth", methods="all", name=job.name, progress=progress, **options)
             return model, "".join(f"; {warning.message}" for warning in caught)
         except (ImageError, TrainingError):
             if not faults or len(items) - len(faults) < LEAST:
