@@ -146,8 +146,7 @@ export function createCommands(tab) {
 
     travel(way) {
       tab.tool.cancel();
-      if (tab.editing) return tab.templates.doc.travel(way);
-      const what = (tab.tracing.on ? tab.tracing : marking).travel(way);
+      const what = tab.doc.travel(way);
       if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
     },
 

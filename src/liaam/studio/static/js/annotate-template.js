@@ -15,7 +15,8 @@ export function createTemplates(tab) {
   const { app, state, marking, viewer } = tab;
   const { api, toast, confirm } = app;
   const kept = keptDraft(state.project.id);
-  const doc = new Drafting({ viewer, onchange: changed, onselect: () => panel.mark(), say: tab.say });
+  const onselect = () => { panel.mark(); viewer.redraw(); };
+  const doc = new Drafting({ viewer, onchange: changed, onselect, say: tab.say });
   const panel = createTemplatePanel({ drafting: doc, onload: load, ondone: done, onleave: stop });
   let editing = false;
   let saving = false; // whether this page is changing the template

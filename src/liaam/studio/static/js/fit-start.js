@@ -1,7 +1,7 @@
 // Starts of a fit: a drawn box, or the model's mean shape dragged onto the object.
 
 import { drawFrame, drawHandle } from "./drawing.js";
-import { CURSORS, dragging, frameOf, handleAt, handleReach, turning } from "./gestures.js";
+import { CURSORS, dragging, Editable, frameOf, handleAt, handleReach, turning } from "./gestures.js";
 import { drawContours, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
 import { ARROWS, bounds, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
 
@@ -113,11 +113,12 @@ export class BoxTool {
   }
 }
 
-/** The mean shape: a document that gestures edit (see gestures.js) by its frame. */
-export class MeanTool {
+/** The mean shape, which gestures edit by its frame. */
+export class MeanTool extends Editable {
   fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
 
   constructor(viewer) {
+    super();
     this.viewer = viewer;
     this.use(null);
   }
@@ -140,7 +141,6 @@ export class MeanTool {
   get hidesFit() { return !this.fitted && this.placed !== null; }
   get points() { return this.shown ?? this.placed ?? []; }
   framed() { return indicesOf(this.points); }
-  follow(_before, after) { return after; }
 
   preview(points) {
     this.shown = points;
