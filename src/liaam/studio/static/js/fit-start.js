@@ -3,7 +3,7 @@
 import { drawFrame, drawHandle } from "./drawing.js";
 import { CURSORS, dragging, Editable, frameOf, handleAt, handleReach, turning } from "./gestures.js";
 import { drawContours, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
-import { ARROWS, bounds, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
+import { ARROWS, bounds, cornersOf, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
 
 const COLOUR = "#5ad1ff";
 const SMALLEST = 12; // longer side of the placed mean shape, picture pixels
@@ -13,9 +13,6 @@ const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]}
 
 /** Whether a key enlarges (1) or shrinks (-1) the start. */
 const GROWTH = { ",": -1, "<": -1, ".": 1, ">": 1 };
-
-/** Corners of a box, clockwise from the upper left. */
-const cornersOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
 
 /** Box between two corners in any order, clipped to the picture. */
 export function boxBetween(/** @type {number[]} */ [ax, ay], /** @type {number[]} */ [bx, by], width, height) {

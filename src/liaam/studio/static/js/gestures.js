@@ -1,7 +1,7 @@
 // Gestures that edit points: dragging, selecting with a box, placing, and the handles that rotate and scale.
 // A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
 
-import { ARROWS, bounds, centroid, distance, inBox, middleOf, move, nearest, turn } from "./points.js";
+import { ARROWS, bounds, centroid, cornersOf, distance, inBox, middleOf, move, nearest, turn } from "./points.js";
 
 const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels around a point that hit it
 const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing, so that points can be close together
@@ -68,11 +68,11 @@ export function frameOf(viewer, points, indices) {
   const [x0, y0] = viewer.toScreen([box[0], box[1]]).map((v) => v - FRAME);
   const [x1, y1] = viewer.toScreen([box[2], box[3]]).map((v) => v + FRAME);
   const middle = (x0 + x1) / 2;
-  const corners = [[x0, y0, x1, y1], [x1, y0, x0, y1], [x1, y1, x0, y0], [x0, y1, x1, y0]];
+  const corners = cornersOf([x0, y0, x1, y1]);
   return {
     box: [x0, y0, x1, y1],
     handles: [
-      ...corners.map(([x, y, ox, oy]) => ({ kind: "scale", at: [x, y], fixed: [ox, oy] })),
+      ...corners.map((at, i) => ({ kind: "scale", at, fixed: corners[(i + 2) % 4] })),
       { kind: "turn", at: [middle, y0 - KNOB] },
       { kind: "move", at: [middle, y1 + KNOB] },
     ],
