@@ -73,7 +73,7 @@ export function createCommands(tab) {
     get marks() { return !tab.editing && marking.book !== null; },
 
     /** Whether another picture can be opened: one is open, or cannot be opened. */
-    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || tab.cover.isShown); },
+    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || !tab.cover.hidden); },
 
     flick(what) {
       tab.drawn[what] = !tab.drawn[what];

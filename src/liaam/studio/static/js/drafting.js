@@ -86,10 +86,7 @@ export class Drafting extends Editable {
     // The ghost shows the new point and its line; the point is added when the pointer goes up.
     const gesture = {
       loupe: xy, ghost: add(xy),
-      move: (at) => {
-        Object.assign(gesture, { loupe: at, ghost: add(at) });
-        this.viewer.redraw();
-      },
+      move: (at) => { Object.assign(gesture, { loupe: at, ghost: add(at) }); },
       up: () => {
         this.select([index]);
         this.apply(gesture.ghost, "add a point");
@@ -108,10 +105,7 @@ export class Drafting extends Editable {
     const before = this.axis;
     return {
       loupe: null,
-      move: ([x]) => {
-        this.axis = Math.round(x * 10) / 10;
-        this.viewer.redraw();
-      },
+      move: ([x]) => { this.axis = Math.round(x * 10) / 10; },
       up() {},
       cancel: () => { this.axis = before; },
     };

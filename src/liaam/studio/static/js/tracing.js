@@ -14,8 +14,6 @@ export class Tracing extends Editable {
   contour = null; // that is traced, or null
   history = new History([]); // of the knots; `shown` are those during a gesture
   fixed = []; // [place in the contour, point] of points that stay
-  first = []; // the one at the contour's start, if there is one
-  last = []; // the one at its end
 
   /** onturn(): tracing starts, stops or goes on.
    *  @param {import("./marking.js").Marking} marking */
@@ -26,6 +24,9 @@ export class Tracing extends Editable {
 
   get on() { return this.contour !== null; }
   get editable() { return this.marking.editable; }
+  /** The points that stay at the contour's start and at its end, if there are some. */
+  get first() { return this.fixedAt(0); }
+  get last() { return this.contour.closed ? [] : this.fixedAt(this.contour.indices.length - 1); }
   get placing() { return this.editable; }
   get knots() { return this.shown ?? this.history.state; }
   get points() { return [...this.first, ...this.knots, ...this.last]; }
@@ -54,12 +55,12 @@ export class Tracing extends Editable {
     return indices.flatMap((index, place) => (points[index] && isShared(index) ? [[place, points[index]]] : []));
   }
 
+  fixedAt(end) { return this.fixed.filter(([place]) => place === end).map(([, point]) => point); }
+
   /** Begin to trace a contour; false: stop. */
   turn(/** @type {any} */ contour) {
     const fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
-    const fixedAt = (end) => fixed.filter(([place]) => place === end).map(([, point]) => point);
-    const [first, last] = [fixedAt(0), contour.closed ? [] : fixedAt(contour && contour.indices.length - 1)];
-    Object.assign(this, { contour: contour || null, fixed, first, last, history: new History([]), shown: null });
+    Object.assign(this, { contour: contour || null, fixed, history: new History([]), shown: null });
     this.select([]);
     this.marking.preview(null);
     this.onchange();
