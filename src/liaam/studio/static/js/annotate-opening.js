@@ -158,7 +158,7 @@ export function createOpening(tab, begins) {
 
   const clear = () => {
     books.clear();
-    first.forget();
+    first.shapes.clear();
   };
   return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
 }
@@ -173,10 +173,7 @@ export class FirstMarks {
     this.shapes = new Map(); // name -> promise of the marks of a done picture
   }
 
-  forget(name = null) {
-    if (name === null) this.shapes.clear();
-    else this.shapes.delete(name);
-  }
+  forget(name) { this.shapes.delete(name); }
 
   async of(name, { points, invisible, source, width, height, bar = null }) {
     const { names } = this.state.project.template;

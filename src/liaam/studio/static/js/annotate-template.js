@@ -5,6 +5,7 @@ import { Drafting } from "./drafting.js";
 import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
 import { createTemplatePanel } from "./template-panel.js";
 import * as drafts from "./template.js";
+import { runKey } from "./ui.js";
 import { keptDraft } from "./unsaved.js";
 
 const KEPT = "Your changes are still here: check them, then press Done";
@@ -32,7 +33,6 @@ export function createTemplates(tab) {
   function start(template, points) {
     editing = true;
     if (template) kept.set(null); // a saved template invalidates the draft of a new one
-    panel.showMirror(false);
     doc.start(template, points, template ? null : (kept.get() ?? drafts.EMPTY));
     changed();
   }
@@ -190,7 +190,7 @@ export function createTemplates(tab) {
   addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
-    n: () => doc.startPath(), c: () => doc.close(), x: panel.toggleMirror, p: () => doc.addInTheMiddle(),
+    n: () => doc.startPath(), c: () => doc.close(), x: () => doc.toggleMirror(), p: () => doc.addInTheMiddle(),
     delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
     escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
   };
@@ -205,9 +205,6 @@ export function createTemplates(tab) {
       return doc.draft.path < 0 ? "Click the first point of the next path"
         : "Click the next point of this path – C closes it, N starts another";
     },
-    key(letter) {
-      keys[letter]?.();
-      return letter in keys;
-    },
+    key: (event) => runKey(event, keys),
   };
 }

@@ -160,7 +160,7 @@ export class Drafting extends Editable {
     const on = this.axis === null;
     this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
     this.say(on ? "Mirroring on: each new point is mirrored" : "Mirroring off");
-    this.viewer.redraw();
+    this.onchange();
     return on;
   }
 

@@ -91,12 +91,6 @@ export function drawHandle(ctx, kind, /** @type {number[]} */ [x, y]) {
   ctx.restore();
 }
 
-export function drawBox(ctx, viewer, box) {
-  lines(ctx, [outlineOf(box).map((corner) => viewer.toScreen(corner))]);
-  filled(ctx, "rgb(255 255 255 / 12%)");
-  stroked(ctx, "#fff", 1, [4, 3]);
-}
-
 /** Position of the loupe: beside a mouse, above a finger, and always inside the canvas. */
 export function loupePlace([x, y], type, width, height) {
   const r = LOUPE + 6;
@@ -206,8 +200,12 @@ export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
 
 export function drawGesture(ctx, viewer, tool, suggested) {
   if (viewer.isLoupe) return;
-  if (tool.gesture?.box) drawBox(ctx, viewer, tool.gesture.box);
-  const { loupe } = tool;
+  const { loupe, gesture } = tool;
+  if (gesture?.box) {
+    lines(ctx, [outlineOf(gesture.box).map((corner) => viewer.toScreen(corner))]);
+    filled(ctx, "rgb(255 255 255 / 12%)");
+    stroked(ctx, "#fff", 1, [4, 3]);
+  }
   if (loupe) drawLoupe(ctx, viewer, loupe, tool.pointer, suggested ? COLOURS.proposed : COLOURS.placed);
 }
 

@@ -15,12 +15,9 @@ const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]}
 const GROWTH = { ",": -1, "<": -1, ".": 1, ">": 1 };
 
 /** Box between two corners in any order, clipped to the picture. */
-export function boxBetween(/** @type {number[]} */ [ax, ay], /** @type {number[]} */ [bx, by], width, height) {
-  const inside = (value, size) => Math.min(Math.max(value, 0), size - 1);
-  return [
-    inside(Math.min(ax, bx), width), inside(Math.min(ay, by), height),
-    inside(Math.max(ax, bx), width), inside(Math.max(ay, by), height),
-  ];
+export function boxBetween(a, b, width, height) {
+  const inside = ([x, y]) => [Math.min(Math.max(x, 0), width - 1), Math.min(Math.max(y, 0), height - 1)];
+  return bounds([inside(a), inside(b)]);
 }
 
 /** Whether a box is large enough to be intended. @param {number[]} box */

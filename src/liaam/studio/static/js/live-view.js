@@ -77,7 +77,7 @@ export class LiveView {
     this.shown?.flat?.close();
     this.shown = frame && { ...frame, isNew: true };
     if (frame && this._film) this._expose();
-    this.divider.visible = Boolean(frame?.flat);
+    this.divider.element.hidden = !frame?.flat;
     this.viewer.redraw();
   }
 

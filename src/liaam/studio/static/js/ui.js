@@ -238,8 +238,7 @@ export class FrameMeter {
 
   rate() {
     const n = this.#times.length;
-    if (n < 2) return 0;
-    return (1000 * (n - 1)) / (this.#times[n - 1] - this.#times[0]);
+    return n < 2 ? 0 : (1000 * (n - 1)) / (this.#times[n - 1] - this.#times[0]);
   }
 }
 
