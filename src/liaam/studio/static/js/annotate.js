@@ -60,14 +60,14 @@ export class Tab {
       },
     });
     this.ruler = new ScaleBar(this.marking, {
-      onturn: () => this.refresh(),
+      onchange: () => this.refresh(),
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
       onshare: (bar, anyway) => { // with all that the list can show
         const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
         app.bulk.run("scaled", others, { bar, of: this.name, anyway });
       },
     });
-    this.tracing = new Tracing(this.marking, { onturn: () => this.refresh() });
+    this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
     this.commands = createCommands(this);
     this.status = createStatus(this);
     this.toolbar = createToolbar(this);

@@ -2,7 +2,7 @@
 
 import { called, several } from "./annotate-words.js";
 import { gripOf } from "./drawing.js";
-import { Editable } from "./gestures.js";
+import { Editable, NOTHING } from "./gestures.js";
 import { History } from "./history.js";
 import { distance, flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
@@ -103,12 +103,8 @@ export class Drafting extends Editable {
 
   draggingAxis() {
     const before = this.axis;
-    return {
-      loupe: null,
-      move: ([x]) => { this.axis = Math.round(x * 10) / 10; },
-      up() {},
-      cancel: () => { this.axis = before; },
-    };
+    const move = ([x]) => { this.axis = Math.round(x * 10) / 10; };
+    return { ...NOTHING, move, cancel: () => { this.axis = before; } };
   }
 
   /** Handle a press on a point: with Shift, connect the path to it; on the path's first point, close the path. */

@@ -12,7 +12,7 @@ const KNOB = 26; // css pixels from the frame to the knobs
 const NUDGED = 1200; // milliseconds that the loupe stays after a key
 const STILL = 4; // maximum movement of a click, css pixels
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
-const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
+export const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
 
 /** What gestures edit: the marks of a picture, what is being drawn over it, or a template. It has `points` and a
  *  `history`, and adding(xy) -> gesture | null, for a press on an empty place. */

@@ -19,7 +19,7 @@ export class ScaleBar extends Editable {
   ends = [null, null]; // while it is drawn
   points = []; // none that could be moved
 
-  /** handlers: onpreview(): an end moves; onturn(): drawing starts or stops; onshare(bar, anyway): the other pictures
+  /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway): the other pictures
    *  get it too; alone(): whether there are none.
    *  @param {import("./marking.js").Marking} marking; @param {any} handlers */
   constructor(marking, handlers) {
@@ -27,7 +27,6 @@ export class ScaleBar extends Editable {
     this.marking = marking;
   }
 
-  onturn() {}
   onshare(_bar, _anyway) {}
   alone() { return false; }
 
@@ -41,7 +40,7 @@ export class ScaleBar extends Editable {
   turn(on) {
     this.on = on;
     this.ends = [null, null];
-    this.onturn();
+    this.onchange();
   }
 
   /** The button: draw a bar, stop drawing, or change the bar that is there. */
@@ -64,7 +63,7 @@ export class ScaleBar extends Editable {
     const before = this.ends;
     const at = before[0] ? 1 : 0;
     const show = (place) => this.preview(before.map((end, i) => (i === at ? rounded(place) : end)));
-    return placing(xy, show, () => (at ? this.finish() : this.onturn()), () => this.preview(before));
+    return placing(xy, show, () => (at ? this.finish() : this.onchange()), () => this.preview(before));
   }
 
   async finish() {

@@ -3,7 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
 import { discs, stroked } from "./overlays.js";
-import { button, dialog, h, optionsOf, press, saveFile, toast } from "./ui.js";
+import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
 const SHOWN = 12; // rows of a table
@@ -29,14 +29,11 @@ export function createSetList(app) {
       else go(app, value);
     },
   });
-  let known = null;
   const show = () => {
     const { set, sets } = state.project;
-    if (known === (known = sets.join(" "))) return;
     const labels = Object.fromEntries([...sets.map((name) => [name, calledSet(name)]), [NEW, "New set…"]]);
     list.hidden = sets.length < 2;
-    list.replaceChildren(...optionsOf(labels));
-    list.value = set;
+    relist(list, labels, set);
   };
   state.addEventListener("project", show);
   show();

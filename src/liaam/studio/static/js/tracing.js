@@ -15,10 +15,10 @@ export class Tracing extends Editable {
   history = new History([]); // of the knots; `shown` are those during a gesture
   fixed = []; // [place in the contour, point] of points that stay
 
-  /** onturn(): tracing starts, stops or goes on.
+  /** handlers: onchange(): tracing starts, stops or goes on.
    *  @param {import("./marking.js").Marking} marking */
-  constructor(marking, { onturn }) {
-    super({ onchange: onturn });
+  constructor(marking, handlers) {
+    super(handlers);
     this.marking = marking;
   }
 
