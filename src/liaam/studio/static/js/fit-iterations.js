@@ -119,7 +119,8 @@ export class Iterations {
 /** Cost of each iteration from 0 to 1, within its level, since costs of other levels are not comparable. */
 export function relativeCosts(iterations) {
   return iterations.map(({ level, cost }) => {
-    const costs = iterations.filter((other) => other.level === level && Number.isFinite(other.cost)).map((other) => other.cost);
+    const ofLevel = iterations.filter((other) => other.level === level);
+    const costs = ofLevel.map((other) => other.cost).filter(Number.isFinite);
     const [low, high] = [Math.min(...costs), Math.max(...costs)];
     return high > low && Number.isFinite(cost) ? (cost - low) / (high - low) : 0;
   });

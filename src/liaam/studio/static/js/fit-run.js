@@ -113,7 +113,7 @@ export function meanDistance(first, second) {
   return mean(both.map((i) => distance(first[i], second[i])));
 }
 
-/** How two fits to the same picture compare: {by: "error" or "quality", better: one of them, or null if they are equal},
+/** How two fits to the same picture compare: {by: "error" or "quality", better: one of them, null if they are equal},
  *  or {by: "copy"} if the landmarks are those of a fit; {} if neither is known. */
 function compared(left, right) {
   const pick = (by, gain, least) => ({ by, better: Math.abs(gain) < least ? null : gain > 0 ? left : right });

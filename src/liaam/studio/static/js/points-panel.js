@@ -3,6 +3,7 @@
 import { makeSet } from "./sets.js";
 import { button, consume, h, iconButton, segmented } from "./ui.js";
 
+const QUIET = ["placed", "proposed"]; // states that only the dot shows
 const START_KEY = "liaam-studio:start";
 const STARTS = [
   { value: "layout", label: "Mean shape", title: "Start with the mean shape of the done pictures" },
@@ -74,8 +75,9 @@ function pointList(onchoose) {
 
   const item = (name, state, i) => h("li.point", {
     role: "option", id: `point-${i}`, dataset: { index: i, state }, "aria-label": `${name}, ${state}`,
-  }, h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)), h("span.point-name.grow", name),
-  h("span.point-state.small.muted", !["placed", "proposed"].includes(state) && state));
+  },
+  h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)),
+  h("span.point-name.grow", name), h("span.point-state.small.muted", !QUIET.includes(state) && state));
 
   return {
     element,

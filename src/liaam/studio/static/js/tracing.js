@@ -1,5 +1,5 @@
 // Tracing a contour of the open picture: clicks add the knots of a smooth curve, along which the contour's points are
-// placed at even distances. The contour's points that belong to other contours too, and are placed, stay where they are.
+// placed at even distances. Those of its points that are placed and belong to other contours, too, stay where they are.
 
 import { curveThrough, spread } from "./curve.js";
 import { COLOURS } from "./drawing.js";
