@@ -89,7 +89,7 @@ function begin(points = {}, { source = "file", active = -1 } = {}) {
   const marking = new Marking({ template: () => template });
   marking.open({ history: new History({ points: all, invisible: [], source, bar: null }) });
   if (active >= 0) marking.select([active]);
-  const tracing = new Tracing(marking, { onturn() {} });
+  const tracing = new Tracing(marking, {});
   return { marking, tracing };
 }
 

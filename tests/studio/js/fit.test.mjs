@@ -9,7 +9,7 @@ import { shareAfterKey } from "./modules/divider.js";
 import {
   betterOf, cleaned, comparison, duration, factsOf, FitStore, meanDistance, significant, verdictOf,
 } from "./modules/fit-run.js";
-import { costRuns } from "./modules/fit-iterations.js";
+import { relativeCosts } from "./modules/fit-iterations.js";
 import { FrameMeter } from "./modules/ui.js";
 import { useAsAnnotation } from "./modules/fit-setup.js";
 import { Sources } from "./modules/fit-source.js";
@@ -281,34 +281,9 @@ test("costs are drawn by level, each to its own scale", () => {
     [1, 200],
     [2, 7],
   ].map(([stage, cost]) => ({ level: stage, cost }));
-  const runs = costRuns(steps, 100, 50, 5);
-  assert.deepEqual(
-    runs.map(({ level: stage, points }) => [stage, points.length]),
-    [
-      [0, 2],
-      [1, 3],
-      [2, 1],
-    ],
-  );
-  close(runs[0].points[0].y, runs[1].points[0].y);
-  close(runs[1].points.at(-1).y, 45);
-  const across = runs.flatMap(({ points }) => points.map(({ x }) => x));
-  assert.deepEqual(
-    across,
-    [...across].sort((a, b) => a - b),
-  );
-  assert.deepEqual([across[0], across.at(-1)], [5, 95]);
-  for (const { points } of costRuns(
-    [
-      { level: 0, cost: null },
-      { level: 0, cost: 3 },
-    ],
-    100,
-    50,
-  )) {
-    for (const { x, y } of points) assert.ok(Number.isFinite(x) && Number.isFinite(y));
-  }
-  assert.deepEqual(costRuns([], 100, 50), []);
+  assert.deepEqual(relativeCosts(steps), [1, 0, 1, 0.5, 0, 0]);
+  assert.deepEqual(relativeCosts([{ level: 0, cost: null }, { level: 0, cost: 3 }, { level: 0, cost: NaN }]), [0, 0, 0]);
+  assert.deepEqual(relativeCosts([]), []);
 });
 
 test("distances leave out what either shape lacks", () => {

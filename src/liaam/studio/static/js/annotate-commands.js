@@ -73,7 +73,7 @@ export function createCommands(tab) {
     get marks() { return !tab.editing && marking.book !== null; },
 
     /** Whether another picture can be opened: one is open, or cannot be opened. */
-    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || tab.cover.isShown); },
+    get goesOn() { return !tab.editing && tab.name !== null && (marking.book !== null || !tab.cover.hidden); },
 
     flick(what) {
       tab.drawn[what] = !tab.drawn[what];
@@ -146,8 +146,7 @@ export function createCommands(tab) {
 
     travel(way) {
       tab.tool.cancel();
-      if (tab.editing) return tab.templates.doc.travel(way);
-      const what = (tab.tracing.on ? tab.tracing : marking).travel(way);
+      const what = tab.doc.travel(way);
       if (what !== null) say(`${way === "undo" ? "Undone" : "Redone"}: ${what}`);
     },
 

@@ -78,7 +78,7 @@ export function createKeys(tab) {
       if (isIn(event, CONTROLS)) return false;
       if (!event.shiftKey || tab.editing || !tab.state.wall.resume()) commands.accept();
     } else if (command || event.altKey) return false;
-    else if (tab.editing && tab.templates.key(letter)) return true;
+    else if (tab.editing && tab.templates.key(event)) return true;
     else {
       const work = always[letter] ?? (tab.tracing.on ? tracing : commands.marks ? marks : {})[letter];
       if (!work) return viewer.key(event);

@@ -35,7 +35,7 @@ export function createOpening(tab, begins) {
     marking.open(null);
     const fault = whyNot(name);
     if (fault) return showInstead(fault);
-    cover.hide();
+    cover.hidden = true;
     tab.refresh();
     try {
       const requests = [tab.app.pictures.fetch(name), tab.template ? fetchMarks(name) : null];
@@ -65,8 +65,10 @@ export function createOpening(tab, begins) {
     return { icon: "warning", title: `${name} cannot be used`, text };
   }
 
-  function showInstead(message) {
-    cover.show(message);
+  /** Cover the view with a message, or with the element `instead`. */
+  function showInstead(/** @type {any} */ { icon: name, title, text, instead = null }) {
+    cover.hidden = false;
+    cover.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
     viewer.setPicture(null, 0, 0);
     tab.refresh();
   }
@@ -94,7 +96,7 @@ export function createOpening(tab, begins) {
     const places = source === "none" || (source === "file" && begins() === "click");
     const missing = places ? nextMissing(marking.points) : -1;
     marking.select(missing < 0 ? [] : [missing]);
-    cover.hide();
+    cover.hidden = true;
     tab.refresh();
   }
 
@@ -133,7 +135,7 @@ export function createOpening(tab, begins) {
     const { book } = marking;
     if (!book) {
       const isBroken = state.picture(tab.name)?.state === "broken";
-      if (tab.visible && !tab.editing && !isBroken && cover.isShown) open(state.current);
+      if (tab.visible && !tab.editing && !isBroken && !cover.hidden) open(state.current);
     } else if (!tab.editing && isIdle() && book.tag !== state.picture(tab.name)?.tag) {
       open(tab.name); // the file was replaced
     } else if (isPristine() && book.key !== keyOf(tab.name)) {
@@ -156,7 +158,7 @@ export function createOpening(tab, begins) {
 
   const clear = () => {
     books.clear();
-    first.forget();
+    first.shapes.clear();
   };
   return { first, open, take, reload, sharpen, refresh, foreign, clear, isPristine };
 }
@@ -171,10 +173,7 @@ export class FirstMarks {
     this.shapes = new Map(); // name -> promise of the marks of a done picture
   }
 
-  forget(name = null) {
-    if (name === null) this.shapes.clear();
-    else this.shapes.delete(name);
-  }
+  forget(name) { this.shapes.delete(name); }
 
   async of(name, { points, invisible, source, width, height, bar = null }) {
     const { names } = this.state.project.template;
@@ -200,18 +199,4 @@ export class FirstMarks {
     if (!this.shapes.has(name)) this.shapes.set(name, fetched());
     return this.shapes.get(name);
   }
-}
-
-export class Cover {
-  element = h("div.annotate-cover", { hidden: true });
-
-  get isShown() { return !this.element.hidden; }
-
-  /** instead: an element to show, if it is no message. */
-  show({ icon: name, title, text, instead = null }) {
-    this.element.hidden = false;
-    this.element.replaceChildren(instead ?? h("div.empty", icon(name, 40), h("h2", title), h("p", text)));
-  }
-
-  hide() { this.element.hidden = true; }
 }

@@ -5,6 +5,7 @@ import { Drafting } from "./drafting.js";
 import { expected, indicesOf, layoutIn, placed, rounded } from "./points.js";
 import { createTemplatePanel } from "./template-panel.js";
 import * as drafts from "./template.js";
+import { runKey } from "./ui.js";
 import { keptDraft } from "./unsaved.js";
 
 const KEPT = "Your changes are still here: check them, then press Done";
@@ -15,7 +16,8 @@ export function createTemplates(tab) {
   const { app, state, marking, viewer } = tab;
   const { api, toast, confirm } = app;
   const kept = keptDraft(state.project.id);
-  const doc = new Drafting({ viewer, onchange: changed, onselect: () => panel.mark(), say: tab.say });
+  const onselect = () => { panel.mark(); viewer.redraw(); };
+  const doc = new Drafting({ viewer, onchange: changed, onselect, say: tab.say });
   const panel = createTemplatePanel({ drafting: doc, onload: load, ondone: done, onleave: stop });
   let editing = false;
   let saving = false; // whether this page is changing the template
@@ -31,7 +33,6 @@ export function createTemplates(tab) {
   function start(template, points) {
     editing = true;
     if (template) kept.set(null); // a saved template invalidates the draft of a new one
-    panel.showMirror(false);
     doc.start(template, points, template ? null : (kept.get() ?? drafts.EMPTY));
     changed();
   }
@@ -189,7 +190,7 @@ export function createTemplates(tab) {
   addEventListener("beforeunload", (event) => { if (isUnsaved()) event.preventDefault(); });
 
   const keys = {
-    n: () => doc.startPath(), c: () => doc.close(), x: panel.toggleMirror, p: () => doc.addInTheMiddle(),
+    n: () => doc.startPath(), c: () => doc.close(), x: () => doc.toggleMirror(), p: () => doc.addInTheMiddle(),
     delete: () => doc.deleteChosen(), backspace: () => doc.deleteChosen(),
     escape: () => (doc.selection.size ? doc.select([]) : doc.startPath()),
   };
@@ -204,9 +205,6 @@ export function createTemplates(tab) {
       return doc.draft.path < 0 ? "Click the first point of the next path"
         : "Click the next point of this path – C closes it, N starts another";
     },
-    key(letter) {
-      keys[letter]?.();
-      return letter in keys;
-    },
+    key: (event) => runKey(event, keys),
   };
 }

@@ -3,7 +3,7 @@
 
 import { createCommands } from "./annotate-commands.js";
 import { createKeys, SHORTCUTS } from "./annotate-keys.js";
-import { Cover, createOpening } from "./annotate-opening.js";
+import { createOpening } from "./annotate-opening.js";
 import { createSaving } from "./annotate-saving.js";
 import { createTemplates } from "./annotate-template.js";
 import { createStatus, createToolbar } from "./annotate-toolbar.js";
@@ -33,7 +33,7 @@ export class Tab {
   container = h("div", { testid: "annotate-viewer" });
   prompt = h("div.annotate-prompt", { hidden: true });
   hint = h("canvas.annotate-hint", { hidden: true, "aria-hidden": "true" });
-  cover = new Cover();
+  cover = h("div.annotate-cover", { hidden: true });
   spoken = h("p.visually-hidden", { role: "status", "aria-live": "polite" });
   alternative = h("p.visually-hidden", { id: "annotate-text" });
   side = h("aside.side.annotate-side", { "aria-label": "Points" });
@@ -48,7 +48,7 @@ export class Tab {
     app.selection = () => [...this.marking.selection];
     app.saved = () => this.saver.flush();
     viewer.canvas.setAttribute("aria-describedby", "annotate-text");
-    this.container.append(this.prompt, this.hint, this.cover.element, this.alternative, this.spoken);
+    this.container.append(this.prompt, this.hint, this.cover, this.alternative, this.spoken);
     this.say = (text) => { this.spoken.textContent = text; };
     this.marking = new Marking({
       template: () => this.template, onchange: () => this.changed(), onselect: () => this.chosen(),
@@ -60,14 +60,14 @@ export class Tab {
       },
     });
     this.ruler = new ScaleBar(this.marking, {
-      onturn: () => this.refresh(),
+      onchange: () => this.refresh(),
       onpreview: () => viewer.redraw(), alone: () => state.pictures.length < 2,
       onshare: (bar, anyway) => { // with all that the list can show
         const others = state.pictures.map(({ name }) => name).filter((name) => name !== this.name);
         app.bulk.run("scaled", others, { bar, of: this.name, anyway });
       },
     });
-    this.tracing = new Tracing(this.marking, { onturn: () => this.refresh() });
+    this.tracing = new Tracing(this.marking, { onchange: () => this.refresh() });
     this.commands = createCommands(this);
     this.status = createStatus(this);
     this.toolbar = createToolbar(this);
@@ -183,10 +183,10 @@ export class Tab {
 
   showHint() {
     const { cover, drawing, editing, hint, marking, prompt, template } = this;
-    hint.hidden = editing || drawing || !marking.placing || !template?.points || cover.isShown;
+    hint.hidden = editing || drawing || !marking.placing || !template?.points || !cover.hidden;
     if (!hint.hidden) drawHint(hint, template.points, template.contours, marking.active, getComputedStyle(hint));
     const own = () => (!marking.book ? "" : drawing?.prompt ?? promptOf(marking));
-    const text = cover.isShown ? "" : editing ? this.templates.prompt : own();
+    const text = !cover.hidden ? "" : editing ? this.templates.prompt : own();
     prompt.hidden = !text;
     prompt.dataset.kind = marking.suggested && !editing && !drawing ? "suggested" : "";
     if (prompt.textContent !== text) prompt.textContent = text;

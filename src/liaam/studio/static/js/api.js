@@ -28,23 +28,17 @@ export function url(...parts) {
 const TRIES = 10; // attempts of a request to a busy server, about half a minute
 
 /** Event "change": the number of requests that the user waits for has changed. */
-export const busy = new (class extends EventTarget {
-  count = 0;
+export const busy = Object.assign(new EventTarget(), { count: 0 });
 
-  /** Count a promise as work that the user waits for. */
-  during(work) {
-    this.add(1);
-    return work.finally(() => this.add(-1));
-  }
+function count(by) {
+  busy.count += by;
+  busy.dispatchEvent(new Event("change"));
+}
 
-  add(by) {
-    this.count += by;
-    this.dispatchEvent(new Event("change"));
-  }
-})();
-
-const send = (address, { quiet = false, ...options } = {}) =>
-  quiet ? request(address, options) : busy.during(request(address, options));
+async function send(address, { quiet = false, ...options } = {}) {
+  if (!quiet) count(1);
+  return request(address, options).finally(() => quiet || count(-1));
+}
 
 async function request(address, options) {
   let response;

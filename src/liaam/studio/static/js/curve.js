@@ -31,36 +31,30 @@ function piece(/** @type {number[][]} */ [p, q, r, s]) {
     .map((t) => coefficients.map(([a, b, c, d]) => a + t * (b + t * (c + t * d))));
 }
 
-/** Lengths of a line up to each of its points. */
-function lengthsOf(line) {
-  let sum = 0;
-  return line.map((point, i) => (sum += i ? apart(point, line[i - 1]) : 0));
-}
-
 /** `number` points at even distances along a line: with both ends, or, if closed, from the start where it also ends.
  *  fixed: [index, point] of those that stay where they are; the others are spread evenly between them. */
 export function spread(line, number, closed = false, fixed = []) {
-  const lengths = lengthsOf(line);
-  const last = closed ? number : number - 1;
-  const anchors = [[0, 0]]; // index of a point, and its place along the line
+  let sum = 0;
+  const lengths = line.map((point, i) => (sum += i ? apart(point, line[i - 1]) : 0));
+  const [indices, places] = [[0], [[0]]]; // of points, and where they are along the line
   for (const [index, point] of fixed) {
     const away = line.map((other) => apart(other, point));
     const place = lengths[away.indexOf(Math.min(...away))];
-    if (place > anchors.at(-1)[1] && place < lengths.at(-1)) anchors.push([index, place]);
+    if (place <= places.at(-1)[0] || place >= sum) continue;
+    indices.push(index);
+    places.push([place]);
   }
-  anchors.push([last, lengths.at(-1)]);
-  const even = Array.from({ length: number }, (_, i) => {
-    const [to, from] = [anchors.find(([index]) => index > i) ?? anchors.at(-1), anchors.findLast(([index]) => index <= i)];
-    if (to === from) return line.at(-1);
-    return at(line, lengths, from[1] + ((i - from[0]) / (to[0] - from[0])) * (to[1] - from[1]));
-  });
+  indices.push(closed ? number : number - 1);
+  places.push([sum]);
+  const even = Array.from({ length: number }, (_, i) => between(lengths, line, between(indices, places, i)[0]));
   for (const [index, point] of fixed) even[index] = point;
   return even;
 }
 
-/** The point of a line at a length from its start. */
-function at(line, lengths, place) {
-  const i = Math.max(1, lengths.findIndex((length) => length >= place));
-  const share = (place - lengths[i - 1]) / Math.max(lengths[i] - lengths[i - 1], 1e-12);
-  return [0, 1].map((axis) => line[i - 1][axis] + share * (line[i][axis] - line[i - 1][axis]));
+/** The value at a place, by linear interpolation of values at increasing places. */
+function between(places, values, place) {
+  const next = places.findIndex((other) => other > place);
+  const i = next < 0 ? places.length - 1 : next;
+  const share = (place - places[i - 1]) / Math.max(places[i] - places[i - 1], 1e-12);
+  return values[i].map((value, axis) => values[i - 1][axis] + share * (value - values[i - 1][axis]));
 }

@@ -31,9 +31,6 @@ export class Divider {
     this._set(0.5);
   }
 
-  get visible() { return !this.element.hidden; }
-  set visible(now) { this.element.hidden = !now; }
-
   get x() { return this.share * this.viewer.container.clientWidth; }
 
   label(before, after) {

@@ -1,8 +1,8 @@
-// A template while it is edited over a picture: its draft, selection, undo history, and the effect of clicks. It is a
-// document that gestures edit (see gestures.js).
+// A template while it is edited over a picture: its draft, selection, undo history, and the effect of clicks.
 
 import { called, several } from "./annotate-words.js";
 import { gripOf } from "./drawing.js";
+import { Editable, NOTHING } from "./gestures.js";
 import { History } from "./history.js";
 import { distance, flip, indicesOf, place, samePoint, withTwins } from "./points.js";
 import * as drafts from "./template.js";
@@ -10,16 +10,11 @@ import * as drafts from "./template.js";
 const AXIS_REACH = 8; // css pixels; a new point closer to the axis is placed on it
 const GRIP_REACH = 20; // css pixels
 
-export class Drafting {
-  editable = true;
-  invisible = new Set();
-
-  /** onchange(): the draft or its display has changed; say(text): announce to screen readers. */
-  constructor({ viewer, onchange = () => {}, onselect = () => {}, say = (_text) => {} }) {
+export class Drafting extends Editable {
+  /** handlers: those of Editable, and say(text): announce to screen readers. */
+  constructor({ viewer, ...handlers }) {
+    super({ onpreview: () => viewer.redraw(), ...handlers });
     this.viewer = viewer;
-    this.onchange = onchange;
-    this.onselect = onselect;
-    this.say = say;
     this.start(null, null, drafts.EMPTY);
   }
 
@@ -28,8 +23,7 @@ export class Drafting {
     this.saved = template; // the edited template, or null for a new one
     this.isFresh = template === null; // whether there was no template at the start
     this.axis = null; // x of the mirror line while mirroring
-    this.choose([]);
-    this.shown = null; // points during a gesture
+    Object.assign(this, { selection: new Set(), active: -1, shown: null });
     this.history = new History(template ? drafts.draftOf(template, points) : draft);
   }
 
@@ -39,6 +33,7 @@ export class Drafting {
     this.apply(draft, "earlier changes");
   }
 
+  say(_text) {}
   get draft() { return this.history.state; }
 
   /** {file, points} of a loaded template whose layout as a whole is being placed; otherwise null. It is a part of the
@@ -71,28 +66,6 @@ export class Drafting {
     this.onchange();
   }
 
-  travel(way) {
-    if (!this.history[way]()) return;
-    this.shown = null;
-    this.changed();
-  }
-
-  choose(indices, active = indices.at(-1) ?? -1) {
-    this.selection = new Set(indices);
-    this.active = active;
-  }
-
-  select(indices, active = undefined) {
-    this.choose(indices, active);
-    this.onselect();
-    this.viewer.redraw();
-  }
-
-  preview(points) {
-    this.shown = points;
-    this.viewer.redraw();
-  }
-
   commit(points, what, key = null) {
     this.shown = null;
     this.apply({ ...this.draft, points }, what, key);
@@ -113,12 +86,9 @@ export class Drafting {
     // The ghost shows the new point and its line; the point is added when the pointer goes up.
     const gesture = {
       loupe: xy, ghost: add(xy),
-      move: (at) => {
-        Object.assign(gesture, { loupe: at, ghost: add(at) });
-        this.viewer.redraw();
-      },
+      move: (at) => { Object.assign(gesture, { loupe: at, ghost: add(at) }); },
       up: () => {
-        this.choose([index]);
+        this.select([index]);
         this.apply(gesture.ghost, "add a point");
         this.say(`${this.names[index]} added`);
       },
@@ -133,15 +103,8 @@ export class Drafting {
 
   draggingAxis() {
     const before = this.axis;
-    return {
-      loupe: null,
-      move: ([x]) => {
-        this.axis = Math.round(x * 10) / 10;
-        this.viewer.redraw();
-      },
-      up() {},
-      cancel: () => { this.axis = before; },
-    };
+    const move = ([x]) => { this.axis = Math.round(x * 10) / 10; };
+    return { ...NOTHING, move, cancel: () => { this.axis = before; } };
   }
 
   /** Handle a press on a point: with Shift, connect the path to it; on the path's first point, close the path. */
@@ -177,7 +140,7 @@ export class Drafting {
   deleteChosen(indices = [...this.selection]) {
     if (indices.length === 0) return;
     const what = called(this.names, indices);
-    this.choose([]);
+    this.select([]);
     this.apply(drafts.deletePoints(this.draft, indices), "delete");
     this.say(`${what} deleted`);
   }
@@ -193,7 +156,7 @@ export class Drafting {
     const on = this.axis === null;
     this.axis = on ? drafts.axisOf(this.draft, this.viewer.width) : null;
     this.say(on ? "Mirroring on: each new point is mirrored" : "Mirroring off");
-    this.viewer.redraw();
+    this.onchange();
     return on;
   }
 
@@ -206,7 +169,7 @@ export class Drafting {
   }
 
   load(file, template, points) {
-    this.choose([]);
+    this.select([]);
     const draft = drafts.draftOf(template, points);
     this.apply({ ...draft, origins: template.names.map(() => null), layout: { file, points } }, "load");
     this.say(`${several(template.names.length, "point")} loaded. Move them into place`);

@@ -2,17 +2,18 @@
 
 import { contourPath, discs, drawContours, drawEllipses, drawPoints, filled, inked, lines, RIM, stroked } from "./overlays.js";
 import { frameOf } from "./gestures.js";
-import { ARROWS, bounds, fitInto, indicesOf } from "./points.js";
+import { ARROWS, bounds, fitInto, indicesOf, outlineOf } from "./points.js";
 
 // Colours for any picture: yellow is placed, blue is proposed, white is selected.
 export const COLOURS = { placed: "#ffd166", proposed: "#6fd3ff", chosen: "#ffffff", axis: "#ff7ab8", slip: "#ff5a4f" };
+const SCREEN = { toScreen: (point) => point }; // a viewer, for places that are on the screen already
 const LOUPE = 62; // css pixels, radius
 const MAGNIFIED = 4;
 const LEAST_SCALE = 2; // screen pixels per picture pixel
 
 /** Draw all points. In the loupe, the others are hollow, since they would hide what is looked at. */
 export function drawMarks(ctx, viewer, view) {
-  const { points, invisible, selection, active = -1, hovered = -1, suggested, radius = 4 } = view;
+  const { points, invisible, selection, active, hovered, suggested, radius = 4 } = view;
   const colour = suggested ? COLOURS.proposed : COLOURS.placed;
   if (viewer.isLoupe) {
     discs(ctx, viewer, points.filter((_, i) => i !== active), radius);
@@ -68,12 +69,9 @@ export function drawFrame(ctx, viewer, points, indices) {
   const frame = frameOf(viewer, points, indices);
   if (frame === null) return;
   const [x0, y0, x1, y1] = frame.box;
-  ctx.beginPath();
-  ctx.rect(x0, y0, x1 - x0, y1 - y0);
-  ctx.moveTo((x0 + x1) / 2, y0);
-  ctx.lineTo(...frame.handles[4].at);
-  ctx.moveTo((x0 + x1) / 2, y1);
-  ctx.lineTo(...frame.handles[5].at);
+  const middle = (x0 + x1) / 2;
+  const [turn, move] = frame.handles.slice(4);
+  lines(ctx, [outlineOf(frame.box), [[middle, y0], turn.at], [[middle, y1], move.at]]);
   stroked(ctx, "rgb(255 255 255 / 80%)", 1, [4, 3]);
   for (const { kind, at } of frame.handles) drawHandle(ctx, kind, at);
 }
@@ -91,14 +89,6 @@ export function drawHandle(ctx, kind, /** @type {number[]} */ [x, y]) {
   ctx.lineWidth = 1.4;
   ctx.stroke(new Path2D(SIGNS[kind]));
   ctx.restore();
-}
-
-export function drawBox(ctx, viewer, [x0, y0, x1, y1]) {
-  const [a, b] = [viewer.toScreen([x0, y0]), viewer.toScreen([x1, y1])];
-  ctx.beginPath();
-  ctx.rect(a[0], a[1], b[0] - a[0], b[1] - a[1]);
-  filled(ctx, "rgb(255 255 255 / 12%)");
-  stroked(ctx, "#fff", 1, [4, 3]);
 }
 
 /** Position of the loupe: beside a mouse, above a finger, and always inside the canvas. */
@@ -127,10 +117,7 @@ export function loupeOver(viewer, pointer) {
 export function drawLoupe(ctx, viewer, xy, pointer, colour = COLOURS.placed) {
   const { centre: [cx, cy], scale } = loupeOver(viewer, pointer) ?? { centre: [] };
   if (!scale) return;
-  const circle = () => {
-    ctx.beginPath();
-    ctx.arc(cx, cy, LOUPE, 0, 2 * Math.PI);
-  };
+  const circle = () => discs(ctx, SCREEN, [[cx, cy]], LOUPE);
   ctx.save();
   circle();
   filled(ctx, "#1b2030");
@@ -153,16 +140,15 @@ export function drawHint(canvas, layout, contours, lit, style) {
   canvas.height = height * ratio;
   const ctx = canvas.getContext("2d");
   ctx.scale(ratio, ratio);
-  const view = { toScreen: (point) => point };
   const points = fitInto(layout, width, height, 0.85);
   const [muted, accent, panel] = ["--muted", "--accent", "--panel"].map((name) => style.getPropertyValue(name));
   ctx.globalAlpha = 0.7;
-  contourPath(ctx, view, points, contours);
+  contourPath(ctx, SCREEN, points, contours);
   inked(ctx, muted, 1.2);
-  discs(ctx, view, points, 1.8);
+  discs(ctx, SCREEN, points, 1.8);
   filled(ctx, muted);
   ctx.globalAlpha = 1;
-  discs(ctx, view, [points[lit]], 5);
+  discs(ctx, SCREEN, [points[lit]], 5);
   filled(ctx, accent);
   inked(ctx, panel, 1.5);
 }
@@ -177,8 +163,7 @@ function drawAxis(ctx, viewer, axis) {
   const [x, y] = gripOf(viewer, axis);
   lines(ctx, [[[x, 0], [x, viewer.container.clientHeight]]]);
   inked(ctx, COLOURS.axis, 1.5, [8, 5]);
-  ctx.beginPath();
-  ctx.arc(x, y, 11, 0, 2 * Math.PI);
+  discs(ctx, SCREEN, [[x, y]], 11);
   filled(ctx, COLOURS.axis);
   drawText(ctx, "⇔", x, y, { align: "center" });
 }
@@ -215,8 +200,12 @@ export function drawMarking(ctx, viewer, tool, marking, show, wrong) {
 
 export function drawGesture(ctx, viewer, tool, suggested) {
   if (viewer.isLoupe) return;
-  if (tool.gesture?.box) drawBox(ctx, viewer, tool.gesture.box);
-  const { loupe } = tool;
+  const { loupe, gesture } = tool;
+  if (gesture?.box) {
+    lines(ctx, [outlineOf(gesture.box).map((corner) => viewer.toScreen(corner))]);
+    filled(ctx, "rgb(255 255 255 / 12%)");
+    stroked(ctx, "#fff", 1, [4, 3]);
+  }
   if (loupe) drawLoupe(ctx, viewer, loupe, tool.pointer, suggested ? COLOURS.proposed : COLOURS.placed);
 }
 

@@ -1,9 +1,10 @@
 // The iterations of a fit: a slider, a play button, and a plot of the cost.
 
 import { significant } from "./fit-run.js";
+import { indicesOf } from "./points.js";
 import { button, h, icon, slider, svg } from "./ui.js";
 
-const [WIDTH, HEIGHT] = [264, 58];
+const [WIDTH, HEIGHT, MARGIN] = [264, 58, 6];
 const STEP = 140; // milliseconds per iteration while playing
 
 export class Iterations {
@@ -75,24 +76,22 @@ export class Iterations {
   }
 
   _draw() {
-    const runs = costRuns(this.iterations, WIDTH, HEIGHT, 6);
-    this._points = runs.flatMap(({ points }) => points);
+    const { iterations, last } = this;
+    const across = (i) => MARGIN + (last > 0 ? i / last : 0.5) * (WIDTH - 2 * MARGIN);
+    this._points = relativeCosts(iterations).map((cost, i) => [across(i), MARGIN + (1 - cost) * (HEIGHT - 2 * MARGIN)]);
     this._cursor = svg("line", { class: "cursor", y1: 0, y2: HEIGHT });
     this._dot = svg("circle", { class: "dot-now", r: 3.5 });
-    const drawn = runs.map(({ level, points }, run) => {
-      const line = points.map(({ x, y }) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
-      const left = run ? (points[0].x + runs[run - 1].points.at(-1).x) / 2 : 0;
-      const next = runs[run + 1];
-      const right = next ? (points.at(-1).x + next.points[0].x) / 2 : WIDTH;
-      const label = runs.length > 1 && right - left > 36 ? `level ${level}` : "";
-      return svg("g", {},
-        ...(run ? [svg("line", { class: "between", x1: left, x2: left, y1: 0, y2: HEIGHT })] : []),
-        svg("polyline", { points: line, class: "cost" }),
-        ...points.map(({ x, y }) => svg("circle", { cx: x, cy: y, r: 1.6, class: "cost-point" })),
-        // Costs decrease, so the top right of each level is free.
-        svg("text", { x: right - 5, y: 12, class: "level", "text-anchor": "end" }, label));
-    });
-    this.plot.replaceChildren(...drawn, ...(this.iterations.length ? [this._cursor, this._dot] : []));
+    const starts = indicesOf(iterations).filter((i) => iterations[i].level !== iterations[i - 1]?.level);
+    const edges = [...starts.map((i) => (i ? across(i - 0.5) : -1)), WIDTH]; // of levels; the first is out of sight
+    const drawn = starts.flatMap((start, k) => [
+      svg("line", { class: "between", x1: edges[k], x2: edges[k], y1: 0, y2: HEIGHT }),
+      svg("polyline", { points: this._points.slice(start, starts[k + 1]).join(" "), class: "cost" }),
+      // Costs decrease, so the top right of each level is free.
+      svg("text", { x: edges[k + 1] - 5, y: 12, class: "level", "text-anchor": "end" },
+        starts.length > 1 && edges[k + 1] - edges[k] > 36 ? `level ${iterations[start].level}` : ""),
+    ]);
+    const dots = this._points.map(([cx, cy]) => svg("circle", { cx, cy, r: 1.6, class: "cost-point" }));
+    this.plot.replaceChildren(...drawn, ...dots, ...(dots.length ? [this._cursor, this._dot] : []));
   }
 
   _mark() {
@@ -100,7 +99,7 @@ export class Iterations {
     const now = this.iterations[this.index];
     this.text.textContent = "The iterations of a fit appear here.";
     if (!now) return;
-    const { x, y } = this._points[this.index];
+    const [x, y] = this._points[this.index];
     this._cursor.setAttribute("transform", `translate(${x} 0)`);
     this._dot.setAttribute("transform", `translate(${x} ${y})`);
     // Methods that do not estimate the angle keep it constant.
@@ -110,32 +109,19 @@ export class Iterations {
     this.slider.setAttribute("aria-valuetext", `iteration ${text}`);
   }
 
-  _pick(event) {
-    if (!this.iterations.length) return;
-    const box = this.plot.getBoundingClientRect();
-    const x = ((event.clientX - box.left) / box.width) * WIDTH;
-    const nearest = this._points.reduce((best, each) => (Math.abs(each.x - x) < Math.abs(best.x - x) ? each : best));
-    this.step(nearest.index - this.index);
+  _pick({ clientX }) {
+    const { left, width } = this.plot.getBoundingClientRect();
+    const share = (((clientX - left) / width) * WIDTH - MARGIN) / (WIDTH - 2 * MARGIN);
+    this.step(Math.round(share * this.last) - this.index);
   }
 }
 
-/** Curves of the cost by iteration, for a plot. Costs are comparable within a level only, so each has a scale. */
-export function costRuns(iterations, width, height, margin = 4) {
-  const n = iterations.length;
-  const across = (i) => (n > 1 ? margin + (i * (width - 2 * margin)) / (n - 1) : width / 2);
-  const runs = [];
-  iterations.forEach(({ level, cost }, index) => {
-    if (runs.at(-1)?.level !== level) runs.push({ level, points: [] });
-    runs.at(-1).points.push({ index, cost });
-  });
-  for (const run of runs) {
-    const costs = run.points.map((p) => p.cost).filter(Number.isFinite);
+/** Cost of each iteration from 0 to 1, within its level, since costs of other levels are not comparable. */
+export function relativeCosts(iterations) {
+  return iterations.map(({ level, cost }) => {
+    const ofLevel = iterations.filter((other) => other.level === level);
+    const costs = ofLevel.map((other) => other.cost).filter(Number.isFinite);
     const [low, high] = [Math.min(...costs), Math.max(...costs)];
-    for (const point of run.points) {
-      const relative = high > low && Number.isFinite(point.cost) ? (point.cost - low) / (high - low) : 0;
-      point.x = across(point.index);
-      point.y = height - margin - relative * (height - 2 * margin);
-    }
-  }
-  return runs;
+    return high > low && Number.isFinite(cost) ? (cost - low) / (high - low) : 0;
+  });
 }

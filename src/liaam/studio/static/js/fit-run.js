@@ -113,30 +113,24 @@ export function meanDistance(first, second) {
   return mean(both.map((i) => distance(first[i], second[i])));
 }
 
-/** How two fits to the same picture compare: {by: "error" or "quality", gain: how much better the left one is}, or
- *  {by: "copy"} if the landmarks are those of a fit; null if neither is known. */
+/** How two fits to the same picture compare: {by: "error" or "quality", better: one of them, null if they are equal},
+ *  or {by: "copy"} if the landmarks are those of a fit; {} if neither is known. */
 function compared(left, right) {
+  const pick = (by, gain, least) => ({ by, better: Math.abs(gain) < least ? null : gain > 0 ? left : right });
   if (left?.error && right?.error) {
     const [a, b] = [left.error.pixels, right.error.pixels];
-    if (Math.min(a, b) < 0.01) return { by: "copy", gain: 0 };
-    return { by: "error", gain: Math.abs(a - b) < 0.005 * Math.max(a, b) ? 0 : b - a };
+    return Math.min(a, b) < 0.01 ? { by: "copy" } : pick("error", b - a, 0.005 * Math.max(a, b));
   }
-  if (left?.quality == null || right?.quality == null) return null;
-  const gain = left.quality - right.quality;
-  return { by: "quality", gain: Math.abs(gain) < 0.005 ? 0 : gain };
+  return left?.quality == null || right?.quality == null ? {} : pick("quality", left.quality - right.quality, 0.005);
 }
 
 /** The better of two fits to the same picture: by the known landmarks, or else by quality; null if they are equal. */
-export function betterOf(left, right) {
-  const { gain = 0 } = compared(left, right) ?? {};
-  return gain === 0 ? null : gain > 0 ? left : right;
-}
+export const betterOf = (left, right) => compared(left, right).better ?? null;
 
 /** Which of two fits to the same picture is better, in words; distance: mean distance of their points in pixels. */
 export function comparison(left, right, distance) {
   if (!left || !right) return "";
-  const { by } = compared(left, right) ?? {};
-  const better = betterOf(left, right);
+  const { by, better = null } = compared(left, right);
   const worse = better === left ? right : left;
   const larger = " The model was trained on this picture, so its errors on new pictures are larger.";
   const trained = left.trained_on ? larger : "";

@@ -176,7 +176,7 @@ export class ExportMenu {
       icon: "download", kind: "roomy", small: true, testid: "export-menu", popoverTargetElement: this.panel,
     });
     const onfocusout = ({ relatedTarget: to }) => to && !this.element.contains(to) && this.close();
-    this.element = h("div", { onfocusout }, this.button, this.panel);
+    this.element = h("div.fit-export", { onfocusout }, this.button, this.panel);
   }
 
   show() {

@@ -1,9 +1,9 @@
 // Starts of a fit: a drawn box, or the model's mean shape dragged onto the object.
 
 import { drawFrame, drawHandle } from "./drawing.js";
-import { CURSORS, dragging, frameOf, handleAt, handleReach, turning } from "./gestures.js";
+import { CURSORS, dragging, Editable, frameOf, handleAt, handleReach, turning } from "./gestures.js";
 import { drawContours, drawMesh, drawPoints, lines, stroked } from "./overlays.js";
-import { ARROWS, bounds, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
+import { ARROWS, bounds, cornersOf, fitInto, indicesOf, middleOf, move, nearest, turn } from "./points.js";
 
 const COLOUR = "#5ad1ff";
 const SMALLEST = 12; // longer side of the placed mean shape, picture pixels
@@ -14,16 +14,10 @@ const isInside = (/** @type {number[]} */ [x0, y0, x1, y1], /** @type {number[]}
 /** Whether a key enlarges (1) or shrinks (-1) the start. */
 const GROWTH = { ",": -1, "<": -1, ".": 1, ">": 1 };
 
-/** Corners of a box, clockwise from the upper left. */
-const cornersOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-
 /** Box between two corners in any order, clipped to the picture. */
-export function boxBetween(/** @type {number[]} */ [ax, ay], /** @type {number[]} */ [bx, by], width, height) {
-  const inside = (value, size) => Math.min(Math.max(value, 0), size - 1);
-  return [
-    inside(Math.min(ax, bx), width), inside(Math.min(ay, by), height),
-    inside(Math.max(ax, bx), width), inside(Math.max(ay, by), height),
-  ];
+export function boxBetween(a, b, width, height) {
+  const inside = ([x, y]) => [Math.min(Math.max(x, 0), width - 1), Math.min(Math.max(y, 0), height - 1)];
+  return bounds([inside(a), inside(b)]);
 }
 
 /** Whether a box is large enough to be intended. @param {number[]} box */
@@ -113,11 +107,12 @@ export class BoxTool {
   }
 }
 
-/** The mean shape: a document that gestures edit (see gestures.js) by its frame. */
-export class MeanTool {
+/** The mean shape, which gestures edit by its frame. */
+export class MeanTool extends Editable {
   fitted = false; // whether the fit from this start is shown; then only the frame is drawn until it is moved
 
   constructor(viewer) {
+    super();
     this.viewer = viewer;
     this.use(null);
   }
@@ -140,7 +135,6 @@ export class MeanTool {
   get hidesFit() { return !this.fitted && this.placed !== null; }
   get points() { return this.shown ?? this.placed ?? []; }
   framed() { return indicesOf(this.points); }
-  follow(_before, after) { return after; }
 
   preview(points) {
     this.shown = points;

@@ -288,10 +288,11 @@ export class FitView {
 
   _draw(ctx, viewer) {
     const image = this._image();
-    this.divider.visible = this._split.has(this.name) && Boolean(image); // no label for what is not drawn
+    const isSplit = this._split.has(this.name);
+    this.divider.element.hidden = !isSplit || !image; // no label for what is not drawn
     if (image) {
       drawOver(ctx, viewer, image, {
-        from: this.divider.visible ? this.divider.x : null, opacity: this.opacity[this.name],
+        from: isSplit ? this.divider.x : null, opacity: this.opacity[this.name],
         covered: this.name === "invariant" ? this.invariant.covered : null,
         filter: LIKE_PICTURES.includes(this.name) ? look.filter : "none",
       });

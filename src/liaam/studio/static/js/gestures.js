@@ -1,16 +1,7 @@
 // Gestures that edit points: dragging, selecting with a box, placing, and the handles that rotate and scale.
-// They edit a document (the marks of a picture, or a template):
-//   points, invisible (Set), selection (Set)     the current state
-//   select(indices, active)                      select points
-//   preview(points)                              show points during a gesture; null: restore them
-//   commit(points, what)                         end of a gesture: one undo step
-//   follow(before, after, indices) -> points     also move the mirrored points (twins)
-//   adding(xy) -> gesture | null                 a press on an empty place adds a point
-//   press(index) -> bool                         whether a press on a point has another meaning than dragging
-//   framed() -> indices                          the points with a frame and handles
 // A gesture is {move(xy, event), up(), cancel(), loupe: xy | null}.
 
-import { ARROWS, bounds, centroid, distance, inBox, middleOf, move, nearest, turn } from "./points.js";
+import { ARROWS, bounds, centroid, cornersOf, distance, inBox, middleOf, move, nearest, turn } from "./points.js";
 
 const REACH = { mouse: 9, pen: 14, touch: 24 }; // css pixels around a point that hit it
 const REACH_PLACING = { mouse: 5, pen: 7, touch: 11 }; // smaller while placing, so that points can be close together
@@ -21,7 +12,54 @@ const KNOB = 26; // css pixels from the frame to the knobs
 const NUDGED = 1200; // milliseconds that the loupe stays after a key
 const STILL = 4; // maximum movement of a click, css pixels
 const SLIP = { mouse: 1, pen: 2, touch: 5 }; // maximum movement of a click that does not move a point, css pixels
-const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
+export const NOTHING = { loupe: null, move() {}, up() {}, cancel() {} };
+
+/** What gestures edit: the marks of a picture, what is being drawn over it, or a template. It has `points` and a
+ *  `history`, and adding(xy) -> gesture | null, for a press on an empty place. */
+export class Editable {
+  selection = new Set(); // indices of points
+  active = -1; // the one that was selected last
+  invisible = new Set();
+  shown = null; // points during a gesture
+
+  /** handlers: what to call when points are selected, during a gesture, and when the state has changed. */
+  constructor(handlers = {}) { Object.assign(this, handlers); }
+  onselect() {}
+  onpreview() {}
+  onchange() {}
+
+  get editable() { return true; }
+
+  /** Indices of the points with a frame and handles. */
+  framed() { return []; }
+  /** Whether a press on a point has another meaning than dragging. */
+  press(_index, _event) { return false; }
+  /** Also move the mirrored points (twins). */
+  follow(_before, after, _indices) { return after; }
+  /** End of a gesture: one undo step. */
+  commit(_points, _what, _key = null) {}
+  changed() { this.onchange(); }
+
+  select(indices, active = indices.at(-1) ?? -1) {
+    Object.assign(this, { selection: new Set(indices), active });
+    this.onselect();
+  }
+
+  /** Show points during a gesture; null: restore them. */
+  preview(points) {
+    this.shown = points;
+    this.onpreview();
+  }
+
+  /** Undo or redo a step; return its description, or null if there is none. @this {any} */
+  travel(way) {
+    const what = way === "undo" ? this.history?.undoes : this.history?.redoes;
+    if (!this.history?.[way]()) return null;
+    this.shown = null;
+    this.changed();
+    return what;
+  }
+}
 
 /** The frame of `indices` in css pixels: its box, and handles {kind, at, fixed} (fixed: the corner that stays). */
 export function frameOf(viewer, points, indices) {
@@ -30,11 +68,11 @@ export function frameOf(viewer, points, indices) {
   const [x0, y0] = viewer.toScreen([box[0], box[1]]).map((v) => v - FRAME);
   const [x1, y1] = viewer.toScreen([box[2], box[3]]).map((v) => v + FRAME);
   const middle = (x0 + x1) / 2;
-  const corners = [[x0, y0, x1, y1], [x1, y0, x0, y1], [x1, y1, x0, y0], [x0, y1, x1, y0]];
+  const corners = cornersOf([x0, y0, x1, y1]);
   return {
     box: [x0, y0, x1, y1],
     handles: [
-      ...corners.map(([x, y, ox, oy]) => ({ kind: "scale", at: [x, y], fixed: [ox, oy] })),
+      ...corners.map((at, i) => ({ kind: "scale", at, fixed: corners[(i + 2) % 4] })),
       { kind: "turn", at: [middle, y0 - KNOB] },
       { kind: "move", at: [middle, y1 + KNOB] },
     ],

@@ -2,7 +2,7 @@
 
 import { distanceOf, firstPair } from "./live-track.js";
 import { attempt } from "./unsaved.js";
-import { h, optionsOf } from "./ui.js";
+import { h, relist } from "./ui.js";
 
 const LIBRARY = "../vendor/uplot/uPlot.esm.js"; // uPlot: https://github.com/leeoniya/uPlot
 const LATELY = 30; // seconds of a camera that are shown
@@ -39,10 +39,7 @@ export class LiveGraphs {
     const kept = (key) => attempt(() => JSON.parse(localStorage.getItem(key)));
     const [measures] = kept(`liaam-studio:measures:${this.app.state.project.id}`) ?? []; // those of Measure
     this.pair = firstPair(names, [kept(KEY), /distance:(.+?)-(\S+)/.exec(measures)?.slice(1), MOUTH].filter(Boolean));
-    this._ends.forEach((select, end) => {
-      select.replaceChildren(...optionsOf({ ...names }));
-      select.value = String(this.pair[end]);
-    });
+    this._ends.forEach((select, end) => relist(select, { ...names }, String(this.pair[end])));
   }
 
   _choose() {

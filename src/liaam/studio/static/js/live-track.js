@@ -15,18 +15,17 @@ export function sentSize(width, height) {
 
 /** Whether a frame does not follow the one before (seconds, or null), so that the motion before does not apply. */
 export const isJump = (before, time) => before === null || time <= before || time - before > JUMP;
-const isLost = (row) => row.includes(",lost,");
-
 const numberIn = (cell) => (cell === "" ? null : Number(cell));
 
 /** A row as a fit to draw and to judge; a lost frame has no points. */
 export function parseRow(row) {
   const cells = row.trimEnd().split(",");
+  const ok = !row.includes(",lost,");
   const points = [];
-  if (!isLost(row))
+  if (ok)
     for (let i = FACTS; i < cells.length; i += PER_POINT) points.push(cells.slice(i, i + PER_POINT).map(Number));
   return {
-    status: cells[2], ok: !isLost(row), quality: numberIn(cells[4]),
+    status: cells[2], ok, quality: numberIn(cells[4]),
     roll: numberIn(cells[6]), size: numberIn(cells[7]), centre: [cells[8], cells[9]].map(numberIn),
     shape: points.map(([x, y]) => [x, y]),
     covariances: points.map(([, , , , xx, xy, yy]) => [[xx, xy], [xy, yy]]),
@@ -53,32 +52,31 @@ export function verdictOfFrame({ fit, flat, asked }, { isFile, isFlat, rate }) {
 export class Track {
   constructor(header = "") {
     this.header = header;
-    this.rows = new Map(); // by milliseconds
-    this._frames = new Map(); // what graphs show of each row
+    this.rows = new Map(); // by milliseconds: {row, time, and what graphs show of it}
   }
 
-  get lost() { return [...this.rows.values()].filter(isLost).length; }
+  get lost() { return [...this.rows.values()].filter(({ shape }) => !shape.length).length; }
+
   /** Add the row of a frame; returns it as a fit. */
   set(time, row) {
     const fit = parseRow(row);
-    this.rows.set(key(time), row);
     this.end = time;
     const { quality, roll, size, shape } = fit;
-    this._frames.set(key(time), { time, quality, roll, size, shape: Float32Array.from(shape.flat()) });
+    this.rows.set(key(time), { row, time, quality, roll, size, shape: Float32Array.from(shape.flat()) });
     return fit;
   }
 
-  at(time) { return this.rows.get(key(time)) ?? null; }
+  at(time) { return this.rows.get(key(time))?.row ?? null; }
 
   /** Time in seconds and kind of each frame: "good", "warn" or "bad", by its quality. */
   marks(sure) {
-    const kind = (row) => (isLost(row) ? "bad" : Number(row.split(",", 5)[4]) >= sure ? "good" : "warn");
-    return [...this.rows].map(([at, row]) => [at / 1000, kind(row)]);
+    const kind = ({ shape, quality }) => (!shape.length ? "bad" : quality >= sure ? "good" : "warn");
+    return [...this.rows.values()].map((frame) => [frame.time, kind(frame)]);
   }
 
   /** Times, and values of each of some functions of a frame, from a time on, for graphs. A lost frame has none. */
   graphs(values, since = -Infinity) {
-    const frames = [...this._frames.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
+    const frames = [...this.rows.values()].filter(({ time }) => time >= since).sort((a, b) => a.time - b.time);
     const seen = (of) => frames.map((frame) => (frame.shape.length ? of(frame) : null));
     return [frames.map(({ time }) => time), ...values.map(seen)];
   }
@@ -88,7 +86,7 @@ export class Track {
     const times = [...this.rows.keys()].sort((a, b) => a - b);
     const shortest = times.slice(1).reduce((least, time, i) => Math.min(least, time - times[i]), Infinity);
     const number = (time) => Math.round((time - times[0]) / shortest);
-    return this.header + times.map((time) => this.rows.get(time).replace(/^\d+/, number(time))).join("");
+    return this.header + times.map((time) => this.rows.get(time).row.replace(/^\d+/, number(time))).join("");
   }
 }
 

@@ -4,7 +4,7 @@ import { Divider } from "./divider.js";
 import { drawFit, drawOver, entries, modelNeeded, Overlays } from "./fit-draw.js";
 import { SURE } from "./fit-run.js";
 import { LiveGraphs } from "./live-graphs.js";
-import { button, fileField, FrameMeter, h, icon, optionsOf, perFrame, press, slider } from "./ui.js";
+import { button, fileField, FrameMeter, h, icon, perFrame, press, relist, slider } from "./ui.js";
 import { Viewer } from "./viewer.js";
 
 const LATELY = 50; // frames over which the speed and the delay are averaged
@@ -77,7 +77,7 @@ export class LiveView {
     this.shown?.flat?.close();
     this.shown = frame && { ...frame, isNew: true };
     if (frame && this._film) this._expose();
-    this.divider.visible = Boolean(frame?.flat);
+    this.divider.element.hidden = !frame?.flat;
     this.viewer.redraw();
   }
 
@@ -137,8 +137,7 @@ export class LiveView {
     this.viewer.redraw();
     this.tools.mirror.hidden = this.tools.mirror.disabled = !isOpen || isFile;
     this._cameras.hidden = this.tools.mirror.hidden || Object.keys(cameras).length < 2;
-    this._cameras.replaceChildren(...optionsOf(cameras));
-    this._cameras.value = camera;
+    relist(this._cameras, cameras, camera);
     this.graphs.offer(model);
     this.graphs.element.hidden = !model || !isOpen;
     this._bar.hidden = this._play.disabled = !isFile;

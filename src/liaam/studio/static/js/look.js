@@ -1,7 +1,7 @@
 // Brightness, contrast and gamma of the shown pictures. They change what is drawn, never the pictures or their fits,
 // and are kept in the browser for each folder.
 
-import { button, h, icon, slider } from "./ui.js";
+import { button, h, icon, labelledSlider } from "./ui.js";
 import { attempt } from "./unsaved.js";
 
 const NEUTRAL = { brightness: 0, contrast: 0, gamma: 0 }; // powers of two
@@ -48,18 +48,11 @@ class Look extends EventTarget {
 
   control() {
     const rows = Object.entries(LABELS).map(([name, label]) => {
-      const input = slider({
+      const { element, show } = labelledSlider(label, (value) => this.set({ ...this.values, [name]: value }), {
         min: String(-LIMIT), max: String(LIMIT), step: "0.05", "aria-label": label, testid: `look-${name}`,
-        oninput: () => this.set({ ...this.values, [name]: Number(input.value) }),
       });
-      const text = h("span.number");
-      const show = () => {
-        input.value = String(this.values[name]);
-        text.textContent = `×${(2 ** this.values[name]).toFixed(2)}`;
-        input.setAttribute("aria-valuetext", text.textContent);
-      };
-      this._follow(show);
-      return h("label", h("span", label), input, text);
+      this._follow(() => show(this.values[name], `×${(2 ** this.values[name]).toFixed(2)}`));
+      return element;
     });
     const reset = button("Reset", { small: true, testid: "look-reset", onclick: () => this.set(NEUTRAL) });
     const face = h("summary.button.ghost.small.icon-only", {

@@ -1,35 +1,28 @@
-// The marks of the open picture while they are edited: selection, display and undo history. This is a document that
-// gestures edit (see gestures.js), independent of the page.
+// The marks of the open picture while they are edited: selection, display and undo history, independent of the page.
 //
 // A *state* {points, invisible, source, bar} is an immutable value in the undo history. Source "file" is placed by the user,
 // "proposal" by the model, and "layout" is the mean of the done pictures. The last two are saved only when accepted or
 // moved. `bar` is the scale bar, or null. A *book* {history, covariances, doubtful, ...} holds everything about one picture.
 
-import { placing } from "./gestures.js";
+import { Editable, placing } from "./gestures.js";
 import {
   expected, flip, flipIndices, missing, nextMissing, place, placed, remove, sameBar, samePoint, samePoints, toggle,
   withTwins,
 } from "./points.js";
 
-export class Marking {
-  /** template() -> template of the project, or null; onchange(): the state has changed; onselect(): the selection has
-   *  changed; onpreview(): a gesture moves points; onplaced(index): a click placed a missing point. */
-  constructor({ template, onchange = () => {}, onselect = () => {}, onpreview = () => {}, onplaced = (_index) => {} }) {
+export class Marking extends Editable {
+  book = null;
+  hidden = false; // whether all marks are hidden for a moment
+  mirrored = false; // whether mirrored points (twins) move together
+
+  /** template() -> template of the project, or null; handlers: those of Editable, and onplaced(index): a click placed a
+   *  missing point. */
+  constructor({ template, ...handlers }) {
+    super(handlers);
     this.templateOf = template;
-    this.onchange = onchange;
-    this.onselect = onselect;
-    this.onpreview = onpreview;
-    this.onplaced = onplaced;
-    this.book = null;
-    this.selection = new Set();
-    this.active = -1;
-    this.invisible = new Set();
-    this.shown = null; // points during a gesture
-    this.hidden = false; // whether all marks are hidden for a moment
-    this.mirrored = false; // whether mirrored points (twins) move together
-    this.followsPointer = false;
   }
 
+  onplaced(_index) {}
   get template() { return this.templateOf(); }
   get names() { return this.template?.names ?? []; }
   get history() { return this.book?.history ?? null; }
@@ -64,17 +57,6 @@ export class Marking {
     this.invisible = new Set(this.state?.invisible);
   }
 
-  select(indices, active = indices.at(-1) ?? -1) {
-    this.selection = new Set(indices);
-    this.active = active;
-    this.onselect();
-  }
-
-  preview(points) {
-    this.shown = points;
-    this.onpreview();
-  }
-
   commit(points, what, key = null) { this.change({ points }, what, key); }
 
   /** One undo step. It accepts a proposal, unless it changes the scale bar, and the mean shape if a point moves. */
@@ -93,15 +75,6 @@ export class Marking {
     this.changed();
   }
 
-  /** Undo or redo a step; return its description, or null if there is none. */
-  travel(way) {
-    const what = way === "undo" ? this.history?.undoes : this.history?.redoes;
-    if (!this.history?.[way]()) return null;
-    this.shown = null;
-    this.changed();
-    return what;
-  }
-
   changed() {
     this.invisible = new Set(this.state.invisible);
     this.onchange();
@@ -110,8 +83,6 @@ export class Marking {
   follow(before, after, indices) {
     return this.mirrored ? withTwins(before, after, indices, this.template.mirror) : after;
   }
-
-  press() { return false; }
 
   adding(xy) {
     if (!this.placing) return null;

@@ -3,6 +3,7 @@
 import { makeSet } from "./sets.js";
 import { button, consume, h, iconButton, segmented } from "./ui.js";
 
+const QUIET = ["placed", "proposed"]; // states that only the dot shows
 const START_KEY = "liaam-studio:start";
 const STARTS = [
   { value: "layout", label: "Mean shape", title: "Start with the mean shape of the done pictures" },
@@ -55,8 +56,8 @@ export function createPointsPanel(tab) {
 
 /** The list of the points, selected by mouse or keyboard. onchoose(index, adds): in addition to others if `adds`. */
 function pointList(onchoose) {
-  const items = [];
   let current = -1;
+  let shown = ""; // names and states
   const element = h("ul.point-list", {
     role: "listbox", tabindex: "0", "aria-label": "Points", "aria-multiselectable": "true", testid: "point-list",
     onclick: (event) => {
@@ -64,7 +65,7 @@ function pointList(onchoose) {
       if (item) onchoose(Number(item.dataset.index), event.ctrlKey || event.metaKey || event.shiftKey);
     },
     onkeydown: (event) => {
-      const last = items.length - 1;
+      const last = element.children.length - 1;
       const goes = { ArrowDown: current + 1, ArrowUp: current - 1, Home: 0, End: last };
       if (!(event.key in goes) || event.ctrlKey || event.metaKey || event.altKey || last < 0) return;
       consume(event);
@@ -72,38 +73,27 @@ function pointList(onchoose) {
     },
   });
 
-  function add(i) {
-    const [name, state] = [h("span.point-name.grow"), h("span.point-state.small.muted")];
-    const item = h("li.point", { role: "option", id: `point-${i}`, dataset: { index: i }, "aria-selected": "false" },
-      h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)), name, state);
-    items.push({ element: item, name, state, key: "" });
-    element.append(item);
-  }
+  const item = (name, state, i) => h("li.point", {
+    role: "option", id: `point-${i}`, dataset: { index: i, state }, "aria-label": `${name}, ${state}`,
+  },
+  h("span.point-dot", { "aria-hidden": "true" }), h("span.number.muted", String(i + 1)),
+  h("span.point-name.grow", name), h("span.point-state.small.muted", !QUIET.includes(state) && state));
 
   return {
     element,
     render(names, stateOf) {
-      while (items.length > names.length) items.pop().element.remove();
-      names.forEach((name, i) => {
-        if (!items[i]) add(i);
-        const item = items[i];
-        const state = stateOf(i);
-        if (item.key === `${state}|${name}`) return;
-        item.key = `${state}|${name}`;
-        item.element.dataset.state = state;
-        item.name.textContent = name;
-        item.state.textContent = state === "placed" || state === "proposed" ? "" : state;
-        item.element.setAttribute("aria-label", `${name}, ${state}`);
-      });
+      const items = names.map((name, i) => [name, stateOf(i)]);
+      if (shown === (shown = JSON.stringify(items))) return;
+      element.replaceChildren(...items.map(([name, state], i) => item(name, state, i)));
     },
     mark(selection, active) {
       current = active;
-      items.forEach((item, i) => item.element.setAttribute("aria-selected", String(selection.has(i))));
-      const item = items[active]?.element;
-      if (!item) return element.removeAttribute("aria-activedescendant");
-      element.setAttribute("aria-activedescendant", item.id);
+      [...element.children].forEach((each, i) => each.setAttribute("aria-selected", String(selection.has(i))));
+      const row = element.children[active];
+      if (!row) return element.removeAttribute("aria-activedescendant");
+      element.setAttribute("aria-activedescendant", row.id);
       // On narrow pages the whole panel scrolls, and would hide the buttons above the list.
-      if (element.scrollHeight > element.clientHeight) item.scrollIntoView({ block: "nearest" });
+      if (element.scrollHeight > element.clientHeight) row.scrollIntoView({ block: "nearest" });
     },
   };
 }

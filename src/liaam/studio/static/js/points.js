@@ -40,6 +40,10 @@ export function bounds(points, indices = placed(points)) {
   return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
 }
 
+/** Corners of a box, clockwise from the upper left. @param {number[]} box */
+export const cornersOf = ([x0, y0, x1, y1]) => [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+/** The line around a box. @param {number[]} box */
+export const outlineOf = (box) => [...cornersOf(box), [box[0], box[1]]];
 export const middleOf = (/** @type {number[]} */ [x0, y0, x1, y1]) => [(x0 + x1) / 2, (y0 + y1) / 2];
 
 export function centroid(points, indices = placed(points)) {

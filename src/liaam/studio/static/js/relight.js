@@ -2,7 +2,7 @@
 // at once: Lambert's law on the server's normals, as in relighting/relighter.py, but for noise, and light beyond white.
 
 import { ARROWS, bounds, middleOf } from "./points.js";
-import { button, grip, h, menu, slider } from "./ui.js";
+import { button, grip, h, labelledSlider, menu } from "./ui.js";
 
 /** @typedef {{direction: number[], colour: string, strength: number, softness: number}} Lamp colour: "#rrggbb" */
 /** @typedef {{lamps: Lamp[], ambient: number}} Lights ambient: fraction of white ambient light */
@@ -174,17 +174,11 @@ export class Light extends EventTarget {
   }
 
   _slider({ key, label, max, what }) {
-    const input = slider({
-      min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
-      oninput: () => this._edit(key, Number(input.value)),
+    const { element, show } = labelledSlider(label, (value) => this._edit(key, value), {
+      class: "light-slider small", title: what, min: "0", max, step: "0.01", "aria-label": what, testid: `light-${key}`,
     });
-    const text = h("span.number");
-    const show = () => {
-      const value = key === "ambient" ? this.ambient : this.lamp[key];
-      input.value = String(value);
-      text.textContent = `${Math.round(100 * value)} %`;
-    };
-    return { element: h("label.light-slider.small", { title: what }, h("span", label), input, text), show };
+    const valueOf = () => (key === "ambient" ? this.ambient : this.lamp[key]);
+    return { element, show: () => show(valueOf(), `${Math.round(100 * valueOf())} %`) };
   }
 
   _handle() {

@@ -1,8 +1,8 @@
-// The scale bar of the open picture: two clicks along a ruler, and the length between them. It is a document that
-// gestures edit (see gestures.js) while it is drawn; after that it is part of the marks.
+// The scale bar of the open picture: two clicks along a ruler, and the length between them. Gestures edit it while it
+// is drawn; after that it is part of the marks.
 
 import { COLOURS, drawText } from "./drawing.js";
-import { placing } from "./gestures.js";
+import { Editable, placing } from "./gestures.js";
 import { inked, lines } from "./overlays.js";
 import { distance, rounded } from "./points.js";
 import { dialog, h, optionsOf } from "./ui.js";
@@ -14,40 +14,33 @@ const LEAST = 1; // pixels between the ends
 const LENGTHS = [1e-6, 1e9]; // those that can be entered are between
 const known = () => JSON.parse(localStorage.getItem(KEY) ?? '{"length": 10, "unit": "mm"}');
 
-export class ScaleBar {
+export class ScaleBar extends Editable {
   on = false;
   ends = [null, null]; // while it is drawn
   points = []; // none that could be moved
-  invisible = new Set();
-  selection = new Set();
-  active = -1;
 
-  /** onturn(): drawing starts or stops; onpreview(): an end moves; onshare(bar, anyway): the other pictures get it too;
-   *  alone(): whether there are none.
-   *  @param {import("./marking.js").Marking} marking */
-  constructor(marking, { onturn, onpreview, onshare, alone }) {
+  /** handlers: onpreview(): an end moves; onchange(): drawing starts or stops; onshare(bar, anyway): the other pictures
+   *  get it too; alone(): whether there are none.
+   *  @param {import("./marking.js").Marking} marking; @param {any} handlers */
+  constructor(marking, handlers) {
+    super(handlers);
     this.marking = marking;
-    this.onshare = onshare;
-    this.alone = alone;
-    this.onturn = onturn;
-    this.onpreview = onpreview;
   }
+
+  onshare(_bar, _anyway) {}
+  alone() { return false; }
 
   get bar() { return this.marking.state?.bar ?? null; }
   get history() { return this.marking.history; }
   get editable() { return this.marking.editable; }
   get placing() { return this.editable; }
   get prompt() { return `Click ${this.ends[0] ? "the other end" : "one end of a ruler, or of a known length"}`; }
-  framed() { return []; }
-  press() { return false; }
-  follow(_before, after) { return after; }
-  select() {}
-  commit() {}
+  travel(way) { return this.marking.travel(way); }
 
   turn(on) {
     this.on = on;
     this.ends = [null, null];
-    this.onturn();
+    this.onchange();
   }
 
   /** The button: draw a bar, stop drawing, or change the bar that is there. */
@@ -70,7 +63,7 @@ export class ScaleBar {
     const before = this.ends;
     const at = before[0] ? 1 : 0;
     const show = (place) => this.preview(before.map((end, i) => (i === at ? rounded(place) : end)));
-    return placing(xy, show, () => (at ? this.finish() : this.onturn()), () => this.preview(before));
+    return placing(xy, show, () => (at ? this.finish() : this.onchange()), () => this.preview(before));
   }
 
   async finish() {

@@ -3,7 +3,7 @@
 import { percent, several } from "./annotate-words.js";
 import { COLOURS } from "./drawing.js";
 import { discs, stroked } from "./overlays.js";
-import { button, consume, dialog, h, optionsOf, press, saveFile, toast } from "./ui.js";
+import { button, dialog, h, press, relist, saveFile, toast } from "./ui.js";
 
 const NEW = "+"; // no name of a set
 const SHOWN = 12; // rows of a table
@@ -29,14 +29,11 @@ export function createSetList(app) {
       else go(app, value);
     },
   });
-  let known = null;
   const show = () => {
     const { set, sets } = state.project;
-    if (known === (known = sets.join(" "))) return;
     const labels = Object.fromEntries([...sets.map((name) => [name, calledSet(name)]), [NEW, "New set…"]]);
     list.hidden = sets.length < 2;
-    list.replaceChildren(...optionsOf(labels));
-    list.value = set;
+    relist(list, labels, set);
   };
   state.addEventListener("project", show);
   show();
@@ -53,11 +50,6 @@ export async function makeSet(app) {
   const name = h("input.text", {
     required: true, maxlength: "30", pattern: "[A-Za-z0-9][A-Za-z0-9_\\-]*", autocomplete: "off", spellcheck: "false",
     title: "Letters from A to Z, digits, - and _", placeholder: "such as hand, lateral or anna", testid: "set-name",
-    onkeydown: (event) => {
-      if (event.key !== "Enter" || event.isComposing) return;
-      consume(event);
-      name.closest("dialog").querySelector(".primary").click();
-    },
   });
   const same = `The points of ${set ? `the set ${set}` : "this set"}, placed again by somebody who does not see these.`;
   const body = h("div.column",

@@ -3,7 +3,7 @@
 
 import { createBulk } from "./bulk.js";
 import * as filters from "./strip-filters.js";
-import { consume, h, icon, iconButton, labelsOf, optionsOf, perFrame, press } from "./ui.js";
+import { consume, h, icon, iconButton, labelsOf, optionsOf, perFrame, press, relist } from "./ui.js";
 import { createWall } from "./wall.js";
 
 const BESIDE = matchMedia("(min-width: 900px)"); // otherwise the list is above the picture
@@ -229,14 +229,10 @@ export function mountStrip(root, app) {
     return found.sort((a, b) => (places.get(a.name) ?? places.size) - (places.get(b.name) ?? places.size));
   }
 
-  let known = null;
   function showFolders(all) {
     const found = filters.foldersOf(all);
-    if (known === JSON.stringify(found)) return;
-    known = JSON.stringify(found);
     if (state.folder && !found[state.folder]) state.showFolder("");
-    folders.replaceChildren(...optionsOf({ "": "All subfolders", ...found }));
-    folders.value = state.folder;
+    relist(folders, { "": "All subfolders", ...found }, state.folder);
     folders.hidden = !Object.keys(found).length;
   }
 

@@ -32,7 +32,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
   const tool = (label, face, onclick, more = {}) => button(label, { icon: face, small: true, onclick, ...more });
   const path = tool("New path", "path", () => drafting.startPath(), { shortcut: "N", testid: "template-new-path" });
   const close = tool("Close path", "check", () => drafting.close(), { shortcut: "C", testid: "template-close-path" });
-  const mirror = tool("Mirror", "mirror", () => toggleMirror(), {
+  const mirror = tool("Mirror", "mirror", () => drafting.toggleMirror(), {
     shortcut: "X", pressed: false, title: "Add a mirrored point on the other side of the line with each point",
   });
   const flip = tool("Flip", "swap", () => drafting.flip(), { title: "Swap left and right" });
@@ -48,9 +48,6 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     h("section.panel.grow.template-lists",
       h("h2.panel-title", "Points"), points.element, h("h2.panel-title", "Paths"), paths),
     h("section.panel.side-foot", message, h("div.row", done, cancel)));
-
-  const showMirror = (on) => press(mirror, on);
-  const toggleMirror = () => showMirror(drafting.toggleMirror());
 
   /** What to do, above the buttons. */
   function steps() {
@@ -76,6 +73,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
     path.disabled = !open;
     close.disabled = !open || draft.contours[draft.path].indices.length < (draft.twinPath < 0 ? 3 : 2);
     mirror.disabled = layingOut;
+    press(mirror, drafting.axis !== null);
     flip.hidden = !layingOut && !saved;
     done.disabled = busy || draft.names.length === 0;
     cancel.hidden = saved === null && !draft.names.length;
@@ -84,7 +82,7 @@ export function createTemplatePanel({ drafting, onload, ondone, onleave }) {
   }
 
   return {
-    element, mark: points.mark, showMirror, toggleMirror, tell: (text) => { message.textContent = text; },
+    element, mark: points.mark, tell: (text) => { message.textContent = text; },
     render() {
       const { contours } = drafting.draft;
       points.render();

@@ -1,36 +1,32 @@
 // Tracing a contour of the open picture: clicks add the knots of a smooth curve, along which the contour's points are
-// placed at even distances. It is a document that gestures edit (see gestures.js) while a contour is traced. The
-// contour's points that belong to other contours too, and are placed, stay where they are.
+// placed at even distances. Those of its points that are placed and belong to other contours, too, stay where they are.
 
 import { curveThrough, spread } from "./curve.js";
 import { COLOURS } from "./drawing.js";
-import { placing } from "./gestures.js";
+import { Editable, placing } from "./gestures.js";
 import { History } from "./history.js";
 import { discs, drawContours, drawPoints, stroked } from "./overlays.js";
 import { indicesOf, missing, rounded } from "./points.js";
 
 const LEAST = 3; // points of a contour that is traced
 
-export class Tracing {
+export class Tracing extends Editable {
   contour = null; // that is traced, or null
-  history = new History([]); // of the knots
-  shown = null; // knots during a gesture
-  invisible = new Set();
-  selection = new Set();
-  active = -1;
+  history = new History([]); // of the knots; `shown` are those during a gesture
   fixed = []; // [place in the contour, point] of points that stay
-  first = []; // the one at the contour's start, if there is one
-  last = []; // the one at its end
 
-  /** onturn(): tracing starts, stops or goes on.
+  /** handlers: onchange(): tracing starts, stops or goes on.
    *  @param {import("./marking.js").Marking} marking */
-  constructor(marking, { onturn }) {
+  constructor(marking, handlers) {
+    super(handlers);
     this.marking = marking;
-    this.onturn = onturn;
   }
 
   get on() { return this.contour !== null; }
   get editable() { return this.marking.editable; }
+  /** The points that stay at the contour's start and at its end, if there are some. */
+  get first() { return this.fixedAt(0); }
+  get last() { return this.contour.closed ? [] : this.fixedAt(this.contour.indices.length - 1); }
   get placing() { return this.editable; }
   get knots() { return this.shown ?? this.history.state; }
   get points() { return [...this.first, ...this.knots, ...this.last]; }
@@ -39,9 +35,6 @@ export class Tracing {
     const [from, to] = [indices[0], indices.at(-1)].map((index) => names[index]);
     return `Click along the contour from ${from}${closed ? "" : ` to ${to}`}. Enter or a click on the last place ends it`;
   }
-  framed() { return []; }
-  follow(_before, after) { return after; }
-  select(indices, active = indices.at(-1) ?? -1) { Object.assign(this, { selection: new Set(indices), active }); }
 
   /** The contour to trace: that of the selected point, or of the next one to place; null if there is none. */
   get wanted() {
@@ -62,15 +55,15 @@ export class Tracing {
     return indices.flatMap((index, place) => (points[index] && isShared(index) ? [[place, points[index]]] : []));
   }
 
+  fixedAt(end) { return this.fixed.filter(([place]) => place === end).map(([, point]) => point); }
+
   /** Begin to trace a contour; false: stop. */
   turn(/** @type {any} */ contour) {
     const fixed = contour && !this.marking.suggested ? this.sharedOf(contour) : [];
-    const fixedAt = (end) => fixed.filter(([place]) => place === end).map(([, point]) => point);
-    const [first, last] = [fixedAt(0), contour.closed ? [] : fixedAt(contour && contour.indices.length - 1)];
-    Object.assign(this, { contour: contour || null, fixed, first, last, history: new History([]), shown: null });
+    Object.assign(this, { contour: contour || null, fixed, history: new History([]), shown: null });
     this.select([]);
     this.marking.preview(null);
-    this.onturn();
+    this.onchange();
   }
 
   /** The points of the picture with those along the curve; null while it has too few knots. */
@@ -111,24 +104,21 @@ export class Tracing {
     this.marking.preview(this.whole);
   }
 
-  commit(points, what, key = null) { this.change(() => this.history.push(this.ownOf(points), what, key)); }
+  commit(points, what, key = null) {
+    this.history.push(this.ownOf(points), what, key);
+    this.changed();
+  }
 
   /** Remove the last knot. */
   drop() {
-    if (this.knots.length) this.change(() => this.history.push(this.knots.slice(0, -1), "remove the last place"));
+    const { first, knots, last } = this;
+    if (knots.length) this.commit([...first, ...knots.slice(0, -1), ...last], "remove the last place");
   }
 
-  travel(way) {
-    const what = way === "undo" ? this.history.undoes : this.history.redoes;
-    this.change(() => this.history[way]());
-    return what || null;
-  }
-
-  change(work) {
-    work();
+  changed() {
     if (this.active >= this.points.length - this.last.length) this.select([]);
     this.preview(null);
-    this.onturn();
+    this.onchange();
   }
 
   adding(xy) {

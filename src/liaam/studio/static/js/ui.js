@@ -69,6 +69,13 @@ export const labelsOf = (table) =>
 
 export const optionsOf = (labels) => Object.entries(labels).map(([value, label]) => h("option", { value }, label));
 
+/** Show options and the chosen one in a list. If they are the same, they stay, since the list may be open. */
+export function relist(list, labels, value) {
+  const next = h("select", optionsOf(labels));
+  if (next.innerHTML !== list.innerHTML) list.replaceChildren(...next.children);
+  list.value = value;
+}
+
 /** A list of actions under a title; onchoose(value). */
 export function menu(title, labels, onchoose, attributes = {}) {
   const onchange = () => {
@@ -81,6 +88,18 @@ export function menu(title, labels, onchoose, attributes = {}) {
 }
 
 export const slider = (attributes) => h("input.slider", { type: "range", ...attributes });
+
+/** A slider with its label and its value in words: {element, show(value, words)}; onvalue(number). */
+export function labelledSlider(label, onvalue, { class: name = null, title = null, ...attributes }) {
+  const input = slider({ ...attributes, oninput: () => onvalue(Number(input.value)) });
+  const text = h("span.number");
+  const show = (value, words) => {
+    input.value = String(value);
+    text.textContent = words;
+    input.setAttribute("aria-valuetext", words);
+  };
+  return { element: h("label", { class: name, title }, h("span", label), input, text), show };
+}
 
 /** A hidden field for a file, which is opened by its click(); onfile(file, all). */
 export function fileField(onfile, attributes = {}) {
@@ -238,8 +257,7 @@ export class FrameMeter {
 
   rate() {
     const n = this.#times.length;
-    if (n < 2) return 0;
-    return (1000 * (n - 1)) / (this.#times[n - 1] - this.#times[0]);
+    return n < 2 ? 0 : (1000 * (n - 1)) / (this.#times[n - 1] - this.#times[0]);
   }
 }
 
