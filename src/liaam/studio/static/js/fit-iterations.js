@@ -91,7 +91,7 @@ export class Iterations {
         starts.length > 1 && edges[k + 1] - edges[k] > 36 ? `level ${iterations[start].level}` : ""),
     ]);
     const dots = this._points.map(([cx, cy]) => svg("circle", { cx, cy, r: 1.6, class: "cost-point" }));
-    this.plot.replaceChildren(...drawn, ...dots, ...(dots.length ? [this._cursor, this._dot] : []));
+    this.plot.replaceChildren(...dots, ...drawn, ...(dots.length ? [this._cursor, this._dot] : []));
   }
 
   _mark() {
