@@ -29,11 +29,14 @@ BELOW = 0.5  # Below the mesh, and by this fraction of its width wider, is no ba
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
-PALE, VIVID = 0.5, 0.8  # Saturation relative to that mean, below which what is bright is a wall, or gloss, which stays
+PALE, VIVID = (
+    0.5,
+    0.8,
+)  # Saturation relative to that mean, below which what is brighter is a wall, or gloss, which stays
 NEUTRAL = 0.02  # Square of a difference from grey at which an object has a colour
 COLOUR_BLUR = 0.1  # Gaussian before that is measured
 BRIGHTER = 0.3  # Log light above the object's brightest from which a pixel is so too, as a wall behind a dark face
-BRIGHT, BRIGHTEST = 0.8, 0.95  # Quantiles of the object's brightness
+BRIGHTEST = 0.95  # Quantile that is the brightest
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,15 +96,15 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
 
 
 def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Return how much pixels are like the object in colour, and neither brighter nor bright and pale, (h, w, 1)."""
+    """Return how much pixels are like the object in colour, and not brighter, least if paler as well, (h, w, 1)."""
     colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
     brightness = mean_of(colours)[..., None]
-    bright, brightest = np.quantile(brightness[inside], [BRIGHT, BRIGHTEST]).astype(np.float32)
+    brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
     colours = colours - brightness
-    mean, brighter = colours[inside].mean(axis=0), np.maximum(brightness - brightest, 0.0) / BRIGHTER
+    mean = colours[inside].mean(axis=0)
     apart = 3.0 * mean_of(np.square(colours - mean))[..., None] / ANOTHER_COLOUR**2
     saturation = ((colours @ mean)[..., None] + NEUTRAL) / (mean @ mean + NEUTRAL)
-    pale = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep((brightness - bright) / BRIGHTER)
+    pale = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep(brighter)
     return (1.0 - pale) * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
 
 
