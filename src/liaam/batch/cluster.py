@@ -2,7 +2,7 @@
 
 import uuid
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any, cast
@@ -45,21 +45,35 @@ def _fit(name: str, path: str) -> KeptRow:
 def on_cluster(job: Job, address: str) -> Iterator[Pool]:
     """Yield a pool of the workers of a scheduler. Another worker takes over the images of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
-        executor, threads = client.get_executor(pure=False), cast(Any, client.nthreads)
+        threads = cast(Any, client.nthreads)
+
+        def submit(path: str) -> Future[KeptRow]:
+            row: Future[KeptRow] = Future()
+            client.submit(_fit, name, path, pure=False).add_done_callback(partial(_pass_on, row))
+            return row
 
         def room() -> int:
             return AHEAD * max(1, sum(threads().values()))
 
         try:
-            yield partial(executor.submit, _fit, name), room, (KilledWorker,)
+            yield submit, room, (KilledWorker,)
         except CancelledError:
             raise LiaamError(f"{address}: the scheduler is lost; run the same command again to resume") from None
         except LiaamError:
             raise
         except Exception as error:
             raise LiaamError(f"{address}: the workers fail ({error}); {_REMEDY}") from error
-        finally:
-            executor.shutdown(wait=False)  # cancels pending images
+
+
+def _pass_on(row: "Future[KeptRow]", asked: Any) -> None:
+    """Give a row what a worker answered. If a worker is lost after it has answered, another one fits again.
+
+    The executor of distributed takes such an answer for an error.
+    """
+    try:
+        row.set_result(asked.result())
+    except BaseException as error:  # of any class: who waits for the row handles it
+        row.set_exception(error)
 
 
 _REMEDY = f"they need liaam {__version__} and the same version of distributed as here"
