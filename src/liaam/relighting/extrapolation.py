@@ -29,10 +29,7 @@ BELOW = 0.5  # Below the mesh, and by this fraction of its width wider, is no ba
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
-PALE, VIVID = (
-    0.5,
-    0.8,
-)  # Saturation relative to that mean, below which what is brighter is a wall, or gloss, which stays
+PALE, VIVID = 0.5, 0.8  # Saturation relative to that mean, below which what is brighter is a wall or gloss, and stays
 NEUTRAL = 0.02  # Square of a difference from grey at which an object has a colour
 COLOUR_BLUR = 0.1  # Gaussian before that is measured
 BRIGHTER = 0.3  # Log light above the object's brightest from which a pixel is so too, as a wall behind a dark face
@@ -96,7 +93,7 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
 
 
 def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Return how much pixels are like the object in colour, and not brighter, least if paler as well, (h, w, 1)."""
+    """Return how much pixels are like the object in colour and not brighter; less if they are also paler, (h, w, 1)."""
     colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
     brightness = mean_of(colours)[..., None]
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
