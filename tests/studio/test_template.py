@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from liaam.io import Contour, Landmarks
+from liaam.studio.safety import Refusal
 from liaam.studio.template import Template, mirror_by_names, mirror_by_place, parse_template, template_of
 from scenes import Head, make_set
 
@@ -77,3 +78,9 @@ def test_landmarks_without_sound_names_get_numbers():
     for names in ((), ("a", "a", "b"), ("a", " ", "b")):
         assert template_of(Landmarks(points, (), names)).names == ("1", "2", "3")
     assert template_of(Landmarks([[0, 0], [np.nan, np.nan]])).points is None
+
+
+@pytest.mark.parametrize("data", [None, "names", ["a", "b"], 3])
+def test_what_is_no_object_is_refused(data):
+    with pytest.raises(Refusal, match="not an object"):
+        parse_template(data, 3)

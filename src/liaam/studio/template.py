@@ -59,8 +59,10 @@ class Template:
         return json.loads(json.dumps(asdict(self)))  # lists instead of tuples
 
 
-def parse_template(data: Mapping[str, Any], most: int) -> Template:
+def parse_template(data: Any, most: int) -> Template:
     """Parse and check a template from JSON."""
+    if not isinstance(data, dict):
+        raise Refusal(422, "the template is not an object: send names, contours, mirror and points")
     names = data.get("names")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) and name.strip() for name in names):
         raise Refusal(422, "the template has no valid list of names: give every point a name")
