@@ -6,6 +6,7 @@ from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any, cast
+from weakref import WeakSet
 
 from distributed import Client, KilledWorker, Worker, WorkerPlugin, get_worker
 from distributed.comm.addressing import parse_address, parse_host_port
@@ -45,11 +46,13 @@ def _fit(name: str, path: str) -> KeptRow:
 def on_cluster(job: Job, address: str) -> Iterator[Pool]:
     """Yield a pool of the workers of a scheduler. Another worker takes over the images of a lost one."""
     with _connected(address) as client, _prepared(client, job) as name:
-        threads = cast(Any, client.nthreads)
+        threads, pending = cast(Any, client.nthreads), WeakSet()
 
         def submit(path: str) -> Future[KeptRow]:
             row: Future[KeptRow] = Future()
-            client.submit(_fit, name, path, pure=False).add_done_callback(partial(_pass_on, row))
+            asked = client.submit(_fit, name, path, pure=False)
+            pending.add(asked)
+            asked.add_done_callback(partial(_pass_on, row))
             return row
 
         def room() -> int:
@@ -63,6 +66,8 @@ def on_cluster(job: Job, address: str) -> Iterator[Pool]:
             raise
         except Exception as error:
             raise LiaamError(f"{address}: the workers fail ({error}); {_REMEDY}") from error
+        finally:
+            client.cancel(list(pending))  # before the workers forget the job
 
 
 def _pass_on(row: "Future[KeptRow]", asked: Any) -> None:
