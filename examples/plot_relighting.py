@@ -32,7 +32,7 @@ images = {
     "shading": np.clip(1 + shading / 2, 0, 1),
     "lamp from the left": relighter.under((-1.0, -0.3, 0.5)),
     "lamp from above": relighter.under((0.0, -1.0, 0.5)),
-    "two coloured lamps": relighter.under_lamps(
+    "two coloured lamps": relighter.under(
         [
             Lamp((-1.0, -0.2, 0.4), colour=(1.0, 0.75, 0.5)),
             Lamp((1.0, -0.2, 0.4), colour=(0.5, 0.7, 1.0)),

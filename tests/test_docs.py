@@ -190,7 +190,7 @@ def test_values_in_docstrings_are_those_of_the_code():
         (liaam.Detection.doubtful, f"below {search.DOUBTFUL}."),
         (liaam.find_label_faults, f"fewer than {label_faults.LEAST_PICTURES} images"),
         (Lamp, f"0 to {STRONGEST:g}."),
-        (Relighter.under_lamps, f"up to a factor {LONGEST}"),
+        (Relighter.under, f"up to a factor {LONGEST}"),
         (Lamps, f"plus {DARK * 255:g}/255"),
         (video_writer, ", ".join(f"``{suffix}``" for suffix in VIDEO_SUFFIXES)),
         (liaam.AAM, ", ".join(f"``{name}``" for name in VIEWS)),

@@ -210,7 +210,7 @@ def test_light_comes_from_where_it_is_said_to(taken_apart, direction):
 
 def test_two_lamps_light_both_sides_in_their_colours(taken_apart):
     red, blue = Lamp((-1, 0, 0.3), (1.0, 0.2, 0.2)), Lamp((1, 0, 0.3), (0.2, 0.2, 1.0))
-    made = log_light(taken_apart.under_lamps([red, blue], 0.1), "srgb") - log_light(taken_apart.flat(), "srgb")
+    made = log_light(taken_apart.under([red, blue], 0.1), "srgb") - log_light(taken_apart.flat(), "srgb")
     inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
     y, x = np.nonzero(inside)
     redder = made[y, x, 0] - made[y, x, 2]
@@ -220,7 +220,7 @@ def test_two_lamps_light_both_sides_in_their_colours(taken_apart):
 
 
 def test_a_soft_lamp_from_the_side_lights_the_other_side_more(taken_apart):
-    hard, soft = (taken_apart.under_lamps([Lamp((1, 0, 0.2), softness=s)], 0.05).astype(int) for s in (0.0, 1.0))
+    hard, soft = (taken_apart.under([Lamp((1, 0, 0.2), softness=s)], 0.05).astype(int) for s in (0.0, 1.0))
     inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
     y, x = np.nonzero(inside)
     left = x < np.percentile(x, 25)
@@ -396,7 +396,7 @@ def test_a_wall_that_edges_cut_off_gets_no_halo():
 
 @pytest.mark.parametrize("colour", [(0.4, -0.1, -0.3), (0.0, 0.0, 0.0)])
 def test_what_is_bright_and_pale_beside_the_object_keeps_its_light(colour):
-    """Such as a white wall behind a dark face, or gloss on a forehead beyond the mesh; a grey object has no colour."""
+    """Such as a white wall behind a dark face; a grey object has no colour."""
     inside, pale = known_in((80, 90), slice(20, 60), slice(20, 60)), known_in((80, 90), slice(0, 80), slice(60, 68))
     own = np.full((80, 90, 3), -2.0, np.float32) + np.array(colour, np.float32)
     beside = {}
@@ -405,6 +405,26 @@ def test_what_is_bright_and_pale_beside_the_object_keeps_its_light(colour):
         beside[level] = Surroundings.of(inside, own, 5.0).belongs[30:50, 62:65].mean()
     assert beside[-2.0] > 0.8
     assert beside[-1.75] < 0.3 if any(colour) else beside[-1.75] > 0.6
+
+
+def test_gloss_that_the_object_surrounds_belongs_to_it_and_is_not_darkened():
+    """A wall keeps its light; gloss on a forehead beyond the mesh takes that of a lamp."""
+    y, x = np.mgrid[:160, :160]
+    inside = known_in((160, 160), slice(64, 120), slice(40, 120))
+    shine = np.exp(-(np.square(x - 77) + np.square(y - 56)) / 12.0)[..., None].astype(np.float32)
+    colour = np.array((0.4, -0.1, -0.3), np.float32)
+    own = -2.0 + 0.7 * shine + (1.0 - 0.6 * shine) * colour
+    own[:42] = own[:, :20] = own[:, 140:] = (-3.0, -1.0, -2.0)  # the background
+    around = Surroundings.of(inside, own, 4.0)
+    region = Region((slice(0, 160),) * 2, (160, 160), (160, 160), np.zeros((1, 2)))
+    assert around.belongs[53:60, 74:81].min() > 0.8
+    assert around.gloss[56, 77] > 0.9
+    assert not around.gloss[inside].any()
+    assert not around.gloss[:42].any()
+    for removed, kept in ((0.4, 0.0), (-0.4, -0.4)):
+        light, _ = spared(own, np.full(own.shape, removed, np.float32) + 0.1 * colour, around, region)
+        np.testing.assert_allclose(light[56, 77], kept, atol=0.03)
+        np.testing.assert_allclose(light[90, 80], removed + 0.1 * colour, atol=1e-6)
 
 
 def test_a_strip_that_is_thinner_than_the_reduced_pixels_has_its_values():
@@ -464,7 +484,8 @@ def test_clipped_channels_continue_in_the_colour_around_them():
         Region.of(np.array([[20, 20], [90, 90.0]]), (slice(0, 120), slice(0, 120))),
         np.ones((120, 120, 1)),
     )
-    light, whole = spared(own, np.full(own.shape, 0.5, np.float32), belongs, region)
+    around = Surroundings(belongs[..., 0] > 0, belongs, 0.0 * belongs, belongs, own, 1.0)
+    light, whole = spared(own, np.full(own.shape, 0.5, np.float32), around, region)
     assert region.small == (120, 120)
     hue, expected = whole - whole.mean(axis=2, keepdims=True), skin - skin.mean()
     assert np.abs(hue - expected).max() < 0.1

@@ -29,10 +29,10 @@ BELOW = 0.5  # Below the mesh, and by this fraction of its width wider, is no ba
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
-PALE, VIVID = 0.5, 0.8  # Saturation relative to that mean, below which what is brighter is a wall or gloss, and stays
+PALE, VIVID = 0.5, 0.8  # Saturation relative to that mean, below which what is brighter is a wall or gloss
 NEUTRAL = 0.02  # Square of a difference from grey at which an object has a colour
 COLOUR_BLUR = 0.1  # Gaussian before that is measured
-BRIGHTER = 0.3  # Log light above the object's brightest from which a pixel is so too, as a wall behind a dark face
+BRIGHTER, A_LITTLE = 0.3, 0.1  # Log light above its brightest from which a pixel is so too, and a share of that
 BRIGHTEST = 0.95  # Quantile that is the brightest
 
 
@@ -42,11 +42,12 @@ class Surroundings:
 
     ``belongs`` (h, w, 1) is how much a pixel belongs to the object rather than to the background, whichever is nearer,
     where edges of the logarithms of light ``seen`` (h, w, 3) are distances. ``share`` (h, w, 1) is the same, falling to
-    0 at ``FARTHEST`` times the ``reach``, pixels, from the mesh.
+    0 at ``FARTHEST`` times the ``reach``, pixels, from the mesh. ``gloss`` (h, w, 1) is how much it shines.
     """
 
     inside: np.ndarray
     belongs: np.ndarray
+    gloss: np.ndarray
     share: np.ndarray
     seen: np.ndarray
     reach: float
@@ -60,14 +61,21 @@ class Surroundings:
         elsewhere, (rows, columns) = (away > BACKGROUND * reach).astype(np.float32), _extent(inside)
         wider = round(BELOW * (columns.stop - columns.start))
         elsewhere[rows.stop - 1 :, max(columns.start - wider, 0) : columns.stop + wider] = 0.0
-        nearer = np.square(averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach)))
-        nearer = nearer[..., :1] / np.maximum(nearer.sum(axis=2, keepdims=True), 1e-12)
-        belongs = _alike(inside, own, reach) * np.where(known, np.float32(1.0), nearer)
+        spread = averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))
+        near, far = np.dsplit(np.square(spread), 2)
+        nearer = np.where(known, np.float32(1.0), near / np.maximum(near + far, 1e-12))
+        alike, bright = _alike(inside, own, reach)
+        solid = np.pad((bright <= A_LITTLE) & (nearer >= 0.5), ((1, 1), (1, 1), (0, 0))).astype(np.uint8)
+        cv2.floodFill(solid, None, (0, 0), 1)
+        enclosed = (bright > A_LITTLE) & (solid[1:-1, 1:-1] == 0)
+        gloss = bright * enclosed
+        belongs = (alike * (1.0 - bright) + gloss) * np.maximum(nearer, enclosed)
         depth = distance(np.pad(inside, 1))[1:-1, 1:-1]
         belongs = np.where((depth > min(BORDER * reach, 0.5 * depth.max()))[..., None], np.float32(1.0), belongs)
         belongs = np.where(known, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
         share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
-        return cls(inside, belongs, np.where(share > LEAST_SHARE, share, np.float32(0.0)), seen, reach)
+        share[share <= LEAST_SHARE], gloss[known] = 0.0, 0.0
+        return cls(inside, belongs, gloss, share, seen, reach)
 
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """Return the light (h, w, 3) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
@@ -92,8 +100,8 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
-    """Return how much pixels are like the object in colour and not brighter; less if they are also paler, (h, w, 1)."""
+def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return how much pixels are like the object in colour, and how much they are brighter, or paler too, (h, w, 1)."""
     colours = cv2.GaussianBlur(own, (0, 0), max(BLUR_OWN, COLOUR_BLUR * reach))
     brightness = mean_of(colours)[..., None]
     brighter = np.maximum(brightness - np.quantile(brightness[inside], BRIGHTEST), 0.0) / BRIGHTER
@@ -102,17 +110,18 @@ def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> np.ndarray:
     apart = 3.0 * mean_of(np.square(colours - mean))[..., None] / ANOTHER_COLOUR**2
     saturation = ((colours @ mean)[..., None] + NEUTRAL) / (mean @ mean + NEUTRAL)
     pale = smoothstep((VIVID - saturation) / (VIVID - PALE)) * smoothstep(brighter)
-    return (1.0 - pale) * np.exp(-0.5 * (np.maximum(apart - 1.0, 0.0) + np.square(brighter)))
+    return np.exp(-0.5 * np.maximum(apart - 1.0, 0.0)), 1.0 - (1.0 - pale) * np.exp(-0.5 * np.square(brighter))
 
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
     """Average layers (h, w, c) in a Gaussian of ``scale`` pixels within the edges of an image ``seen``, (h, w, 3)."""
     found = np.array(layers, np.float32, order="C")
+    # Standard deviations halve, and their squares sum to scale ** 2 (their equation 14).
+    deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - 1) / np.sqrt(4.0**ROUNDS - 1.0)
     steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
-    across, down = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
-    for i in range(ROUNDS):  # standard deviations halve, and their squares sum to scale ** 2 (their equation 14)
-        deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - i - 1) / np.sqrt(4.0**ROUNDS - 1.0)
-        decay = np.float32(-np.sqrt(2.0) / deviation)
-        kept = (np.exp(decay * each) for each in (across, down))
-        _core.filter_rows_and_columns(found, *map(np.ascontiguousarray, kept))
+    lengths = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
+    kept = [np.exp(np.float32(-np.sqrt(2.0) / deviation) * each) for each in lengths]
+    for _ in range(ROUNDS):
+        _core.filter_rows_and_columns(found, *kept)
+        kept = [np.square(each) for each in kept]
     return found

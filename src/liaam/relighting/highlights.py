@@ -1,10 +1,12 @@
 """Highlights: those that the camera clipped, and those that relighting would clip."""
 
 import math
+from functools import reduce
 
 import cv2
 import numpy as np
 
+from liaam.relighting.extrapolation import Surroundings
 from liaam.relighting.painting import Region, averages, mean_of, smoothstep
 
 CLIPPED = math.log(0.95)  # Logarithm of light from which a channel counts as clipped
@@ -14,25 +16,25 @@ POWER = 4.0  # Power of light that weighs it: gloss has the lamp's colour, and i
 FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than that
 
 
-def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Region) -> tuple[np.ndarray, np.ndarray]:
-    """Spare clipped highlights, whose light is not known.
+def spared(own: np.ndarray, light: np.ndarray, around: Surroundings, region: Region) -> tuple[np.ndarray, np.ndarray]:
+    """Spare highlights, whose light is not known.
 
-    ``own`` (bh, bw, 3) are the logarithms of the image's light, ``light`` (lh, lw, 3) will be removed, and ``belongs``
-    (lh, lw, 1) is how much a pixel belongs to the object. Return new ones of the first two. Around highlights that are
-    clipped in all channels, the object is not darkened, and its colour not changed. Where single channels are clipped,
-    they are continued beyond white in the colour of the object around them: a change of light then moves all channels
-    alike, and leaves no grey patch.
+    ``own`` (bh, bw, 3) are the logarithms of the image's light, and ``light`` (lh, lw, 3) will be removed. Return new
+    ones of both. Gloss, and what is around highlights that are clipped in all channels, is not darkened, and its colour
+    not changed. Where single channels are clipped, they are continued beyond white in the colour of the object around
+    them: a change of light then moves all channels alike, and leaves no grey patch.
     """
-    brightest = np.maximum.reduce(cv2.split(own))
-    some = brightest >= CLIPPED
+    unknown, some = around.gloss, reduce(cv2.max, cv2.split(own)) >= CLIPPED
+    if some.any():
+        every = (reduce(cv2.min, cv2.split(own)) >= CLIPPED).astype(np.float32)
+        gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
+        unknown = np.maximum(smoothstep(4.0 * gone), unknown)
+    light = light + unknown * (np.minimum(mean_of(light)[..., None], 0.0) - light)
     if not some.any():
         return light, own
-    every = (np.minimum.reduce(cv2.split(own)) >= CLIPPED).astype(np.float32)
-    gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
-    light = light + smoothstep(4.0 * gone) * (np.minimum(mean_of(light)[..., None], 0.0) - light)
     small = region.reduced(own)
-    bright = np.exp(POWER * np.maximum.reduce(cv2.split(small)))[..., None]
-    known = bright * belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
+    bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
+    known = bright * around.belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
     colour = averages(small - mean_of(small)[..., None], known, COLOUR_REACH * region.reach, FALLBACK)
     whole, at = own.copy(), np.nonzero(some)
     colour, seen = region.enlarged(colour)[at], own[at]
@@ -41,13 +43,13 @@ def spared(own: np.ndarray, light: np.ndarray, belongs: np.ndarray, region: Regi
     level = np.where(over, np.inf, seen - colour).min(axis=1, keepdims=True)
     level = np.where(over.all(axis=1, keepdims=True), -colour.min(axis=1, keepdims=True), level)
     beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
-    whole[at] += region.enlarged(belongs).reshape(some.shape)[at][:, None] * beyond
+    whole[at] += region.enlarged(around.belongs).reshape(some.shape)[at][:, None] * beyond
     return light, whole
 
 
 def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
-    brightest = np.maximum.reduce(cv2.split(log_rgb))
+    brightest = reduce(cv2.max, cv2.split(log_rgb))
     at = np.nonzero(brightest > BRIGHT)
     high, first = brightest[at], own[at].max(axis=1)
     limited = BRIGHT * np.exp((high - BRIGHT) / BRIGHT)

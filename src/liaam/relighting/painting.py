@@ -16,7 +16,7 @@ from liaam.relighting.appearance import ShadowFree
 
 LARGEST = 10  # Size of a shape, relative to the image, beyond which it is not painted
 REACH = 0.04  # Standard deviation of the Gaussian by which shading is removed beyond the mesh, in diagonals
-FINEST = 128.0  # Largest diagonal of an object, in pixels, at which light is computed; in larger ones it is enlarged
+FINEST = 160.0  # Largest diagonal of an object, in pixels, at which light is computed; in larger ones it is enlarged
 BINS = 65536  # Number of steps of the logarithm of light from black to white
 
 
@@ -186,7 +186,7 @@ def smoothstep(x: np.ndarray) -> np.ndarray:
 def averages(values: np.ndarray, weights: np.ndarray, radius: float, fallback: float = 0.0) -> np.ndarray:
     """Average values (h, w, c) float32 by weights (h, w, 1), and ``fallback`` everywhere, in two boxes of a radius."""
     sums = np.concatenate([values * weights, weights], axis=2).astype(np.float32)
-    everywhere = fallback * sums.mean(axis=(0, 1))
+    everywhere = fallback * np.array(cv2.mean(sums)[: sums.shape[2]], np.float32)
     width = 2 * round(radius) + 1
     sums = cv2.blur(cv2.blur(sums, (width, width)), (width, width)) + everywhere
     return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)

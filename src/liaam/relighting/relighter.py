@@ -35,7 +35,7 @@ Steadied = Callable[[Shading], Shading]
 
 NOTHING = np.zeros((0, 0, 3), np.float32)
 NO_REGION = Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0)))
-NO_SURROUNDINGS = Surroundings(np.zeros((0, 0), bool), NOTHING, NOTHING, NOTHING, 0.0)
+NO_SURROUNDINGS = Surroundings(np.zeros((0, 0), bool), NOTHING, NOTHING, NOTHING, NOTHING, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,25 +152,8 @@ class Relighter:
         """Mean certainty inside the mesh; 0 if the object is outside the image."""
         return float(np.nanmean(self.certainty())) if self.inside.any() else 0.0
 
-    def under(self, direction: Sequence[float], ambient: float = AMBIENT) -> np.ndarray:
-        """Return the image with the object under a distant lamp, (h, w, 3) uint8; see :meth:`under_lamps`.
-
-        Parameters
-        ----------
-        direction : (3,) float
-            Direction to the lamp: x to the right, y down, z to the viewer; its length does not matter.
-        ambient : float
-            Fraction of ambient light, 0 to 1.
-
-        Raises
-        ------
-        LiaamError
-            For a zero or non-finite direction, and for ambient light out of range.
-        """
-        return self.under_lamps([Lamp(direction)], ambient)
-
-    def under_lamps(self, lamps: Sequence[Lamp], ambient: float = AMBIENT) -> np.ndarray:
-        """Return the image with the object under several distant lamps, (h, w, 3) uint8.
+    def under(self, light: Light, ambient: float = AMBIENT) -> np.ndarray:
+        """Return the image with the object under distant lamps, (h, w, 3) uint8.
 
         Uses Lambert's law on the inflated surface, relative to a frontal lamp: under one white lamp from (0, 0, 1) the
         object is as in :meth:`flat`. A lamp from the side gives less light on average. Half of this loss (in
@@ -179,16 +162,18 @@ class Relighter:
 
         Parameters
         ----------
-        lamps : sequence of Lamp
-            May be empty: then there is ambient light only.
+        light : (3,) float, Lamp, or sequence of Lamp
+            Direction to a lamp (x to the right, y down, z to the viewer; its length does not matter), or lamps. Without
+            lamps there is ambient light only.
         ambient : float
             Fraction of white ambient light, 0 to 1.
 
         Raises
         ------
         LiaamError
-            For ambient light out of range.
+            For a zero or non-finite direction, and for ambient light out of range.
         """
+        lamps = lamps_of(light)
         check_ambient(ambient)
         if not self.inside.any():
             return self.picture.copy()
@@ -277,7 +262,7 @@ def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respons
         return ()
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
     surroundings = Surroundings.of(inside, region.reduced(own) - lit, region.reach)
-    light, whole = spared(own, surroundings.spread(painted, lit), surroundings.belongs, region)
+    light, whole = spared(own, surroundings.spread(painted, lit), surroundings, region)
     return region, below_white(whole - region.enlarged(light), whole), own, surroundings
 
 
@@ -354,7 +339,7 @@ def relight(
 def lamps_of(light: Light) -> list[Lamp]:
     """Return the lamps of a direction, a lamp or several lamps."""
     several: list = [light] if isinstance(light, Lamp) else list(light)
-    return several if several and all(isinstance(lamp, Lamp) for lamp in several) else [Lamp(several)]
+    return several if all(isinstance(lamp, Lamp) for lamp in several) else [Lamp(several)]
 
 
 def shown(
@@ -363,7 +348,7 @@ def shown(
     """Show an object under lamps, or the light of another image, or that of training."""
     if other is not None:
         return relighter.like(other)
-    return relighter.flat() if lamps is None else relighter.under_lamps(lamps, ambient)
+    return relighter.flat() if lamps is None else relighter.under(lamps, ambient)
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:

@@ -108,7 +108,7 @@ def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.nd
     """Return the change of log light around an object in a region of an image, (h, w, 3) float32; 0 without lamps."""
     if model.light is None or not coordinates.any():
         return np.zeros((*region.small[::-1], 3), np.float32)
-    change = np.tensordot(coordinates.astype(np.float32), model.light.modes.astype(np.float32), axes=1)
+    change = np.tensordot(coordinates.astype(np.float32), model.light.modes, axes=1)
     origin, right, down = in_field(align(model.light.mean, region.shape).inverse()(np.eye(3, 2, -1))).astype(np.float64)
     pose = np.column_stack([right - origin, down - origin, origin])
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

@@ -250,7 +250,7 @@ class Fits:
             return layer, {"box": box}
         if what == "shading":
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
-        return averaged(relighter.under_lamps(*light) if what == "relit" and light else relighter.flat(), to), None
+        return averaged(relighter.under(*light) if what == "relit" and light else relighter.flat(), to), None
 
     def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
