@@ -177,9 +177,9 @@ class Relighter:
         check_ambient(ambient)
         if not self.inside.any():
             return self.picture.copy()
-        light, frontal = (light_of(given, self.normals, ambient) for given in (lamps, [Lamp((0.0, 0.0, 1.0))]))
-        exposure = min(float(frontal[self.inside].mean() / light[self.inside].mean()) ** 0.5, LONGEST)
-        return self._changed(self.surroundings.share * np.log(exposure * light / frontal))
+        made, frontal = (light_of(given, self.normals, ambient) for given in (lamps, [Lamp((0.0, 0.0, 1.0))]))
+        exposure = min(float(frontal[self.inside].mean() / made[self.inside].mean()) ** 0.5, LONGEST)
+        return self._changed(self.surroundings.share * np.log(exposure * made / frontal))
 
     def like(self, other: "Relighter") -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
