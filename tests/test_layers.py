@@ -28,7 +28,7 @@ LAYERS = (
     ("photometry",),
     ("io",),
     ("drawing", "evaluation", "models", "progress", "tables", "workers"),
-    ("_core", "lazy", "reference"),
+    ("_core", "reference"),
     ("errors",),
 )
 """Packages and modules of liaam from high to low. Those of one row do not import each other in a circle."""

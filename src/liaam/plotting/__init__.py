@@ -1,8 +1,6 @@
 """Overlays of fits on images, and figures of models, lamps, cameras and videos."""
 
-from typing import TYPE_CHECKING
-
-from liaam.lazy import submodules
+from liaam.plotting import photometry as photometry, video as video
 from liaam.plotting.figures import (
     figure_of_fits,
     figure_of_lamps,
@@ -27,8 +25,3 @@ __all__ = [
     "show_picture",
     "subplots",
 ]
-
-if TYPE_CHECKING:
-    from liaam.plotting import photometry as photometry, video as video
-else:
-    __getattr__ = submodules(__name__, "photometry", "video")

@@ -14,11 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ACROSS = 5
-"""Images in a row."""
-
-TRUTH = "#ff4060"
-"""Colour of given landmarks beside fitted ones."""
+ACROSS = 5  # Images in a row
+TRUTH = "#ff4060"  # Colour of given landmarks beside fitted ones
 
 
 def plot_cumulative(errors: np.ndarray, limit: float, label: str, ax: "Axes | None" = None) -> "Axes":

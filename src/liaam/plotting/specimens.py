@@ -13,8 +13,7 @@ from liaam.plotting.figures import subplots
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_NAMED = 60
-"""Number of specimens up to which their names are written beside their shapes."""
+MOST_NAMED = 60  # Number of specimens up to which their names are written beside their shapes
 
 
 def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
