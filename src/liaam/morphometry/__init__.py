@@ -4,7 +4,7 @@ from liaam.morphometry.curves import with_even_curves
 from liaam.morphometry.measures import Measure, ScaleBar
 from liaam.morphometry.replicates import measurement_error
 from liaam.morphometry.specimens import Specimen, read_specimens
-from liaam.morphometry.table import alike, measure, write_measurements
+from liaam.morphometry.table import alike, measure
 
 __all__ = [
     "Measure",
@@ -15,5 +15,4 @@ __all__ = [
     "measurement_error",
     "read_specimens",
     "with_even_curves",
-    "write_measurements",
 ]

@@ -19,6 +19,8 @@ def _line(text: str, *words: str) -> list[str]:
     return text.format(*words).split()
 
 
+# Schemes by name. In turn: the names of landmarks along a line, the number of points at even distances on it with both
+# ends, and which of these are landmarks of the scheme. {} stands for the middle between right and left.
 SCHEMES = {
     "ibug-68": (
         (_line(_JAW, "right"), 9, slice(None)),
@@ -42,8 +44,6 @@ SCHEMES = {
         (_line(_INNER, "right", "lower", "top")[::-1], 6, slice(2, 3)),
     ),
 }
-"""Schemes by name. In turn: the names of landmarks along a line, the number of points at even distances on it with both
-ends, and which of these are landmarks of the scheme. ``{}`` stands for the middle between right and left."""
 
 
 def in_scheme(points: np.ndarray, names: Sequence[str], scheme: str) -> np.ndarray:
