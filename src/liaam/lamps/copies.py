@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from liaam.lamps.bank import Lamps
@@ -10,14 +11,10 @@ from liaam.model.sampling import corners_around
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 
-AROUND = 0.5
-"""Margin of a crop, as a fraction of the object's diagonal."""
-
-FINER = 2.0
-"""An image is averaged down if it exceeds the required resolution by more than this factor."""
-
+AROUND = 0.5  # Margin of a crop, as a fraction of the object's diagonal
+FINER = 2.0  # An image is averaged down if it exceeds the required resolution by more than this factor
+# Largest number of images and copies together, if that allows a copy of each image; otherwise there is one of each
 MOST = 1200
-"""Largest number of images and copies together, if that allows a copy of each image; otherwise there is one of each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +102,6 @@ def mirrored(
 
 def close_up(image: np.ndarray, points: np.ndarray, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
     """Crop an object, average it down to about twice a diagonal in pixels, and map its landmarks."""
-    import cv2  # heavy: imported when first needed
-
     low, high = corners_around(image, points, AROUND, 0.0)
     part, points = image[low[1] : high[1], low[0] : high[0]], points - low
     factor = int(diagonal_of(points) / (FINER * diagonal))

@@ -63,11 +63,9 @@ def landmark_covariances(basis: np.ndarray, covariance: np.ndarray) -> np.ndarra
     return columns.transpose(1, 2, 0) @ transformed.transpose(1, 0, 2)
 
 
+# Upper bound of variances, in square pixels. A fit has infinite variance in directions without information.
 LARGEST = 1e6
-"""Upper bound of variances, in square pixels. A fit has infinite variance in directions without information."""
-
-LEAST = 1e-6
-"""Minimum variance of a coordinate, in square pixels, since the filter divides by it."""
+LEAST = 1e-6  # Minimum variance of a coordinate, in square pixels, since the filter divides by it
 
 
 def rescaled(shape: np.ndarray, before: tuple[int, int], after: tuple[int, int]) -> np.ndarray:
