@@ -63,14 +63,9 @@ def within_ellipses(shape: np.ndarray, truth: np.ndarray, covariances: np.ndarra
 
 
 def contour_directions(shapes: np.ndarray, contours: Contours) -> np.ndarray:
-    """Directions of contours at their landmarks: unit vectors (..., n, 2) float64; NaN at other landmarks.
+    """Directions of contours of shapes (..., n, 2) at their landmarks: unit vectors, float64; NaN at other landmarks.
 
     Contours of two landmarks are no curves, and landmarks where contours meet do not slide: they do not count.
-
-    Parameters
-    ----------
-    shapes : (..., n, 2) float
-    contours : sequence of (indices, closed)
     """
     shapes = np.asarray(shapes, np.float64)
     before, after = _neighbours(tuple((tuple(indices), closed) for indices, closed in contours), shapes.shape[-2])
@@ -93,10 +88,7 @@ def _neighbours(contours: tuple[tuple[tuple[int, ...], bool], ...], n: int) -> t
 
 
 def contour_axes(shapes: np.ndarray, contours: Contours) -> np.ndarray:
-    """Unit vectors along and across contours at their landmarks, (..., n, 2, 2) float64; x and y at other landmarks.
-
-    ``shapes`` and ``contours`` are those of :func:`contour_directions`.
-    """
+    """Unit vectors along and across contours at their landmarks, (..., n, 2, 2) float64; x and y at other landmarks."""
     along = contour_directions(shapes, contours)
     return _axes(np.where(np.isnan(along), [1.0, 0.0], along))
 
@@ -125,13 +117,7 @@ def along_and_across(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
 def within_intervals(errors: np.ndarray, covariances: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Whether the 95 % intervals along and across directions hold errors, (..., n, 2) float64: 1, 0, or NaN.
 
-    Parameters
-    ----------
-    errors : (..., n, 2) float
-        Fitted minus true landmarks.
-    covariances : (..., n, 2, 2) float
-    directions : (..., n, 2) float
-        Unit vectors; NaN where there is none.
+    Errors are fitted minus true landmarks, and directions unit vectors, (..., n, 2); NaN where there is none.
     """
     found = along_and_across(errors, directions)
     axes = _axes(directions)
@@ -146,11 +132,6 @@ def outline_errors(shape: np.ndarray, truth: np.ndarray, contours: Contours) -> 
 
     Landmarks along a contour are often labelled a little before or after where they belong, and fits slide along it:
     the distance to the contour is what can be seen in the image.
-
-    Parameters
-    ----------
-    shape, truth : (n, 2) float
-    contours : sequence of (indices, closed)
     """
     errors, on_contour = landmark_errors(shape, truth), ~np.isnan(contour_directions(truth, contours)[:, 0])
     for indices, closed in _curves(contours):

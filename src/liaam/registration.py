@@ -235,12 +235,11 @@ def _levels(
     ]
     # All levels have the same pixels; they differ in blur only.
     from_a, size = patches[0].from_image, patches[0].channels.shape[:2]
-
-    def reduced(image: np.ndarray) -> np.ndarray:
-        return image if image.shape[:2] == size else cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
-
-    wanted = np.ones(size, dtype=bool) if mask is None else reduced(mask.astype(np.float32)) > 0.999
-    luminance = reduced(np.ascontiguousarray(stored_values(a) @ LUMINANCE[0].astype(np.float32)))
+    wanted = np.ones(size, dtype=bool)
+    if mask is not None:
+        wanted = cv2.resize(mask.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA) > 0.999
+    luminance = stored_values(a) @ LUMINANCE[0].astype(np.float32)
+    luminance = cv2.resize(luminance, size[::-1], interpolation=cv2.INTER_AREA)
     noise = float(noise_deviation(a) * np.linalg.norm(LUMINANCE) * np.sqrt(np.prod(size) / (height * width)))
     levels = []
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):

@@ -79,7 +79,18 @@ def theta_from_image(image: np.ndarray, response: Response = "srgb") -> AngleEst
     ImageError
         If the array is not an image.
     """
-    log_rgb, blocks = _usable_pixels(image, response)
+    image = as_colour(image)
+    refuse_grey(image, "image", "an angle needs colour", CameraError)
+    reduce = int(np.ceil(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
+    encoded = encode(image, "log", response, blur=SMOOTHING, reduce=max(reduce, 1))
+    usable = encoded[..., 3] > 0
+    if usable.sum() < FEWEST_PIXELS:
+        raise CameraError(
+            f"only {usable.sum()} of the image's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
+            "give one that is neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
+        )
+    rows, columns = (np.arange(size) * BLOCKS // size for size in usable.shape)
+    log_rgb, blocks = encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
     histograms, width = _histograms(log_rgb, blocks, KEPT)
     whole = [counts.sum(axis=0, keepdims=True) for counts in histograms]
     entropies, others = (_curve(kind, whole)[0] for kind in ("quadratic", "shannon"))
@@ -141,23 +152,6 @@ def entropy_curve(
         raise CameraError(f"entropy {kind!r} is unknown: give one of {', '.join(get_args(Entropy))}")
     log_rgb = np.asarray(log_rgb, dtype=np.float32).reshape(-1, 3)
     return THETAS.copy(), _curve(kind, _histograms(log_rgb, np.zeros(len(log_rgb), dtype=np.int64), keep)[0])[0]
-
-
-def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed log-RGB of well-exposed pixels (n, 3) float32, and their block (n,)."""
-    image = as_colour(image)
-    refuse_grey(image, "image", "an angle needs colour", CameraError)
-    reduce = int(np.ceil(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
-    encoded = encode(image, "log", response, blur=SMOOTHING, reduce=max(reduce, 1))
-    height, width = encoded.shape[:2]
-    rows, columns = np.arange(height) * BLOCKS // height, np.arange(width) * BLOCKS // width
-    usable = encoded[..., 3] > 0
-    if usable.sum() < FEWEST_PIXELS:
-        raise CameraError(
-            f"only {usable.sum()} of the image's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
-            "give one that is neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
-        )
-    return encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
 
 
 def _histograms(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> tuple[list[np.ndarray], float]:

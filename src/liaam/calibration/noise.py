@@ -267,15 +267,6 @@ def _size(picture: np.ndarray) -> str:
     return f"{picture.shape[1]}×{picture.shape[0]} pixels of {picture.dtype}"
 
 
-def _weakest(blocks: np.ndarray) -> np.ndarray:
-    """Blocks of the least texture in each class of brightness."""
-    fraction = max(WEAKEST, min(1.0, FEWEST / len(blocks)))
-    texture = blocks["energy"][:, TREND + 1 : COARSE].sum(axis=1)
-    classes = np.array_split(np.argsort(blocks["level"]), int(np.clip(len(blocks) // BIN, 1, BINS)))
-    best = [class_[np.argsort(texture[class_])[: int(np.ceil(fraction * len(class_)))]] for class_ in classes]
-    return blocks[np.concatenate(best)]
-
-
 def _line(blocks: np.ndarray, low: int, high: int = 2 * SIDE - 2, start: np.ndarray | None = None) -> np.ndarray:
     """Fit slope and offset, (2,) float64, to the variance of blocks in the degrees low to high.
 
@@ -307,7 +298,13 @@ def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> N
     if len(noisy) < FEWEST:
         return _below_rounding(blocks)
     low = FINE if single else TREND + 1
-    used, line = _fitted(_weakest(noisy) if single else noisy, low, single)
+    if single:  # the blocks of the least texture in each class of brightness
+        fraction = max(WEAKEST, min(1.0, FEWEST / len(noisy)))
+        texture = noisy["energy"][:, TREND + 1 : COARSE].sum(axis=1)
+        classes = np.array_split(np.argsort(noisy["level"]), int(np.clip(len(noisy) // BIN, 1, BINS)))
+        best = [class_[np.argsort(texture[class_])[: int(np.ceil(fraction * len(class_)))]] for class_ in classes]
+        noisy = noisy[np.concatenate(best)]
+    used, line = _fitted(noisy, low, single)
     reach = 3 * np.sqrt(used["level"] * line[0] + line[1])
     used = _enough(used[(used["level"] > reach) & (used["level"] < white - reach)])  # clipping hides noise
     used, line = _fitted(used, low, single)

@@ -167,8 +167,13 @@ def calibrate_response(
     >>> calibrate_response([dark, bright], exposures=(1, 2)).observable  # two stored values do not define a curve
     False
     """
-    pictures = checked_pictures(images)
-    logs = _log_ratios(exposures, len(pictures))
+    pictures, logs = checked_pictures(images), None
+    if exposures is not None:  # logarithms relative to the first
+        values = np.asarray(exposures, dtype=np.float64)
+        if values.shape != (len(pictures),) or not np.isfinite(values).all() or (values <= 0).any():
+            fault = f"exposures {list(exposures)}: give one positive number for each of the {len(pictures)} images"
+            raise CameraError(fault)
+        logs = np.log(values / values[0])
     measured = observe(pictures, checked_maps(homographies, pictures))
     if unlinked := _unlinked(measured, logs, response):
         return unlinked
@@ -221,16 +226,6 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
         return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
     message = f"From {measured.n} blocks of an evenly lit surface; light falling off to all sides has the same effect."
     return _vignetting_estimate(found.x[:TERMS], covariance, message)
-
-
-def _log_ratios(exposures: Sequence[float] | None, count: int) -> np.ndarray | None:
-    """Logarithms of the exposures relative to the first."""
-    if exposures is None:
-        return None
-    values = np.asarray(exposures, dtype=np.float64)
-    if values.shape != (count,) or not np.isfinite(values).all() or (values <= 0).any():
-        raise CameraError(f"exposures {list(exposures)}: give one positive number for each of the {count} images")
-    return np.log(values / values[0])
 
 
 def _unlinked(measured: Blocks, logs: np.ndarray | None, response: Response | None) -> RadiometricEstimate | None:

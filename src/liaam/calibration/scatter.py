@@ -41,14 +41,10 @@ SURE = 0.7  # Quantile of the F distribution above which the standard error is t
 class Surfaces:
     """Measurements of n surfaces under m lights."""
 
-    log_rgb: np.ndarray
-    """(n, m, 3) float64: logarithm of the mean linear light of a surface under a light."""
-    variance: np.ndarray
-    """(n, m, 3) float64: its variance by noise."""
-    exposed: np.ndarray
-    """(n, m) bool: whether the surface is neither dark nor saturated."""
-    clusters: np.ndarray
-    """(n,) int: errors within a cluster are correlated, and the jackknife leaves out whole clusters."""
+    log_rgb: np.ndarray  # (n, m, 3) float64: logarithm of the mean linear light of a surface under a light
+    variance: np.ndarray  # (n, m, 3) float64: its variance by noise
+    exposed: np.ndarray  # (n, m) bool: whether the surface is neither dark nor saturated
+    clusters: np.ndarray  # (n,) int: errors in a cluster are correlated, so the jackknife leaves out whole clusters
 
     def only(self, chosen: np.ndarray | slice) -> "Surfaces":
         """Return some of the surfaces, by mask, indices or slice."""

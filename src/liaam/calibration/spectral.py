@@ -111,7 +111,14 @@ def theta_from_sensitivities(
     nm, curves = np.asarray(wavelengths_nm, dtype=np.float64), np.asarray(sensitivities, dtype=np.float64)
     _check_curves(nm, curves)
     nm, curves = _resampled(nm, curves)
-    responses = {name: _responses(nm, curves, power) for name, power in _series(nm, lights, kelvin).items()}
+    # A neutral surface, then eight hues of moderate saturation and one low frequency: frequency-limited reflectances
+    # after Stiles, Wyszecki and Ohta (JOSA 1977).
+    hues = 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - np.arange(8)[:, None] / 8))
+    surfaces, weighted = np.vstack([np.ones_like(nm), hues]), curves * _trapezoid_weights(nm)[:, None]
+    responses = {
+        name: np.einsum("kn,mn,nc->kmc", surfaces, power, weighted, optimize=True)
+        for name, power in _series(nm, lights, kelvin).items()
+    }
     responsive = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
     if not responsive[0]:
         raise CameraError(
@@ -211,17 +218,6 @@ def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[st
         raise CameraError(f"there is no CIE daylight from {cold:g} to {hot:g} K; give lights='planckian'")
     day = {"daylight": daylight(nm, even_in_mired(max(cold, COLDEST_DAYLIGHT)))}
     return day if lights == "daylight" else {"planckian": planckian(nm, even_in_mired(cold)), **day}
-
-
-def _responses(nm: np.ndarray, curves: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Responses (k, m, 3) of the camera to a neutral surface, then to eight hues, under each light (trapezoidal rule).
-
-    The hues are of moderate saturation and one low frequency: frequency-limited reflectances after Stiles, Wyszecki and
-    Ohta (JOSA 1977).
-    """
-    phases = np.arange(8)[:, None] / 8
-    surfaces = np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
-    return np.einsum("kn,mn,nc->kmc", surfaces, power, curves * _trapezoid_weights(nm)[:, None], optimize=True)
 
 
 def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:

@@ -21,16 +21,13 @@ MOST = 1200
 class Copies:
     """Plan of the copies of training images."""
 
-    lamps: Lamps | None
-    """Lamps for relit copies; without lamps, copies keep the training light."""
-    counts: np.ndarray
-    """(n,) int: number of copies of each image."""
+    lamps: Lamps | None  # for relit copies; without lamps, copies keep the training light
+    counts: np.ndarray  # (n,) int: number of copies of each image
+    # (n_points,) int: index of each landmark's mirror image, for symmetric objects: half of the copies are mirrored
     order: np.ndarray | None = None
-    """(n_points,) int: index of each landmark's mirror image (:func:`liaam.model.shape.mirror_order`), for symmetric
-    objects: half of the copies are mirrored."""
+    # Distance by which landmarks lie to the right of where they should, in image pixels. Those of mirrored copies are
+    # moved to lie on the same side of the object
     offset: float = 0.0
-    """Distance by which landmarks lie to the right of where they should, in image pixels. Those of mirrored copies are
-    moved to lie on the same side of the object."""
 
     @classmethod
     def of(cls, lamps: Lamps | None, n: int, each: int, order: np.ndarray | None) -> "Copies":

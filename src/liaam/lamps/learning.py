@@ -111,19 +111,13 @@ def _lamp_of(picture: Sample) -> str:
 def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> str:
     """Name of the training lamp: the given one, or the only one that all objects have in common."""
     counts = Counter(lamp for pictures in objects.values() for lamp in set(map(_lamp_of, pictures)))
-    if requested is not None:
-        if requested not in counts:
-            raise TrainingError(
-                f"no image has the lamp {requested!r} in its name; choose from {', '.join(sorted(counts))}"
-            )
-        return requested
-    common = [lamp for lamp, count in counts.items() if count == len(objects)]
-    if len(common) != 1:
-        raise TrainingError(
-            f"the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...); choose from "
-            f"{', '.join(sorted(counts))}"
-        )
-    return common[0]
+    fitting = [lamp for lamp, n in counts.items() if (n == len(objects) if requested is None else lamp == requested)]
+    if len(fitting) == 1:
+        return fitting[0]
+    fault = f"no image has the lamp {requested!r} in its name"
+    if requested is None:
+        fault = "the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...)"
+    raise TrainingError(f"{fault}; choose from {', '.join(sorted(counts))}")
 
 
 def _base(name: str, pictures: list[Sample], training_lamp: str) -> Sample:

@@ -47,25 +47,10 @@ SCHEMES = {
 
 
 def in_scheme(points: np.ndarray, names: Sequence[str], scheme: str) -> np.ndarray:
-    """Place the landmarks of a scheme along lines through the landmarks of a face.
+    """Place the landmarks of a scheme, (m, 2) float64, along lines through the landmarks of a face, (n, 2).
 
-    Parameters
-    ----------
-    points : (n, 2)
-        Landmarks, pixels.
-    names : sequence of str
-        Their names, those of the face model that comes with liaam.
-    scheme : str
-        A name of :data:`SCHEMES`: ``ibug-68`` for the 68 landmarks of iBUG's 300-W.
-
-    Returns
-    -------
-    (m, 2) float64
-
-    Raises
-    ------
-    LiaamError
-        If the scheme is unknown, or the landmarks lack one that it needs.
+    The names are those of the face model that comes with liaam. The scheme ``ibug-68`` has the 68 landmarks of iBUG's
+    300-W.
     """
     if scheme not in SCHEMES:
         raise LiaamError(f"scheme {scheme!r} is unknown; choose from {', '.join(SCHEMES)}")

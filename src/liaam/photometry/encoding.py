@@ -217,12 +217,9 @@ def encode(
 class Means(NamedTuple):
     """Linear light of blocks of pixels."""
 
-    light: np.ndarray
-    """(rows, columns, 4) float32: R, G, B, and the fraction of usable pixels."""
-    finite: np.ndarray | None = None
-    """(rows, columns) float32: the fraction of finite pixels; None if all are finite."""
-    grey: bool = False
-    """Whether the image is grey, so that colours are unusable."""
+    light: np.ndarray  # (rows, columns, 4) float32: R, G, B, and the fraction of usable pixels
+    finite: np.ndarray | None = None  # (rows, columns) float32: the fraction of finite pixels; None if all are finite
+    grey: bool = False  # whether the image is grey, so that colours are unusable
 
     def averaged(self, start: tuple[float, float], size: float, shape: tuple[int, int]) -> "Means":
         """Average blocks of ``size`` by ``size`` blocks; the first starts at ``start`` (x, y)."""

@@ -22,16 +22,9 @@ LARGEST = 1e6  # Largest magnitude of a channel
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What a model knows of a function of the user.
+    """What a model knows of a function of the user: its name and, of its c channels, mean (c,) and projection (c, w).
 
-    Attributes
-    ----------
-    name : str
-        Name of the function.
-    mean : (c,) float64
-        Mean of each channel in the training images.
-    projection : (c, w) float64
-        Orthonormal columns; the w channels that are compared are ``(channels - mean) @ projection``.
+    The columns are orthonormal, and the w channels that are compared are ``(channels - mean) @ projection``.
     """
 
     name: str

@@ -12,12 +12,6 @@ from liaam.model import AAM
 GREEN, YELLOW = (64, 255, 140), (255, 220, 64)  # Colours of landmarks; of their ellipses and expected positions
 
 
-def mesh_edges(triangles: np.ndarray) -> np.ndarray:
-    """Return the unique edges of a mesh, (m, 2) int."""
-    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    return np.unique(pairs, axis=0)
-
-
 def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:
     """Return a copy of an image to draw on, (h', w', 3) uint8, enlarged if small, and the zoom factor."""
     picture = as_picture(image)
@@ -58,8 +52,10 @@ def overlay(
     points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -1e6, 1e6)
     fixed = np.rint(points * 16).astype(np.int32)
     faint = picture.copy()
-    edges = fixed[mesh_edges(model.triangles)].reshape(-1, 2, 1, 2)
-    cv2.polylines(faint, list(edges), False, GREEN, thick, cv2.LINE_AA, 4)
+    edges = np.sort(model.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    cv2.polylines(
+        faint, list(fixed[np.unique(edges, axis=0)].reshape(-1, 2, 1, 2)), False, GREEN, thick, cv2.LINE_AA, 4
+    )
     weight = 0.35 if model.contours else 0.6
     picture = cv2.addWeighted(faint, weight, picture, 1 - weight, 0)
     for indices, closed in model.contours:
