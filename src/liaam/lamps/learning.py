@@ -111,9 +111,10 @@ def _lamp_of(picture: Sample) -> str:
 def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> str:
     """Name of the training lamp: the given one, or the only one that all objects have in common."""
     counts = Counter(lamp for pictures in objects.values() for lamp in set(map(_lamp_of, pictures)))
-    fitting = [lamp for lamp, n in counts.items() if (n == len(objects) if requested is None else lamp == requested)]
-    if len(fitting) == 1:
-        return fitting[0]
+    common = [lamp for lamp, count in counts.items() if count == len(objects)]
+    suited = common if requested is None else [lamp for lamp in counts if lamp == requested]
+    if len(suited) == 1:
+        return suited[0]
     fault = f"no image has the lamp {requested!r} in its name"
     if requested is None:
         fault = "the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...)"

@@ -173,7 +173,7 @@ def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.nd
     pictures = [*zip(titles, [image, *lamps.relit(image, points, shown)], strict=True)]
     across = min(len(pictures), LAMPS_ACROSS)
     pictures += [(" " * i, None) for i in range(-len(pictures) % across)]
-    figure = figure_of_pictures([dict(row) for row in zip(*[iter(pictures)] * across, strict=True)], 1.6)
+    figure = figure_of_pictures([dict(pictures[i : i + across]) for i in range(0, len(pictures), across)], 1.6)
     figure.axes[0].plot(*points.T, ".", color="white", ms=1.5)
     return figure
 
