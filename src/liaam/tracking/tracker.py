@@ -27,6 +27,7 @@ from liaam.tracking.motion import Motion, landmark_covariances, rescaled
 
 # Maximum mean distance between prediction and fit of the same object, as a fraction of the object's diagonal
 JUMP = 0.25
+LEVELS, ITERATIONS = 1, 20  # Of a fit from a prediction: number of finest levels, and most iterations at each
 SLOWING = 0.7  # Factor of the velocity per frame in which the object is lost
 FIRST_SPEED = 0.01  # Prior standard deviation of the speed, as a fraction of the object's diagonal per frame
 # Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
@@ -47,10 +48,6 @@ class TrackingOptions:
     ----------
     smooth : bool
         Whether to smooth landmarks over time.
-    levels : int
-        Number of finest levels of the model used for fits from a prediction. Other fits use all levels.
-    iterations : int
-        Maximum number of iterations of a fit from a prediction, at each level.
     patience : int
         Number of frames after a loss in which the object is expected at its last position.
     longest_wait : int
@@ -61,16 +58,14 @@ class TrackingOptions:
     """
 
     smooth: bool = True
-    levels: int = 1
-    iterations: int = 20
     patience: int = 8
     longest_wait: int = 32
     review: int = 48
 
     def __post_init__(self) -> None:
         """Raise if an option is out of range."""
-        if min(self.levels, self.iterations, self.longest_wait) < 1 or min(self.patience, self.review) < 0:
-            raise MethodError("levels, iterations and longest_wait must be at least 1, patience and review at least 0")
+        if self.longest_wait < 1 or min(self.patience, self.review) < 0:
+            raise MethodError("longest_wait must be at least 1, patience and review at least 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +138,10 @@ class Tracker:
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
         # early_tolerance=0: stopping early would leave the landmarks between the previous frame's and this one's.
-        near = SolverOptions(
-            max_iterations=self.options.iterations, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0
-        )
+        near = SolverOptions(max_iterations=ITERATIONS, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0)
         self._of_parts = []
         for part in self.fitter.parts:
-            few = sharpest(part.model, self.options.levels)
+            few = sharpest(part.model, LEVELS)
             fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
             self._of_parts.append((fitter, part, Motion(part.shapes)))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
