@@ -41,8 +41,7 @@ FreeBalance = Annotated[
 ]
 CAMERA_FILE = Path("camera.json")
 
-FAR = 0.04
-"""Movement, as a fraction of the image size, above which to warn that the scene may not be flat."""
+FAR = 0.04  # Movement, as a fraction of the image size, above which to warn that the scene may not be flat
 
 
 @group.command()
