@@ -25,9 +25,10 @@ from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_c
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 
-# Gradient orientations do not depend on the light's intensity, and the robust loss rejects the edges of cast shadows.
-# Measured on posters and real objects: more accurate than li, chroma and grey.
 METHOD = "igo+tukey"
+"""Gradient orientations do not depend on the light's intensity, and the robust loss rejects the edges of cast shadows.
+Measured on posters and real objects: more accurate than ``li``, ``chroma`` and ``grey``."""
+
 # Blur and sampling distance of each level, coarse to fine, in pixels of the reduced image
 LEVELS = ((8.0, 4), (4.0, 2), (2.0, 1), (1.0, 1), (0.5, 1))
 SHARP = 1.0  # Blur below which a level is used for clear images only
