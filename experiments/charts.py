@@ -8,12 +8,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.evaluation import cumulative_errors
-from liaam.plotting.figures import COLOURS, LINE_WIDTH, base_of, colour_of, subplots
+from liaam.plotting.figures import LINE_WIDTH, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+COLOURS = {
+    "soft-li": "#7b2ff2",
+    "grey": "#9a9a9a",
+    "rgb": "#e8743b",
+    "li": "#19a979",
+    "li-lit": "#0f6e4f",
+    "li-pc": "#5899da",
+    "li-pcs": "#1d4e89",
+    "chroma": "#b565a7",
+    "grey-plain": "#5c5c5c",
+    "grey-norm": "#8a7f5c",
+    "varied": "#9c5b3b",
+    "aia": "#d4a017",
+    "igo": "#c2185b",
+}
+"""Colour of each method in all figures."""
 
 MARKERS = {
     "grey": "s",
@@ -44,6 +61,16 @@ FLOOR = 1e-3
 
 OTHERS = ("#1d4e89", "#e8743b", "#19a979", "#b565a7", "#d4a017", "#5c5c5c")
 """Colours of curves that do not show a method, in turn."""
+
+
+def base_of(method: str) -> str:
+    """Return the name of a method without its suffixes (``li`` for ``li+noise``)."""
+    return method.partition("+")[0]
+
+
+def colour_of(method: str) -> str:
+    """Return the colour of a method, with or without suffixes; dark grey for methods not in :data:`COLOURS`."""
+    return COLOURS.get(base_of(method), "#222222")
 
 
 def style_of(method: str, n_points: int) -> dict[str, Any]:

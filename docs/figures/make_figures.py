@@ -22,8 +22,8 @@ from liaam.demo import run_demo
 from liaam.io import Landmarks
 from liaam.lamps import learn_lamps
 from liaam.photometry import CameraModel, invariant_image
-from liaam.plotting import figure_of_lamps
-from liaam.plotting.photometry import figure_of_invariants, save_figure
+from liaam.plotting import figure_of_lamps, save_figure
+from liaam.plotting.photometry import figure_of_invariants
 from scenes import (
     DIFFUSE,
     Camera,

@@ -5,6 +5,7 @@ other. The public names below load on first use, so that ``import liaam`` is qui
 """
 
 from importlib import import_module
+from itertools import chain
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # with "as", so that type checkers take them as public
@@ -57,88 +58,38 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "AAM",
-    "METHODS",
-    "CameraModel",
-    "Dataset",
-    "Detection",
-    "Evaluation",
-    "FitResult",
-    "FitStatus",
-    "Fitter",
-    "LabelFault",
-    "Landmarks",
-    "LiaamError",
-    "Method",
-    "Registration",
-    "Sample",
-    "SolverOptions",
-    "Specimen",
-    "TrackedFrame",
-    "Tracker",
-    "TrackingOptions",
-    "TrainingOptions",
-    "compact",
-    "cross_validate",
-    "evaluate",
-    "find",
-    "find_label_faults",
-    "fit",
-    "fit_all",
-    "fit_many",
-    "invariant_image",
-    "load_camera",
-    "load_folder",
-    "load_model",
-    "measure",
-    "read_image",
-    "read_landmarks",
-    "read_specimens",
-    "register",
-    "relight",
-    "theta_from_chart",
-    "theta_from_scene",
-    "to_dataframe",
-    "track_video",
-    "train",
-    "write_image",
-    "write_landmarks",
-]
-
 _HOMES = {
     "accuracy": ("Evaluation", "cross_validate", "evaluate"),
+    "batch": (),
     "calibration": ("theta_from_chart", "theta_from_scene"),
     "datasets": ("Dataset", "Sample", "load_folder"),
     "datasets.label_faults": ("LabelFault", "find_label_faults"),
     "errors": ("LiaamError",),
+    "evaluation": (),
     "fitting": (
-        "METHODS",
-        "Detection",
-        "FitResult",
-        "FitStatus",
-        "Fitter",
-        "Method",
-        "SolverOptions",
-        "find",
-        "fit",
-        "fit_all",
-        "fit_many",
+        *("METHODS", "Detection", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions"),
+        *("find", "fit", "fit_all", "fit_many"),
     ),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
+    "lamps": (),
     "model": ("AAM", "load_model"),
     "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),
+    "plotting": (),
     "registration": ("Registration", "register"),
     "relighting": ("relight",),
     "tables": ("to_dataframe",),
     "tracking": ("TrackedFrame", "Tracker", "TrackingOptions", "track_video"),
     "training": ("TrainingOptions", "compact", "train"),
 }
-_SUBMODULES = (
-    *("accuracy", "batch", "calibration", "datasets", "errors", "evaluation", "fitting", "io", "lamps", "model"),
-    *("morphometry", "photometry", "plotting", "registration", "relighting", "tracking", "training"),
-)
+"""The names of each module that are also names of the package. They and the modules load on first use."""
+
+_SUBMODULES = _HOMES.keys() - {"datasets.label_faults", "tables"}
+
+_NAMES = sorted(chain.from_iterable(_HOMES.values()))
+
+if not TYPE_CHECKING:
+    __all__ = _NAMES
 
 
 def __getattr__(name: str) -> object:
@@ -152,4 +103,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*filter(lambda name: name.startswith("__"), globals()), *__all__, *_SUBMODULES})
+    return sorted({*filter(lambda name: name.startswith("__"), globals()), *_NAMES, *_SUBMODULES})

@@ -16,8 +16,7 @@ from liaam.training import train
 
 METHODS = ("grey", "rgb", "li", "soft-li")
 
-SHOWN = 2
-"""Number of the head that the figure shows."""
+SHOWN = 2  # Number of the head that the figure shows
 
 
 @dataclass(frozen=True)

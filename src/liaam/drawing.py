@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LANDMARK, ELLIPSE = "#40ff8c", "#ffdc40"
-"""Colours of landmarks and of their ellipses."""
+LANDMARK, ELLIPSE = "#40ff8c", "#ffdc40"  # Colours of landmarks and of their ellipses
 
 
 def as_picture(image: np.ndarray) -> np.ndarray:

@@ -86,18 +86,7 @@ def missing(error: type[LiaamError]) -> type[LiaamError]:
 
 
 def check_options(given: Iterable[str], known: Sequence[str], remedies: Mapping[str, str] | None = None) -> None:
-    """Raise for the first given option that is not known, and suggest a known one.
-
-    Parameters
-    ----------
-    given, known : names of options
-    remedies : mapping of str to str, optional
-        Remedies for some unknown names.
-
-    Raises
-    ------
-    OptionError
-    """
+    """Raise for the first given option that is not known, and suggest a known one, or its remedy if there is one."""
     for name in given:
         if name in known:
             continue

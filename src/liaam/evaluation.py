@@ -63,14 +63,9 @@ def within_ellipses(shape: np.ndarray, truth: np.ndarray, covariances: np.ndarra
 
 
 def contour_directions(shapes: np.ndarray, contours: Contours) -> np.ndarray:
-    """Directions of contours at their landmarks: unit vectors (..., n, 2) float64; NaN at other landmarks.
+    """Directions of contours of shapes (..., n, 2) at their landmarks: unit vectors, float64; NaN at other landmarks.
 
     Contours of two landmarks are no curves, and landmarks where contours meet do not slide: they do not count.
-
-    Parameters
-    ----------
-    shapes : (..., n, 2) float
-    contours : sequence of (indices, closed)
     """
     shapes = np.asarray(shapes, np.float64)
     before, after = _neighbours(tuple((tuple(indices), closed) for indices, closed in contours), shapes.shape[-2])
@@ -86,16 +81,14 @@ def _neighbours(contours: tuple[tuple[tuple[int, ...], bool], ...], n: int) -> t
     for indices, closed in _curves(contours):
         whole = indices[[-1, *range(len(indices)), 0]] if closed else indices[[0, *range(len(indices)), -1]]
         before[indices], after[indices] = whole[:-2], whole[2:]
-    several = _junctions(contours)
+    on = np.concatenate([np.zeros(0, int), *(np.unique(indices) for indices, _ in contours)])
+    several = np.flatnonzero(np.bincount(on, minlength=n) > 1)
     before[several] = after[several] = several
     return before, after
 
 
 def contour_axes(shapes: np.ndarray, contours: Contours) -> np.ndarray:
-    """Unit vectors along and across contours at their landmarks, (..., n, 2, 2) float64; x and y at other landmarks.
-
-    ``shapes`` and ``contours`` are those of :func:`contour_directions`.
-    """
+    """Unit vectors along and across contours at their landmarks, (..., n, 2, 2) float64; x and y at other landmarks."""
     along = contour_directions(shapes, contours)
     return _axes(np.where(np.isnan(along), [1.0, 0.0], along))
 
@@ -117,21 +110,14 @@ def contour_turns(shape: np.ndarray, to: np.ndarray, contours: Contours) -> np.n
 
 def along_and_across(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Components of vectors (..., n, 2) along and across directions (..., n, 2), in this order, (..., n, 2) float64."""
-    across = np.stack([-directions[..., 1], directions[..., 0]], axis=-1)
     with np.errstate(invalid="ignore", over="ignore"):
-        return np.stack([np.sum(vectors * each, axis=-1) for each in (directions, across)], axis=-1)
+        return np.sum(_axes(directions) * vectors[..., None, :], axis=-1)
 
 
 def within_intervals(errors: np.ndarray, covariances: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Whether the 95 % intervals along and across directions hold errors, (..., n, 2) float64: 1, 0, or NaN.
 
-    Parameters
-    ----------
-    errors : (..., n, 2) float
-        Fitted minus true landmarks.
-    covariances : (..., n, 2, 2) float
-    directions : (..., n, 2) float
-        Unit vectors; NaN where there is none.
+    Errors are fitted minus true landmarks, and directions unit vectors, (..., n, 2); NaN where there is none.
     """
     found = along_and_across(errors, directions)
     axes = _axes(directions)
@@ -146,40 +132,23 @@ def outline_errors(shape: np.ndarray, truth: np.ndarray, contours: Contours) -> 
 
     Landmarks along a contour are often labelled a little before or after where they belong, and fits slide along it:
     the distance to the contour is what can be seen in the image.
-
-    Parameters
-    ----------
-    shape, truth : (n, 2) float
-    contours : sequence of (indices, closed)
     """
     errors, on_contour = landmark_errors(shape, truth), ~np.isnan(contour_directions(truth, contours)[:, 0])
     for indices, closed in _curves(contours):
         line = truth[[*indices, indices[0]] if closed else indices]
-        at = indices[on_contour[indices] & np.isfinite(errors[indices])]
-        errors[at] = np.minimum(errors[at], _distances_to_line(shape[at], line))
+        own = indices[on_contour[indices] & np.isfinite(errors[indices])]
+        starts, steps = line[:-1], np.diff(line, axis=0)
+        known = np.isfinite(steps).all(axis=1)
+        apart, steps = shape[own][:, None] - starts[known], steps[known]
+        lengths = np.maximum(np.square(steps).sum(axis=1), 1e-12)
+        at = np.clip(np.sum(apart * steps, axis=2) / lengths, 0.0, 1.0)
+        distances = np.linalg.norm(apart - at[..., None] * steps, axis=2)
+        errors[own] = np.minimum(errors[own], distances.min(axis=1, initial=np.inf))
     return errors
-
-
-def _distances_to_line(points: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """Distances of points (m, 2) from a polyline (k, 2), (m,); infinite if all of its points are missing."""
-    starts, steps = line[:-1], np.diff(line, axis=0)
-    known = np.isfinite(steps).all(axis=1)
-    starts, steps = starts[known], steps[known]
-    lengths = np.maximum(np.square(steps).sum(axis=1), 1e-12)
-    apart = points[:, None] - starts
-    at = np.clip(np.sum(apart * steps, axis=2) / lengths, 0.0, 1.0)
-    return np.linalg.norm(apart - at[..., None] * steps, axis=2).min(axis=1, initial=np.inf)
 
 
 def _curves(contours: Contours) -> list[tuple[np.ndarray, bool]]:
     return [(np.array(indices), closed) for indices, closed in contours if len(indices) > 2]
-
-
-def _junctions(contours: Contours) -> np.ndarray:
-    """Landmarks on more than one contour."""
-    on = np.concatenate([np.zeros(0, int), *(np.unique(indices) for indices, _ in contours)])
-    each, counts = np.unique(on, return_counts=True)
-    return each[counts > 1]
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:

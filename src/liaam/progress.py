@@ -9,8 +9,7 @@ from typing import Any
 Progress = Callable[[int, int, str], None]
 """Callback for the progress of long calls, called with (done, total, what)."""
 
-PATIENCE = 2.0
-"""Seconds before a progress bar appears by default."""
+PATIENCE = 2.0  # Seconds before a progress bar appears by default
 
 
 @contextmanager

@@ -5,29 +5,14 @@ They also replace these where the core could not be built. That of the fit is :m
 
 import numpy as np
 
-CHANNELS = 8
-"""Channels of an encoded pixel; the last is its weight."""
-
-ALL = 0.999
-"""Fraction of a block's pixels above which the whole block counts as usable."""
-
-UNUSABLE = 1e-3
-"""Weight of an unusable pixel in a blur; usable pixels have about 1."""
-
-LOG_FLOOR, SOFTNESS, FLAT = 0.004, 0.1, 1e-4
-"""See :mod:`liaam.photometry.encoding`."""
-
-BRIGHTNESS, LUMINANCE = np.full(3, 1.0 / 3.0), np.array([0.2126, 0.7152, 0.0722])
-"""Weights of R, G and B."""
-
-REACH = 3.0
-"""Standard deviations at which a Gaussian is truncated."""
-
-ON_EDGE = 1e-9
-"""Tolerance on negative barycentric weights of pixels on an edge."""
-
-VALUE, LOG, ORIENTATION, SOFT = range(4)
-"""Numbers of the encodings, as in :data:`liaam.photometry.encoding.ENCODINGS`."""
+CHANNELS = 8  # Channels of an encoded pixel; the last is its weight
+ALL = 0.999  # Fraction of a block's pixels above which the whole block counts as usable
+UNUSABLE = 1e-3  # Weight of an unusable pixel in a blur; usable pixels have about 1
+LOG_FLOOR, SOFTNESS, FLAT = 0.004, 0.1, 1e-4  # See encoding
+BRIGHTNESS, LUMINANCE = np.full(3, 1.0 / 3.0), np.array([0.2126, 0.7152, 0.0722])  # Weights of R, G and B
+REACH = 3.0  # Standard deviations at which a Gaussian is truncated
+ON_EDGE = 1e-9  # Tolerance on negative barycentric weights of pixels on an edge
+VALUE, LOG, ORIENTATION, SOFT = range(4)  # Numbers of the encodings, as in ENCODINGS
 
 
 def _block_means(values: np.ndarray, start: float, size: float, count: int) -> np.ndarray:
@@ -90,21 +75,12 @@ def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.bincount(sizes.ravel(), minlength=16 * 255 + 1)
 
 
-def gaussian_taps(sigma: float) -> np.ndarray:
-    """Return the taps of a Gaussian, truncated at :data:`REACH`."""
-    reach = int(np.ceil(REACH * sigma))
-    taps = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / max(sigma, 1e-9)))
-    return taps / taps.sum()
-
-
 def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
     """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
-    taps = gaussian_taps(sigma)
-    reach, (_, height, width) = len(taps) // 2, planes.shape
-    padded = np.pad(planes.astype(np.float64), ((0, 0), (reach, reach), (0, 0)), "edge")
-    down = np.sum([tap * padded[:, k : k + height] for k, tap in enumerate(taps)], axis=0)
-    padded = np.pad(down, ((0, 0), (0, 0), (reach, reach)), "edge")
-    return np.sum([tap * padded[:, :, k : k + width] for k, tap in enumerate(taps)], axis=0).astype(np.float32)
+    from scipy.ndimage import gaussian_filter  # heavy: imported when first needed
+
+    sigmas, reach = (0.0, sigma, sigma), int(np.ceil(REACH * sigma))
+    return gaussian_filter(planes, sigmas, output=np.float64, mode="nearest", radius=reach).astype(np.float32)
 
 
 def soft_directions(plane: np.ndarray, turn, softness: float) -> np.ndarray:

@@ -6,6 +6,7 @@ a homography, and the method is any of :data:`liaam.fitting.METHODS`.
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from liaam.errors import ImageError, MethodError
@@ -28,39 +29,24 @@ METHOD = "igo+tukey"
 """Gradient orientations do not depend on the light's intensity, and the robust loss rejects the edges of cast shadows.
 Measured on posters and real objects: more accurate than ``li``, ``chroma`` and ``grey``."""
 
+# Blur and sampling distance of each level, coarse to fine, in pixels of the reduced image
 LEVELS = ((8.0, 4), (4.0, 2), (2.0, 1), (1.0, 1), (0.5, 1))
-"""Blur and sampling distance of each level, coarse to fine, in pixels of the reduced image."""
-
-SHARP = 1.0
-"""Blur below which a level is used for clear images only."""
-
+SHARP = 1.0  # Blur below which a level is used for clear images only
+# Signal-to-noise ratio of a clear image: median of the significant gradients, in standard deviations of their noise.
+# The sharpest level halves the errors on objects with fine texture, but with more noise it raises them by a half.
 CLEAR = 10.0
-"""Signal-to-noise ratio of a clear image: median of the significant gradients, in standard deviations of their noise.
-The sharpest level halves the errors on objects with fine texture, but with more noise it raises them by a half."""
-
-MOST_PIXELS = 180_000
-"""Number of pixels to which larger images are reduced."""
-
-SIGNIFICANT = 3.0
-"""Gradient, in standard deviations of its noise, below which its orientation is not used."""
-
-LARGEST_BLUR = 1 / 12
-"""Largest blur of a level, as a fraction of the image's shorter side."""
-
-LEAST_PIXELS = 200
-"""Smallest number of pixels of a level."""
-
-LEAST_OVERLAP = 0.25
-"""Fraction of the first image's pixels that must lie inside the second."""
-
+MOST_PIXELS = 180_000  # Number of pixels to which larger images are reduced
+SIGNIFICANT = 3.0  # Gradient, in standard deviations of its noise, below which its orientation is not used
+LARGEST_BLUR = 1 / 12  # Largest blur of a level, as a fraction of the image's shorter side
+LEAST_PIXELS = 200  # Smallest number of pixels of a level
+LEAST_OVERLAP = 0.25  # Fraction of the first image's pixels that must lie inside the second
+# Correlation below which the images do not show the same thing. Right registrations have at least 0.4 (cast shadows,
+# twelve directions of light), images of different things at most 0.1.
 LEAST_CORRELATION = 0.2
-"""Correlation below which the images do not show the same thing. Right registrations have at least 0.4 (cast shadows,
-twelve directions of light), images of different things at most 0.1."""
-
+# Scoring corrects an interpolation bias. Samples between pixels are smoother, which moves minima of the cost towards
+# the middle between pixels, by up to 0.4 pixels if noise or one image's texture dominates (measured on real objects).
 OPTIONS = SolverOptions(max_iterations=60, scoring=20)
-"""Scoring corrects an interpolation bias. Samples between pixels are smoother, which moves minima of the cost towards
-the middle between pixels, by up to 0.4 pixels if noise or one image's texture dominates (measured on real objects)."""
-
+# Message of each status: what happened, and what to do
 MESSAGES = {
     FitStatus.CONVERGED: "The registration converged.",
     FitStatus.LIGHT_UNOBSERVABLE: "The registration converged. The angle is not observable here and was kept fixed.",
@@ -71,7 +57,6 @@ MESSAGES = {
     FitStatus.TOO_DARK: "Too few pixels are well exposed in both images; use brighter ones.",
     FitStatus.NO_TEXTURE: "The images have no texture to register; check the files.",
 }
-"""Message of each status: what happened, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +130,6 @@ class Registration:
         mask : (h', w') bool
             True inside the second image.
         """
-        import cv2  # heavy: imported when first needed
-
         height, width = self.size
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         picture = cv2.warpPerspective(second, self.homography, (width, height), flags=flags)
@@ -253,13 +236,17 @@ def _levels(
     ]
     # All levels have the same pixels; they differ in blur only.
     from_a, size = patches[0].from_image, patches[0].channels.shape[:2]
-    wanted = np.ones(size, dtype=bool) if mask is None else _reduced(mask.astype(np.float32), size) > 0.999
-    luminance = _reduced(np.ascontiguousarray(stored_values(a) @ LUMINANCE[0].astype(np.float32)), size)
+    wanted = np.ones(size, dtype=bool)
+    if mask is not None:
+        wanted = cv2.resize(mask.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA) > 0.999
+    luminance = stored_values(a) @ LUMINANCE[0].astype(np.float32)
+    luminance = cv2.resize(luminance, size[::-1], interpolation=cv2.INTER_AREA)
     noise = float(noise_deviation(a) * np.linalg.norm(LUMINANCE) * np.sqrt(np.prod(size) / (height * width)))
     levels = []
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
         kept = (patch.channels[..., -1] > 0) & wanted
-        stands_out = _significance(luminance, noise, blur)
+        slopes = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
+        stands_out = np.hypot(*slopes) / (noise * slope_left(blur))  # gradients in standard deviations of their noise
         significant = stands_out[kept & (stands_out > SIGNIFICANT)]
         if blur < SHARP and not (significant.size and np.median(significant) > CLEAR):
             continue
@@ -280,20 +267,6 @@ def _levels(
     return levels, from_a.inverse()
 
 
-def _reduced(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    import cv2  # heavy: imported when first needed
-
-    return image if image.shape[:2] == size else cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA)
-
-
-def _significance(luminance: np.ndarray, noise: float, blur: float) -> np.ndarray:
-    """Return the gradient magnitude of the blurred luminance, in standard deviations of its noise, (h, w)."""
-    import cv2  # heavy: imported when first needed
-
-    down, right = np.gradient(cv2.GaussianBlur(luminance, (0, 0), blur))
-    return np.hypot(down, right) / (noise * slope_left(blur))
-
-
 def _judged(
     stages: list[FittedLevel], start: np.ndarray, to_a: Similarity, size: tuple[int, int], other: tuple[int, int]
 ) -> Registration:
@@ -305,7 +278,12 @@ def _judged(
     matrix = _matrix(stage.pose) @ warp.matrix(solution.p) @ np.linalg.inv(_matrix(to_a))
     points = warp.points(solution.p, stage.pose)
     inside = np.asarray(((points >= 0) & (points <= np.array(other[::-1]) - 1)).all(axis=1))
-    correlation = _correlation(stage)
+    correlation, variances = _correlation(stage), np.full(4, np.inf)
+    if solution.usable.any():
+        n, step = warp.n_parameters, 1e-4
+        moves = [(warp.shape(solution.p + step * e) - warp.shape(solution.p - step * e)) for e in np.eye(n)]
+        slopes = np.stack(moves, axis=-1) / (2 * step)
+        variances = np.einsum("cai,ij,caj->c", slopes, covariance(stage)[:n, :n], slopes)
     return Registration(
         homography=matrix / matrix[2, 2],
         status=_status(stage, start, inside, correlation),
@@ -313,7 +291,7 @@ def _judged(
         theta=float(solution.angles[1]) if has_angle else float("nan"),
         cost=float(solution.costs[-1]),
         n_iterations=sum(s.solution.n_iterations for s in stages),
-        corner_deviation=_corner_deviation(stage),
+        corner_deviation=stage.pose.scale * np.sqrt(np.maximum(variances, 0.0)),
         size=size,
         method=objective.method.name,
     )
@@ -347,17 +325,6 @@ def _correlation(stage: FittedLevel) -> float:
     ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     scale = np.sqrt(np.square(ours).sum() * np.square(theirs).sum())
     return float((ours * theirs).sum() / scale) if scale > 0 else 0.0
-
-
-def _corner_deviation(stage: FittedLevel) -> np.ndarray:
-    warp, p = stage.objective.warp, stage.solution.p
-    n, step = warp.n_parameters, 1e-4
-    if not stage.solution.usable.any():
-        return np.full(4, np.inf)
-    spread = covariance(stage)[:n, :n]
-    slopes = np.stack([(warp.shape(p + step * e) - warp.shape(p - step * e)) / (2 * step) for e in np.eye(n)], axis=-1)
-    variances = np.einsum("cai,ij,caj->c", slopes, spread, slopes)
-    return stage.pose.scale * np.sqrt(np.maximum(variances, 0.0))
 
 
 def _matrix(similarity: Similarity) -> np.ndarray:

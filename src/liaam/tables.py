@@ -85,7 +85,16 @@ def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Column
     """Join the tables of several results; see :func:`to_dataframe`."""
     if names is not None and len(names) != len(results):
         raise LiaamError(f"{len(results)} results but {len(names)} names; give one name for each")
-    tables = [_columns_of(result, i, None if names is None else names[i]) for i, result in enumerate(results)]
+    tables: list[dict[str, Any]] = []
+    for i, result in enumerate(results):
+        name = names[i] if names is not None else None
+        unnamed = hasattr(result, "image") and not isinstance(result.image, Path)
+        if isinstance(result, LiaamError):  # of an image that could not be fitted, only its name is known
+            tables.append({"image": name or f"image {i + 1}"})
+        elif hasattr(result, "to_columns"):
+            tables.append(result.to_columns(name or f"image {i + 1}") if name or unnamed else result.to_columns())
+        else:
+            raise LiaamError(f"result {i + 1} is {type(result).__name__}; give fits, tracked frames or specimens")
     known = [table for table in tables if "landmark" in table]
     if not known:
         return {}
@@ -98,13 +107,3 @@ def joined(results: Sequence[Any], names: Sequence[str] | None = None) -> Column
             f"results of different kinds, by {next(iter(first))} and by {next(iter(other))}; convert each kind alone"
         )
     return {column: list(chain.from_iterable(table[column] for table in tables)) for column in first}
-
-
-def _columns_of(result: Any, i: int, name: str | None) -> dict[str, Any]:
-    """Return the table of one result; of an image that could not be fitted, only its name."""
-    if isinstance(result, LiaamError):
-        return {"image": name or f"image {i + 1}"}
-    if not hasattr(result, "to_columns"):
-        raise LiaamError(f"result {i + 1} is {type(result).__name__}; give fits, tracked frames or specimens")
-    unnamed = hasattr(result, "image") and not isinstance(result.image, Path)
-    return result.to_columns(name or f"image {i + 1}") if name or unnamed else result.to_columns()

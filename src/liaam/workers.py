@@ -19,14 +19,9 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-AHEAD = 2
-"""Items in progress per worker: the current one and the next."""
-
-BEHIND = 8
-"""Items per thread, finished or not, that may wait for a slow one before them (:func:`in_order`)."""
-
-TICK = 0.1
-"""Seconds between calls of `tick` while :func:`in_order` waits."""
+AHEAD = 2  # Items in progress per worker: the current one and the next
+BEHIND = 8  # Items per thread, finished or not, that may wait for a slow one before them (in_order)
+TICK = 0.1  # Seconds between calls of `tick` while in_order waits
 
 
 def all_cores() -> int:

@@ -15,8 +15,7 @@ from liaam.calibration.radiometry import (
     vignetting_from_flat_field,
 )
 from liaam.calibration.response_blocks import Blocks
-from liaam.calibration.response_curve import ResponseTable, increments
-from liaam.calibration.response_fit import ResponseProblem
+from liaam.calibration.response_fit import ResponseProblem, ResponseTable, increments
 from liaam.errors import CameraError
 from liaam.photometry import CameraModel, ResponseCurve, log_slope, noise_deviation, to_linear
 from liaam.photometry.camera import falloff_at

@@ -8,14 +8,13 @@ import pytest
 from scipy.stats import f_oneway
 
 from liaam.errors import LiaamError
-from liaam.io import Landmarks, write_collection
+from liaam.io import Landmarks, write_collection, write_columns
 from liaam.morphometry import (
     Specimen,
     measure,
     measurement_error,
     read_specimens,
     replicates as module,
-    write_measurements,
 )
 
 
@@ -150,7 +149,7 @@ def test_a_table_with_a_column_for_the_observer(run, tmp_path) -> None:
 
 
 def test_nothing_is_written_if_there_are_no_replicates(run, tmp_path) -> None:
-    write_measurements(tmp_path / "x.csv", measure(replicates("w{}#{}", (1, 1))))
+    write_columns(tmp_path / "x.csv", measure(replicates("w{}#{}", (1, 1))))
     marks = {f"{i}.png": Landmarks(each.points) for i, each in enumerate(replicates("w{}#{}", (1, 1)))}
     write_collection(tmp_path / "a.csv", marks)
     code, _, err = run("measure", tmp_path / "a.csv", "-o", tmp_path / "t.csv", "--replicates", "_")

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from liaam.errors import LiaamError
-from liaam.morphometry import Specimen, measure, write_measurements
+from liaam.io import write_columns
+from liaam.morphometry import Specimen, measure
 
 SQUARE = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
 MEASURES = ("distance:1-2", "angle:1-2-3", "area:1-2-3-4")
@@ -115,9 +116,9 @@ def test_pandas_reads_the_table(tmp_path) -> None:
         Specimen("b", SQUARE, status="too dark"),
     ]
     table = measure(specimens, MEASURES)
-    write_measurements(tmp_path / "t.csv", table)
+    write_columns(tmp_path / "t.csv", table)
     read = pd.read_csv(tmp_path / "t.csv")
     pd.testing.assert_frame_equal(read, pd.DataFrame(table), rtol=1e-8)
     assert read["specimen"].tolist() == ["a,1", "b"]
     with pytest.raises(LiaamError, match=r"t\.txt: the table is written as CSV; give a name that ends in \.csv"):
-        write_measurements(tmp_path / "t.txt", table)
+        write_columns(tmp_path / "t.txt", table)

@@ -5,7 +5,8 @@ import pytest
 
 from liaam.calibration import Agreement, Averaged
 from liaam.photometry import CameraModel
-from liaam.plotting.photometry import figure_of_agreement, figure_of_response, save_figure, shortened
+from liaam.plotting import save_figure
+from liaam.plotting.photometry import figure_of_agreement, figure_of_response, shortened
 
 
 @pytest.mark.parametrize("n", [2, 5, 20])

@@ -325,9 +325,7 @@ def test_a_tracker_begins_anew(head_model, moving):
     assert (frame.index, frame.status) == (0, TrackStatus.FOUND)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"levels": 0}, {"iterations": 0}, {"patience": -1}, {"longest_wait": 0}, {"review": -1}]
-)
+@pytest.mark.parametrize("wrong", [{"patience": -1}, {"longest_wait": 0}, {"review": -1}])
 def test_options_that_make_no_sense(wrong):
     with pytest.raises(MethodError, match="at least"):
         TrackingOptions(**wrong)

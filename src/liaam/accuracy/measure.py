@@ -24,9 +24,9 @@ from liaam.training import train
 from liaam.training.entries import contours_of
 from liaam.training.left_out import folds_of
 
+# Largest mean error of a right fit by default: as a fraction of the diagonal of the landmarks' box, up to which
+# training counts left-out fits as right, and of a given distance, as is usual for that between the eyes
 LIMIT, LIMIT_BY_DISTANCE = 0.03, 0.08
-"""Largest mean error of a right fit by default: as a fraction of the diagonal of the landmarks' box, up to which
-training counts left-out fits as right, and of a given distance, as is usual for that between the eyes."""
 
 DIAGONAL = "the diagonal of the landmarks' box"
 
@@ -167,20 +167,20 @@ def cross_validate(
 
 def _samples(samples: Iterable) -> list[Sample]:
     """Return samples, made from pairs of image and landmarks where these are given."""
-    return [each if isinstance(each, Sample) else _sample(each, i) for i, each in enumerate(samples)]
-
-
-def _sample(pair: Any, i: int) -> Sample:
-    try:
-        image, landmarks = pair
-    except (TypeError, ValueError):
-        what = f"samples[{i}] is {type(pair).__name__}"
-        raise LiaamError(f"{what}; give samples or pairs of image and landmarks") from None
-    named = isinstance(image, (str, Path))
-    if isinstance(landmarks, (str, Path)):
-        landmarks = read_landmarks(landmarks)
-    marks = landmarks if isinstance(landmarks, Landmarks) else Landmarks(np.asarray(landmarks))
-    return Sample(Path(image).stem if named else f"image {i + 1}", Path(image) if named else image, marks)
+    made = []
+    for i, each in enumerate(samples):
+        if isinstance(each, Sample):
+            made.append(each)
+            continue
+        try:
+            image, landmarks = each
+        except (TypeError, ValueError):
+            what = f"samples[{i}] is {type(each).__name__}"
+            raise LiaamError(f"{what}; give samples or pairs of image and landmarks") from None
+        name, image = (Path(image).stem, Path(image)) if isinstance(image, str | Path) else (f"image {i + 1}", image)
+        marks = read_landmarks(landmarks) if isinstance(landmarks, str | Path) else landmarks
+        made.append(Sample(name, image, marks if isinstance(marks, Landmarks) else Landmarks(np.asarray(marks))))
+    return made
 
 
 def _protocol(
@@ -277,29 +277,25 @@ def _evaluation(
     fits: Iterable[tuple[_Case, FitResult | LiaamError]], protocol: _Protocol, left_out: Sequence[str]
 ) -> Evaluation:
     """Compare each fit with the nearest object of its image."""
-    rows, faults = [], list(left_out)
+    found, faults = [], list(left_out)
     for case, result in fits:
         if isinstance(result, LiaamError):
             faults.append(str(result))
             continue
-        own = np.array([landmark_errors(result.landmarks, truth) for truth in case.truths])
-        nearest = int(np.argmin(np.nanmean(own, axis=1)))
-        truth, size = case.truths[nearest], case.sizes[nearest]
-        spread, marks = result.landmark_covariances, result.landmarks
-        rows.append((case.name, case.image, truth, marks, spread, result.quality, result.status, size))
-    if not rows:
+        own = [np.nanmean(landmark_errors(result.landmarks, truth)) for truth in case.truths]
+        found.append((case, int(np.argmin(own)), result))
+    if not found:
         reason = f": {faults[0]}" if faults else "; give landmarked images"
         raise LiaamError(f"there are no images to evaluate{reason}")
-    names, images, truths, marks, spreads, qualities, statuses, sizes = zip(*rows, strict=True)
     return Evaluation(
-        names=names,
-        images=images,
-        truths=np.array(truths),
-        landmarks=np.array(marks),
-        covariances=np.array(spreads),
-        qualities=np.array(qualities),
-        statuses=statuses,
-        sizes=np.array(sizes),
+        names=tuple(case.name for case, _, _ in found),
+        images=tuple(case.image for case, _, _ in found),
+        truths=np.array([case.truths[nearest] for case, nearest, _ in found]),
+        landmarks=np.array([result.landmarks for *_, result in found]),
+        covariances=np.array([result.landmark_covariances for *_, result in found]),
+        qualities=np.array([result.quality for *_, result in found]),
+        statuses=tuple(result.status for *_, result in found),
+        sizes=np.array([case.sizes[nearest] for case, nearest, _ in found]),
         normaliser=protocol.normaliser,
         limit=protocol.limit,
         landmark_names=protocol.names,

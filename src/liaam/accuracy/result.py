@@ -1,5 +1,6 @@
 """Errors of fits to landmarked images, by image, by landmark and by contour."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -155,12 +156,16 @@ class Evaluation:
             )
         ]
         found = {column: [cell for part in parts for cell in part[column]] for column in parts[0]}
-        relative = 100 * self.distances / self.sizes[:, None]
-        x, y = self.truths[..., 0].ravel().tolist(), self.truths[..., 1].ravel().tolist()
-        errors = {"error": self.distances.ravel().tolist(), "error_percent": relative.ravel().tolist()}
+        more = {"true_x": self.truths[..., 0], "true_y": self.truths[..., 1]}
+        more |= {"error": self.distances, "error_percent": self._relative}
         if self.contours:
-            errors |= dict(zip(("along", "across"), self.components.reshape(-1, 2).T.tolist(), strict=True))
-        return found | {"true_x": x, "true_y": y, **errors, "inside": self.inside.ravel().tolist()}
+            more |= {"along": self.components[..., 0], "across": self.components[..., 1]}
+        return found | {name: values.ravel().tolist() for name, values in (more | {"inside": self.inside}).items()}
+
+    @property
+    def _relative(self) -> np.ndarray:
+        """The distances, (k, n), in per cent of the normaliser."""
+        return 100 * self.distances / self.sizes[:, None]
 
     def to_dataframe(self) -> "pandas.DataFrame":
         """Convert to a pandas data frame with the columns of :meth:`to_columns`."""
@@ -188,27 +193,23 @@ class Evaluation:
 
         With contours also the median error along and across them, and the coverage of the 95 % intervals.
         """
-        n, relative = self.landmarks.shape[1], 100 * self.distances / self.sizes[:, None]
-        inside = self.inside[self.called_right]
-        return {
-            "landmark": list(range(1, n + 1)),
-            "name": list(self.landmark_names) or [""] * n,
-            "median": [_percentile(column, 50) for column in self.distances.T],
-            "p90": [_percentile(column, 90) for column in self.distances.T],
-            "median_percent": [_percentile(column, 50) for column in relative.T],
-            "p90_percent": [_percentile(column, 90) for column in relative.T],
-            "inside_percent": [100 * _mean(column) for column in inside.T],
-            **(self._by_direction() if self.contours else {}),
-        }
-
-    def _by_direction(self) -> Columns:
-        """Return the median errors along and across contours, and their coverage, of each landmark."""
-        percent = 100 * np.abs(self.components) / self.sizes[:, None, None]
-        inside, columns = self.inside_components[self.called_right], {}
-        for i, name in enumerate(("along", "across")):
-            columns[f"{name}_percent"] = [_percentile(each, 50) for each in percent[..., i].T]
-            columns[f"inside_{name}_percent"] = [100 * _mean(each) for each in inside[..., i].T]
+        n = self.landmarks.shape[1]
+        columns: Columns = {"landmark": list(range(1, n + 1)), "name": list(self.landmark_names) or [""] * n}
+        for unit, errors in (("", self.distances), ("_percent", self._relative)):
+            for name, percent in (("median", 50), ("p90", 90)):
+                columns[f"{name}{unit}"] = [_percentile(column, percent) for column in errors.T]
+        columns["inside_percent"] = [100 * _mean(column) for column in self.inside[self.called_right].T]
+        for name, errors, inside in self._by_direction():
+            columns[f"{name}_percent"] = [_percentile(column, 50) for column in errors.T]
+            columns[f"inside_{name}_percent"] = [100 * _mean(column) for column in inside.T]
         return columns
+
+    def _by_direction(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        """Yield the errors along and across contours, (k, n), in per cent, and whether the intervals hold them."""
+        errors, inside = 100 * np.abs(self.components) / self.sizes[:, None, None], self.inside_components
+        if self.contours:
+            for i, name in enumerate(("along", "across")):
+                yield name, errors[..., i], inside[self.called_right][..., i]
 
     def report(self) -> str:
         """Summarise the errors, the outcomes and the coverage, as text."""
@@ -224,23 +225,18 @@ class Evaluation:
             f"landmarks inside their 95 % ellipses, of fits called right: {held}",
         ]
         if self.contours:
-            lines += self._report_of_contours()
+            lost, refused = self._lost_and_refused(self.outline_outcomes)
+            (_, along, held_along), (_, across, held_across) = self._by_direction()
+            lines += [
+                "by outline (of landmarks on contours, the distance to the contour): median "
+                f"{_percentile(100 * self.outline_errors, 50):.2f}, lost {lost}, refused {refused}",
+                f"landmarks on contours: median error along {_percentile(along.ravel(), 50):.2f}, across "
+                f"{_percentile(across.ravel(), 50):.2f}; inside their 95 % intervals along "
+                f"{100 * _mean(held_along):.1f} %, across {100 * _mean(held_across):.1f} %",
+            ]
         if self.left_out:
             lines.append(f"left out {len(self.left_out)}: {some_names(self.left_out, 3, '; ')}")
         return "\n".join(lines)
-
-    def _report_of_contours(self) -> list[str]:
-        lost, refused = self._lost_and_refused(self.outline_outcomes)
-        median, percent = _percentile(100 * self.outline_errors, 50), 100 * self.components / self.sizes[:, None, None]
-        along, across = (_percentile(np.abs(percent[..., i]).ravel(), 50) for i in range(2))
-        inside = self.inside_components[self.called_right]
-        held = [f"{100 * _mean(inside[..., i]):.1f} %" for i in range(2)]
-        return [
-            f"by outline (of landmarks on contours, the distance to the contour): median {median:.2f}, lost {lost}, "
-            f"refused {refused}",
-            f"landmarks on contours: median error along {along:.2f}, across {across:.2f}; inside their 95 % intervals "
-            f"along {held[0]}, across {held[1]}",
-        ]
 
     def _lost_and_refused(self, outcomes: list[str]) -> tuple[str, int]:
         silent = outcomes.count("silent")

@@ -17,8 +17,7 @@ from liaam.batch.work import Job, KeptRow, Pool
 from liaam.errors import LiaamError
 from liaam.workers import AHEAD, one_thread
 
-PATIENCE = 30
-"""Timeout in seconds for the scheduler, and for its first worker."""
+PATIENCE = 30  # Timeout in seconds for the scheduler, and for its first worker
 
 
 class _Ready(WorkerPlugin):

@@ -20,8 +20,7 @@ from typing import Any
 from liaam.errors import LiaamError
 from liaam.io.files import json_object, make_folder
 
-PAGE = 1000
-"""Number of images read from the journal at a time."""
+PAGE = 1000  # Number of images read from the journal at a time
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);

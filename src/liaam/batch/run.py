@@ -26,8 +26,7 @@ from liaam.models import model_file
 from liaam.progress import Progress
 from liaam.workers import all_cores, flow, limited_threads, one_thread
 
-DEATHS = 2
-"""An image is given up, with an error in its row, if so many processes died while it was in progress."""
+DEATHS = 2  # An image is given up, with an error in its row, if so many processes died while it was in progress
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,8 @@ from liaam.io import Contour, Landmarks, atomic_path
 from liaam.io.files import json_object
 from liaam.io.landmarks.writers import tps_text, upwards
 
-GROUP = 1000
-"""Rows per Parquet row group, which are in memory together."""
-
+GROUP = 1000  # Rows per Parquet row group, which are in memory together
+# Columns and their types. Only the last one differs between runs.
 COLUMNS = {
     "path": "string",
     "status": "string",
@@ -37,10 +36,7 @@ COLUMNS = {
     "covariance": "list<float32>",
     "seconds": "float32",
 }
-"""Columns and their types. Only the last one differs between runs."""
-
-NAMES = "landmark_names"
-"""Entry of rows, and of the metadata of Parquet, with the names of the landmarks."""
+NAMES = "landmark_names"  # Entry of rows, and of the metadata of Parquet, with the names of the landmarks
 
 _PARTS = {"landmarks": ("x", "y"), "covariance": ("xx", "xy", "yy")}
 
@@ -146,8 +142,7 @@ def _write_tps(path: Path, table: Table) -> None:
                 file.write(tps_text(upwards(landmarks, row["size"])))
 
 
-TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")
-"""Suffixes of tables that can be read."""
+TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")  # Suffixes of tables that can be read
 
 
 def is_table(path: Path) -> bool:

@@ -24,11 +24,8 @@ from liaam.io import Landmarks, is_raw, read_image
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
 
-BESIDE = "beside"
-"""Start from the landmark file beside each image."""
-
-ERROR = "error"
-"""Status of an image that could not be fitted, in addition to those of :class:`liaam.fitting.FitStatus`."""
+BESIDE = "beside"  # Start from the landmark file beside each image
+ERROR = "error"  # Status of an image that could not be fitted, in addition to those of FitStatus
 
 Row = dict[str, Any]
 KeptRow = tuple[str, str]

@@ -12,8 +12,7 @@ from liaam.photometry import CameraModel
 from liaam.progress import Progress
 from liaam.registration import register
 
-STILL = 0.25
-"""Movement of the corners, pixels, up to which an image counts as aligned and is not resampled."""
+STILL = 0.25  # Movement of the corners, pixels, up to which an image counts as aligned and is not resampled
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from liaam.calibration.estimate import AngleEstimate
@@ -66,8 +67,6 @@ def chart_patches(corners: np.ndarray, rows: int = 4, columns: int = 6, share: f
     (rows * columns, 4, 2) float64
         Corners around each patch, row by row.
     """
-    import cv2  # heavy: imported when first needed
-
     corners = np.asarray(corners, dtype=np.float32)
     if corners.shape != (4, 2) or not np.isfinite(corners).all() or rows < 2 or columns < 2:
         raise CameraError("a chart needs the centres of its four corner patches: eight numbers x0,y0,...,x3,y3")
@@ -95,8 +94,6 @@ def patch_labels(patches: np.ndarray, size: tuple[int, int], name: str = "image"
 
     Raises CameraError if a patch lies outside the image or has fewer than 4 pixels.
     """
-    import cv2  # heavy: imported when first needed
-
     patches = patch_corners(patches)
     if patches.ndim != 3 or patches.shape[1:] != (4, 2) or not np.isfinite(patches).all():
         raise CameraError(f"{name}: patches are boxes x0,y0,x1,y1 or four corners each, not {patches.shape}")

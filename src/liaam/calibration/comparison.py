@@ -1,14 +1,14 @@
 """Agreement of the invariant images of registered images."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from liaam.calibration.scatter import block_labels, observe
 from liaam.errors import ImageError
-from liaam.photometry.camera import CameraModel
+from liaam.photometry.camera import CameraModel, NoiseModel
 from liaam.photometry.encoding import DARK, as_colour, refuse_grey
 from liaam.photometry.invariant import LUMINANCE, invariant
 
@@ -103,8 +103,8 @@ def averaged(
             raise ImageError(f"the mask is {mask.shape[1]}×{mask.shape[0]} pixels, the images {width}×{height}")
         labels = np.where(mask, labels, -1)
     m = len(pictures)
-    full = block * block
-    surfaces = observe(pictures, [labels] * m, down * across, camera, full=full, dark=dark, noisy=False)
+    noiseless = replace(camera, noise=NoiseModel(0.0, 0.0))
+    surfaces = observe(pictures, [labels] * m, down * across, noiseless, full=block * block, dark=dark)
 
     def maps(values: np.ndarray) -> np.ndarray:
         return np.where(surfaces.exposed, values, np.nan).T.reshape(m, down, across)

@@ -79,13 +79,28 @@ def theta_from_image(image: np.ndarray, response: Response = "srgb") -> AngleEst
     ImageError
         If the array is not an image.
     """
-    log_rgb, blocks = _usable_pixels(image, response)
+    image = as_colour(image)
+    refuse_grey(image, "image", "an angle needs colour", CameraError)
+    reduce = int(np.ceil(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
+    encoded = encode(image, "log", response, blur=SMOOTHING, reduce=max(reduce, 1))
+    usable = encoded[..., 3] > 0
+    if usable.sum() < FEWEST_PIXELS:
+        raise CameraError(
+            f"only {usable.sum()} of the image's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
+            "give one that is neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
+        )
+    rows, columns = (np.arange(size) * BLOCKS // size for size in usable.shape)
+    log_rgb, blocks = encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
     histograms, width = _histograms(log_rgb, blocks, KEPT)
     whole = [counts.sum(axis=0, keepdims=True) for counts in histograms]
     entropies, others = (_curve(kind, whole)[0] for kind in ("quadratic", "shannon"))
     theta = _lowest(THETAS, entropies)
     disagreement, margin = abs(axis_difference(_lowest(THETAS, others), theta)), _margin(entropies, theta)
-    spread = root_mean_square([axis_difference(angle, theta) for angle in _bootstrap(histograms)])
+    # Bootstrap replicates, with blocks drawn from those of the image.
+    n = len(histograms[0])
+    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=REPLICATES).astype(np.float32)
+    curves = _curve("quadratic", [drawn @ counts for counts in histograms[::2]])
+    spread = root_mean_square([axis_difference(_lowest(THETAS[::2], curve), theta) for curve in curves])
     change, redness, aspect = _light(log_rgb, theta, width)
     tests = (
         (not PHYSICAL[0] <= theta <= PHYSICAL[1], "the angle is outside the range of cameras (90° to 135°)"),
@@ -139,23 +154,6 @@ def entropy_curve(
     return THETAS.copy(), _curve(kind, _histograms(log_rgb, np.zeros(len(log_rgb), dtype=np.int64), keep)[0])[0]
 
 
-def _usable_pixels(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed log-RGB of well-exposed pixels (n, 3) float32, and their block (n,)."""
-    image = as_colour(image)
-    refuse_grey(image, "image", "an angle needs colour", CameraError)
-    reduce = int(np.ceil(np.sqrt(image.shape[0] * image.shape[1] / MOST_PIXELS)))
-    encoded = encode(image, "log", response, blur=SMOOTHING, reduce=max(reduce, 1))
-    height, width = encoded.shape[:2]
-    rows, columns = np.arange(height) * BLOCKS // height, np.arange(width) * BLOCKS // width
-    usable = encoded[..., 3] > 0
-    if usable.sum() < FEWEST_PIXELS:
-        raise CameraError(
-            f"only {usable.sum()} of the image's {usable.size} pixels are well exposed, {FEWEST_PIXELS} are needed: "
-            "give one that is neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
-        )
-    return encoded[..., :3][usable], (rows[:, None] * BLOCKS + columns)[usable]
-
-
 def _histograms(log_rgb: np.ndarray, blocks: np.ndarray, keep: float) -> tuple[list[np.ndarray], float]:
     """Counts (blocks, cells) float32 of log-RGB (n, 3) in blocks (n,) along L(theta), for each of the angles.
 
@@ -197,8 +195,9 @@ def _direction(theta: float) -> np.ndarray:
 
 def _curve(kind: str, histograms: list[np.ndarray]) -> np.ndarray:
     """Entropies (b, k), bits, of k histograms (b, cells_k)."""
-    fractions = (counts / counts.sum(axis=1, keepdims=True) for counts in histograms)
-    return np.stack([_ENTROPIES[kind](each) for each in fractions], axis=1).astype(np.float64)
+    entropy = _quadratic if kind == "quadratic" else _shannon
+    each = [entropy(counts / counts.sum(axis=1, keepdims=True)) for counts in histograms]
+    return np.stack(each, axis=1).astype(np.float64)
 
 
 def _shannon(fractions: np.ndarray) -> np.ndarray:
@@ -221,9 +220,6 @@ def _quadratic(fractions: np.ndarray) -> np.ndarray:
     return -np.log2((around * fractions).sum(axis=1) * SUBDIVISION)
 
 
-_ENTROPIES = {"quadratic": _quadratic, "shannon": _shannon}
-
-
 def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
     """Angle of least entropy, radians in [0, pi), refined by a parabola through its neighbours."""
     i = int(entropies.argmin())
@@ -231,14 +227,6 @@ def _lowest(thetas: np.ndarray, entropies: np.ndarray) -> float:
     bend = before - 2 * here + after
     shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
     return float((thetas[i] + shift * (thetas[1] - thetas[0])) % np.pi)
-
-
-def _bootstrap(histograms: list[np.ndarray]) -> list[float]:
-    """Angles of least entropy of bootstrap replicates, with blocks drawn from those of the image."""
-    n = len(histograms[0])
-    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=REPLICATES).astype(np.float32)
-    curves = _curve("quadratic", [drawn @ counts for counts in histograms[::2]])
-    return [_lowest(THETAS[::2], curve) for curve in curves]
 
 
 def _margin(entropies: np.ndarray, theta: float) -> float:

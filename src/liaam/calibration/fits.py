@@ -4,8 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate, axis_difference
-from liaam.calibration.statistics import huber_location, in_normal_units
+from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate, axis_difference, huber_location, in_normal_units
 from liaam.errors import CameraError
 from liaam.fitting import FitResult, FitStatus
 

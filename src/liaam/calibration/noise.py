@@ -8,10 +8,11 @@ blocks estimates its standard errors.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from liaam.calibration.statistics import jackknife
+from liaam.calibration.estimate import jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import NoiseModel
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, stored_values
@@ -97,11 +98,8 @@ def noise_from_flat(
         If an array is not an image.
     """
     pictures = [images] if isinstance(images, np.ndarray) and images.ndim <= 3 else list(images)
-    regions = [
-        region
-        for number, picture in enumerate(pictures, 1)
-        for region in _regions(as_colour(picture, f"image {number}"), boxes, number)
-    ]
+    pictures = [as_colour(picture, f"image {number}") for number, picture in enumerate(pictures, 1)]
+    regions = pictures if boxes is None else _regions(pictures, np.asarray(boxes))
     if not regions:
         raise CameraError("there is no image or no box to estimate the noise from: give at least one of each")
     parts = [_blocks(region, None, response) for region in regions]
@@ -185,6 +183,7 @@ def noise_from_image(image: np.ndarray, response: Response = "srgb") -> NoiseEst
     return _estimate(_blocks(as_colour(image), None, response), response, single=True)
 
 
+# Brightness and variation of a block of one channel
 _BLOCK = np.dtype(
     [
         ("level", float),  # mean linear light
@@ -194,7 +193,6 @@ _BLOCK = np.dtype(
         ("weight", float),  # at most 1
     ]
 )
-"""Brightness and variation of a block of one channel."""
 
 
 def _variance(blocks: np.ndarray, low: int, high: int = 2 * SIDE - 2) -> np.ndarray:
@@ -251,34 +249,22 @@ def _values(image: np.ndarray, response: Response) -> tuple[np.ndarray, np.ndarr
     return stored, np.asarray(to_linear(stored, response), dtype=np.float64), finite
 
 
-def _regions(picture: np.ndarray, boxes: np.ndarray | None, number: int) -> list[np.ndarray]:
-    """Cut boxes (n, 4) out of an image."""
-    if boxes is None:
-        return [picture]
-    corners = np.asarray(boxes)
-    if corners.ndim != 2 or corners.shape[1] != 4 or corners.dtype.kind not in "iu":
-        raise CameraError(f"boxes of shape {corners.shape} and type {corners.dtype}: give integers, (n, 4)")
-    for x0, y0, x1, y1 in corners:
+def _regions(pictures: list[np.ndarray], boxes: np.ndarray) -> list[np.ndarray]:
+    """Cut boxes (n, 4) out of images."""
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iu":
+        raise CameraError(f"boxes of shape {boxes.shape} and type {boxes.dtype}: give integers, (n, 4)")
+    for (number, picture), (x0, y0, x1, y1) in product(enumerate(pictures, 1), boxes):
         inside = min(x0, y0) >= 0 and x1 <= picture.shape[1] and y1 <= picture.shape[0]
         if not inside or min(x1 - x0, y1 - y0) < SIDE:
             raise CameraError(
                 f"box {x0}, {y0}, {x1}, {y1}: give x0, y0, x1, y1 of at least {SIDE}×{SIDE} pixels inside image "
                 f"{number}, which has {_size(picture)}"
             )
-    return [picture[y0:y1, x0:x1] for x0, y0, x1, y1 in corners]
+    return [picture[y0:y1, x0:x1] for picture in pictures for x0, y0, x1, y1 in boxes]
 
 
 def _size(picture: np.ndarray) -> str:
     return f"{picture.shape[1]}×{picture.shape[0]} pixels of {picture.dtype}"
-
-
-def _weakest(blocks: np.ndarray) -> np.ndarray:
-    """Blocks of the least texture in each class of brightness."""
-    fraction = max(WEAKEST, min(1.0, FEWEST / len(blocks)))
-    texture = blocks["energy"][:, TREND + 1 : COARSE].sum(axis=1)
-    classes = np.array_split(np.argsort(blocks["level"]), int(np.clip(len(blocks) // BIN, 1, BINS)))
-    best = [class_[np.argsort(texture[class_])[: int(np.ceil(fraction * len(class_)))]] for class_ in classes]
-    return blocks[np.concatenate(best)]
 
 
 def _line(blocks: np.ndarray, low: int, high: int = 2 * SIDE - 2, start: np.ndarray | None = None) -> np.ndarray:
@@ -312,7 +298,13 @@ def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> N
     if len(noisy) < FEWEST:
         return _below_rounding(blocks)
     low = FINE if single else TREND + 1
-    used, line = _fitted(_weakest(noisy) if single else noisy, low, single)
+    if single:  # the blocks of the least texture in each class of brightness
+        fraction = max(WEAKEST, min(1.0, FEWEST / len(noisy)))
+        texture = noisy["energy"][:, TREND + 1 : COARSE].sum(axis=1)
+        classes = np.array_split(np.argsort(noisy["level"]), int(np.clip(len(noisy) // BIN, 1, BINS)))
+        best = [class_[np.argsort(texture[class_])[: int(np.ceil(fraction * len(class_)))]] for class_ in classes]
+        noisy = noisy[np.concatenate(best)]
+    used, line = _fitted(noisy, low, single)
     reach = 3 * np.sqrt(used["level"] * line[0] + line[1])
     used = _enough(used[(used["level"] > reach) & (used["level"] < white - reach)])  # clipping hides noise
     used, line = _fitted(used, low, single)
@@ -325,8 +317,14 @@ def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> N
         cause = "it contains texture, or JPEG or demosaicking" if single else "JPEG or demosaicking"
         not_white = f"; it is {np.sqrt(ratio):.1f} times as strong in coarse as in fine structure: {cause} smoothed it"
     darkest, brightest = np.percentile(used["level"], [5, 95])
-    if brightest < NARROW * darkest:
-        return _of_one_brightness(used, low, not_white)
+    if brightest < NARROW * darkest:  # all noise is attributed to photons, which dominate at ordinary exposures
+        slope = float(np.median((_variance(used, low) - used["rounding"]) / used["level"]))
+        model = NoiseModel(max(slope, 0.0), 0.0)
+        message = (
+            f"{_deviations(model, [float(np.median(used['level']))])}; one brightness does not separate photon "
+            f"noise from noise in the dark, so photon noise is assumed: add darker or brighter surfaces{not_white}"
+        )
+        return NoiseEstimate(model, message=message, n=len(used))
     spread = _spread(used, low, line, single)
     ends = np.column_stack([white * np.array(ENDS), np.ones(2)])
     vague = (np.sqrt(np.einsum("ij,jk,ik->i", ends, spread, ends)) > 2 * VAGUE * (ends @ line)).any()
@@ -338,17 +336,6 @@ def _estimate(blocks: np.ndarray, response: Response, single: bool = False) -> N
             "more, darker or brighter surfaces"
         )
     return NoiseEstimate(model, slope_error, offset_error, not vague, message + not_white, len(used))
-
-
-def _of_one_brightness(blocks: np.ndarray, low: int, not_white: str) -> NoiseEstimate:
-    """Attribute all noise to photons, which dominate at ordinary exposures."""
-    slope = float(np.median((_variance(blocks, low) - blocks["rounding"]) / blocks["level"]))
-    model = NoiseModel(max(slope, 0.0), 0.0)
-    message = (
-        f"{_deviations(model, [float(np.median(blocks['level']))])}; one brightness does not separate photon "
-        f"noise from noise in the dark, so photon noise is assumed: add darker or brighter surfaces{not_white}"
-    )
-    return NoiseEstimate(model, message=message, n=len(blocks))
 
 
 def _fitted(blocks: np.ndarray, low: int, single: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from liaam.calibration.estimate import robust_deviation
 from liaam.calibration.response_blocks import Blocks, checked_maps, checked_pictures, observe
-from liaam.calibration.response_curve import ResponseTable, evenly_along
 from liaam.calibration.response_fit import (
     LEAST_CONTRAST,
     LEAST_SCALE,
@@ -34,12 +34,13 @@ from liaam.calibration.response_fit import (
     TERMS,
     ResponseFit,
     ResponseProblem,
+    ResponseTable,
+    evenly_along,
     largest_difference,
     light_share,
     robust_weights,
     solve,
 )
-from liaam.calibration.statistics import robust_deviation
 from liaam.errors import CameraError
 from liaam.evaluation import root_mean_square
 from liaam.photometry.camera import least_share
@@ -166,11 +167,16 @@ def calibrate_response(
     >>> calibrate_response([dark, bright], exposures=(1, 2)).observable  # two stored values do not define a curve
     False
     """
-    pictures = checked_pictures(images)
-    logs = _log_ratios(exposures, len(pictures))
+    pictures, logs = checked_pictures(images), None
+    if exposures is not None:  # logarithms relative to the first
+        values = np.asarray(exposures, dtype=np.float64)
+        if values.shape != (len(pictures),) or not np.isfinite(values).all() or (values <= 0).any():
+            fault = f"exposures {list(exposures)}: give one positive number for each of the {len(pictures)} images"
+            raise CameraError(fault)
+        logs = np.log(values / values[0])
     measured = observe(pictures, checked_maps(homographies, pictures))
-    if fault := _overlap_fault(measured):
-        return _nothing(measured, logs, response, fault)
+    if unlinked := _unlinked(measured, logs, response):
+        return unlinked
     lens_fault = _lens_fault(measured, vignetting)
     fit = solve(ResponseProblem(measured, logs, response, 0 if lens_fault else TERMS))
     if fault := _fit_fault(fit):
@@ -222,25 +228,23 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     return _vignetting_estimate(found.x[:TERMS], covariance, message)
 
 
-def _log_ratios(exposures: Sequence[float] | None, count: int) -> np.ndarray | None:
-    """Logarithms of the exposures relative to the first."""
-    if exposures is None:
-        return None
-    values = np.asarray(exposures, dtype=np.float64)
-    if values.shape != (count,) or not np.isfinite(values).all() or (values <= 0).any():
-        raise CameraError(f"exposures {list(exposures)}: give one positive number for each of the {count} images")
-    return np.log(values / values[0])
-
-
-def _overlap_fault(measured: Blocks) -> str:
-    """Message if an image shares too few blocks with the others, else an empty string."""
+def _unlinked(measured: Blocks, logs: np.ndarray | None, response: Response | None) -> RadiometricEstimate | None:
+    """Estimate without any observable quantity, if an image shares too few blocks with the others."""
     counts = [len(np.unique(measured.block[row])) for row in measured.usable]
     least = int(np.argmin(counts))
     if counts[least] >= FEWEST:
-        return ""
-    return (
+        return None
+    fault = (
         f"Nothing can be estimated: image {least + 1} has {counts[least]} blocks (of {FEWEST} needed) that are well "
         "exposed and smooth in another image too; register the images, and use exposures that differ less."
+    )
+    unknown = (0.0, *[float("nan")] * (len(counts) - 1))
+    return RadiometricEstimate(
+        response="srgb" if response is None else response,
+        vignetting=VignettingEstimate(message=fault),
+        log_exposures=unknown if logs is None else tuple(logs.tolist()),
+        log_exposure_errors=unknown if logs is None else (0.0,) * len(logs),
+        message=fault,
     )
 
 
@@ -322,6 +326,21 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         light = np.exp(curve.log_light(stored) - curve.light[-1])
         response = ResponseCurve(tuple(stored.tolist()), tuple(light.tolist()))
         response_errors = tuple(fit.curve_errors(stored).tolist())
+    low, high = held = _held(measured)
+    known = (
+        f"From {measured.n} blocks with stored values of {255 * low:.0f} to {255 * high:.0f} (of 255) at exposures "
+        f"that differ by a factor of {np.exp(fit.contrast):.2f}."
+    )
+    if not problem.power_known:
+        known += (
+            " No ratio of exposures is known, so response, vignetting and exposures are known up to a common power, "
+            f"which is assumed (to about {100 * RANGE_SPREAD:.0f} %); the invariant angle does not depend on it."
+        )
+    if fit.scale > MISFIT:
+        known += (
+            f" Residuals are {fit.scale:.0f} times the noise: check for strong JPEG compression, registration errors, "
+            "or different lights."
+        )
     return RadiometricEstimate(
         response=response,
         response_errors=response_errors,
@@ -331,40 +350,8 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         power_known=problem.power_known and not fault,
         rms=fit.rms,
         observable=not fault,
-        message=fault or _sentences(fit),
-        stored_range=_held(measured),
-    )
-
-
-def _sentences(fit: ResponseFit) -> str:
-    """Message of an observable response: the data, assumptions, and warnings."""
-    low, high = (255 * value for value in _held(fit.problem.measured))
-    sentences = [
-        f"From {fit.problem.measured.n} blocks with stored values of {low:.0f} to {high:.0f} (of 255) at exposures "
-        f"that differ by a factor of {np.exp(fit.contrast):.2f}."
-    ]
-    if not fit.problem.power_known:
-        sentences.append(
-            "No ratio of exposures is known, so response, vignetting and exposures are known up to a common power, "
-            f"which is assumed (to about {100 * RANGE_SPREAD:.0f} %); the invariant angle does not depend on it."
-        )
-    if fit.scale > MISFIT:
-        sentences.append(
-            f"Residuals are {fit.scale:.0f} times the noise: check for strong JPEG compression, registration errors, "
-            "or different lights."
-        )
-    return " ".join(sentences)
-
-
-def _nothing(measured: Blocks, logs: np.ndarray | None, response: Response | None, fault: str) -> RadiometricEstimate:
-    """Estimate without any observable quantity."""
-    unknown = (0.0, *[float("nan")] * (len(measured.stored) - 1))
-    return RadiometricEstimate(
-        response="srgb" if response is None else response,
-        vignetting=VignettingEstimate(message=fault),
-        log_exposures=unknown if logs is None else tuple(logs.tolist()),
-        log_exposure_errors=unknown if logs is None else (0.0,) * len(logs),
-        message=fault,
+        message=fault or known,
+        stored_range=held,
     )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from liaam.errors import CameraError
@@ -91,8 +92,6 @@ def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) 
 
 def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> np.ndarray:
     """Mean of blocks, its deviation, whether it is usable, and squared radius, (4, rows, columns, channels)."""
-    import cv2  # heavy: imported when first needed
-
     height, width = size
     rows, columns = height // edge, width // edge
     is_moved = not np.allclose(to_first, np.eye(3)) or picture.shape[:2] != size

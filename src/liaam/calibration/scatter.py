@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate
-from liaam.calibration.statistics import in_normal_units, jackknife
+from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate, in_normal_units, jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, refuse_grey, stored_values
@@ -42,14 +41,10 @@ SURE = 0.7  # Quantile of the F distribution above which the standard error is t
 class Surfaces:
     """Measurements of n surfaces under m lights."""
 
-    log_rgb: np.ndarray
-    """(n, m, 3) float64: logarithm of the mean linear light of a surface under a light."""
-    variance: np.ndarray
-    """(n, m, 3) float64: its variance by noise."""
-    exposed: np.ndarray
-    """(n, m) bool: whether the surface is neither dark nor saturated."""
-    clusters: np.ndarray
-    """(n,) int: errors within a cluster are correlated, and the jackknife leaves out whole clusters."""
+    log_rgb: np.ndarray  # (n, m, 3) float64: logarithm of the mean linear light of a surface under a light
+    variance: np.ndarray  # (n, m, 3) float64: its variance by noise
+    exposed: np.ndarray  # (n, m) bool: whether the surface is neither dark nor saturated
+    clusters: np.ndarray  # (n,) int: errors in a cluster are correlated, so the jackknife leaves out whole clusters
 
     def only(self, chosen: np.ndarray | slice) -> "Surfaces":
         """Return some of the surfaces, by mask, indices or slice."""
@@ -124,16 +119,15 @@ def observe(
     *,
     full: int = 0,
     dark: float = DARK,
-    noisy: bool = True,
 ) -> Surfaces:
     """Measure the mean light of n labelled regions (h, w) in each image; each is a separate cluster.
 
     Labels are -1 outside regions. Regions with fewer than half of ``full`` pixels, and those whose mean stored value is
-    below ``dark`` in any channel, are unusable. The bias by noise is subtracted if ``noisy``.
+    below ``dark`` in any channel, are unusable.
     """
     seen = []
     for picture, region in zip(pictures, regions, strict=True):
-        deviation, labels = _deviation_of(picture, camera) if noisy else 0.0, region.ravel()
+        deviation, labels = _deviation_of(picture, camera), region.ravel()
         used = labels >= 0
         if picture.dtype.kind == "f":
             used &= np.isfinite(picture).all(axis=2).ravel()
@@ -149,7 +143,7 @@ def observe(
             for values in (stored, light, noise)
         )
         # Threshold the mean: a threshold on noisy pixels would bias the rest.
-        slack = 2.0 * (deviation or 0.0)
+        slack = 2.0 * deviation
         clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
         usable = (count > 0.5 * full) & ~clipped & (light > 0).all(axis=1)
         usable &= (level >= dark + slack).all(axis=1) & (level <= SATURATED - slack).all(axis=1)
@@ -161,24 +155,21 @@ def observe(
     return Surfaces(logs, variances, exposed, np.arange(n))
 
 
-def _light_and_variance(
-    stored: np.ndarray, camera: CameraModel, deviation: float | None
-) -> tuple[np.ndarray, np.ndarray]:
+def _deviation_of(picture: np.ndarray, camera: CameraModel) -> float:
+    """Standard deviation of an image's noise in stored values; 0 if the camera has a noise model."""
+    return noise_deviation(picture) if camera.noise is None else 0.0
+
+
+def _light_and_variance(stored: np.ndarray, camera: CameraModel, deviation: float) -> tuple[np.ndarray, np.ndarray]:
     """Linear light without bias by noise, and its variance, of stored values (any shape)."""
     response = camera.response
     light = to_linear(stored, response)
-    if deviation is None and camera.noise is not None:  # noise of linear light: decoding has no bias
+    if camera.noise is not None:  # noise of linear light: decoding has no bias
         return light, camera.noise.variance(light)
-    deviation = deviation or 0.0
     # Noise of stored values: E f(v + n) = f(v) + f'' sigma^2 / 2; subtract this bias by a second difference.
     around = to_linear(stored + deviation, response) + to_linear(stored - deviation, response)
     slope = log_slope(np.maximum(stored, 1e-3), response) * to_linear(np.maximum(stored, 1e-3), response)
     return 2.0 * light - 0.5 * around, np.square(deviation * slope)
-
-
-def _deviation_of(picture: np.ndarray, camera: CameraModel) -> float | None:
-    """Standard deviation of an image's noise in stored values; None if the camera has a noise model."""
-    return None if camera.noise is not None else noise_deviation(picture)
 
 
 def _block_size(pictures: Sequence[np.ndarray], camera: CameraModel) -> int:
@@ -218,7 +209,13 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
             f"only {n} surfaces are well exposed in two images; at least {FEWEST} are needed: give images that are "
             "neither dark nor overexposed (stored values of 8 to 250 of 255 in every channel)"
         )
-    scatter, theta = _estimated(surfaces.only(enough), free_balance)
+    scatter = _Scatter(surfaces.only(enough), free_balance)
+    theta, before = scatter.best_angle(), np.inf
+    for _ in range(5):  # alternate between the angle and the model error
+        if abs(theta - before) < CONVERGED:
+            break
+        before, scatter = theta, scatter.with_model_error(theta)
+        theta = scatter.best_angle()
     error, (change, signal) = _error(scatter, theta), _light_change(scatter, theta)
     times = f"log R/B by {change:.3f}, {np.sqrt(signal):.1f} times the errors"
     if free_balance and signal < WEAKEST_VARIATION:
@@ -240,18 +237,6 @@ def theta_of_least_scatter(surfaces: Surfaces, *, free_balance: bool = False) ->
         seen = f"the lights differ by {change:.2f} in log R/B, {np.sqrt(signal):.0f} times the errors, on {n} surfaces"
         return AngleEstimate(theta, error, seen, change, n).with_warning()
     return AngleEstimate(theta, float("inf"), f"the angle cannot be estimated: {reason}", change, n)
-
-
-def _estimated(surfaces: Surfaces, free_balance: bool) -> "tuple[_Scatter, float]":
-    """Scatter with its model error, and the angle that minimises it, by alternating between the two."""
-    scatter = _Scatter(surfaces, free_balance)
-    theta = scatter.best_angle()
-    for _ in range(5):
-        before, scatter = theta, scatter.with_model_error(theta)
-        theta = scatter.best_angle()
-        if abs(theta - before) < CONVERGED:
-            break
-    return scatter, theta
 
 
 @dataclass(frozen=True, eq=False)

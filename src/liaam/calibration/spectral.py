@@ -111,8 +111,14 @@ def theta_from_sensitivities(
     nm, curves = np.asarray(wavelengths_nm, dtype=np.float64), np.asarray(sensitivities, dtype=np.float64)
     _check_curves(nm, curves)
     nm, curves = _resampled(nm, curves)
-    spectra = _series(nm, lights, kelvin)
-    responses = {name: _responses(nm, curves, power) for name, power in spectra.items()}
+    # A neutral surface, then eight hues of moderate saturation and one low frequency: frequency-limited reflectances
+    # after Stiles, Wyszecki and Ohta (JOSA 1977).
+    hues = 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - np.arange(8)[:, None] / 8))
+    surfaces, weighted = np.vstack([np.ones_like(nm), hues]), curves * _trapezoid_weights(nm)[:, None]
+    responses = {
+        name: np.einsum("kn,mn,nc->kmc", surfaces, power, weighted, optimize=True)
+        for name, power in _series(nm, lights, kelvin).items()
+    }
     responsive = np.all([(r > 0).all(axis=(1, 2)) for r in responses.values()], axis=0)
     if not responsive[0]:
         raise CameraError(
@@ -201,30 +207,17 @@ def _series(nm: np.ndarray, lights: str, kelvin: tuple[float, float]) -> dict[st
     cold, hot = (float(k) for k in kelvin)
     if not 1000.0 <= cold < hot <= 25000.0:
         raise CameraError(f"lights from {cold:g} to {hot:g} K: give the colder first, within 1000 to 25000 K")
+
+    def even_in_mired(cold: float) -> np.ndarray:
+        steps = round((1e6 / cold - 1e6 / hot) / MIRED_STEP)
+        return 1e6 / np.linspace(1e6 / cold, 1e6 / hot, max(8, steps + 1))
+
     if lights in ("planckian", "wien"):
-        return {lights: planckian(nm, _even_in_mired(cold, hot), wien=lights == "wien")}
-    cold_day = max(cold, COLDEST_DAYLIGHT)
-    if cold_day >= hot:
+        return {lights: planckian(nm, even_in_mired(cold), wien=lights == "wien")}
+    if max(cold, COLDEST_DAYLIGHT) >= hot:
         raise CameraError(f"there is no CIE daylight from {cold:g} to {hot:g} K; give lights='planckian'")
-    day = {"daylight": daylight(nm, _even_in_mired(cold_day, hot))}
-    return day if lights == "daylight" else {"planckian": planckian(nm, _even_in_mired(cold, hot)), **day}
-
-
-def _even_in_mired(cold: float, hot: float) -> np.ndarray:
-    """Temperatures, kelvin, that are uniform in reciprocal temperature."""
-    mired = 1e6 / cold, 1e6 / hot
-    return 1e6 / np.linspace(*mired, max(8, round((mired[0] - mired[1]) / MIRED_STEP) + 1))
-
-
-def _responses(nm: np.ndarray, curves: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Responses (k, m, 3) of the camera to a neutral surface, then to eight hues, under each light (trapezoidal rule).
-
-    The hues are of moderate saturation and one low frequency: frequency-limited reflectances after Stiles, Wyszecki and
-    Ohta (JOSA 1977).
-    """
-    phases = np.arange(8)[:, None] / 8
-    surfaces = np.vstack([np.ones_like(nm), 0.5 + 0.25 * np.cos(2 * np.pi * (nm / 250.0 - phases))])
-    return np.einsum("kn,mn,nc->kmc", surfaces, power, curves * _trapezoid_weights(nm)[:, None], optimize=True)
+    day = {"daylight": daylight(nm, even_in_mired(max(cold, COLDEST_DAYLIGHT)))}
+    return day if lights == "daylight" else {"planckian": planckian(nm, even_in_mired(cold)), **day}
 
 
 def _trapezoid_weights(nm: np.ndarray) -> np.ndarray:
@@ -257,9 +250,8 @@ def _check_curves(nm: np.ndarray, curves: np.ndarray) -> None:
         raise CameraError(f"wavelength {nm[1:][np.diff(nm) <= 0][0]:g} is not in order; give each once, shortest first")
     if nm[0] < 100 or nm[-1] > 3000:
         raise CameraError(f"wavelengths from {nm[0]:g} to {nm[-1]:g} are not in nm; visible light has 380 to 780 nm")
-    for name, curve in zip("RGB", curves.T, strict=True):
-        if curve.max() <= 0:
-            raise CameraError(f"channel {name} has no sensitivity above 0; check the columns")
+    if deaf := [name for name, curve in zip("RGB", curves.T, strict=True) if curve.max() <= 0]:
+        raise CameraError(f"channel {deaf[0]} has no sensitivity above 0; check the columns")
     if (np.diff(nm) > COARSEST).any():
         raise CameraError(f"wavelengths are {np.diff(nm).max():g} nm apart; give sensitivities every {COARSEST:g} nm")
 

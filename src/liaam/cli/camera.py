@@ -41,8 +41,7 @@ FreeBalance = Annotated[
 ]
 CAMERA_FILE = Path("camera.json")
 
-FAR = 0.04
-"""Movement, as a fraction of the image size, above which to warn that the scene may not be flat."""
+FAR = 0.04  # Movement, as a fraction of the image size, above which to warn that the scene may not be flat
 
 
 @group.command()
@@ -187,7 +186,8 @@ def response_command(
     """
     from liaam.calibration import align_pictures, calibrate_response
     from liaam.photometry import parse_response
-    from liaam.plotting.photometry import figure_of_response, save_figure
+    from liaam.plotting import save_figure
+    from liaam.plotting.photometry import figure_of_response
 
     check_camera_output(output, images)
     if len(images) == 1 and not images[0].exists():
@@ -339,7 +339,8 @@ def write_check(
 ) -> None:
     """Write a figure of the images beside their invariant images, to check that the light is removed."""
     from liaam.photometry import invariant_image
-    from liaam.plotting.photometry import figure_of_invariants, save_figure
+    from liaam.plotting import save_figure
+    from liaam.plotting.photometry import figure_of_invariants
 
     names = inputs.unique_stems(list(paths[:6]))
     figure = figure_of_invariants(

@@ -18,8 +18,7 @@ from liaam.io.landmarks.reading import Reading
 if TYPE_CHECKING:
     from liaam.datasets.label_faults import LabelFault
 
-MAX_WARNINGS = 3
-"""Faults that ``liaam train`` prints before it refers to ``liaam check``."""
+MAX_WARNINGS = 3  # Faults that liaam train prints before it refers to liaam check
 
 
 def check(

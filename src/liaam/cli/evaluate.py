@@ -17,8 +17,7 @@ from liaam.io.landmarks.reading import Reading
 if TYPE_CHECKING:
     from liaam import Evaluation
 
-SHOWN = 10
-"""Landmarks in the printed table, and images on the contact sheet: those with the largest errors."""
+SHOWN = 10  # Landmarks in the printed table, and images on the contact sheet: those with the largest errors
 
 
 def evaluate(

@@ -25,14 +25,13 @@ from liaam.models import FACE, MODELS, model_file
 if TYPE_CHECKING:
     from liaam.photometry import CameraModel
 
+# Warning for a start with a low search score
 LOW_SCORE = (
     "the search may have found something else (low score): check the overlay; if it is wrong, give the object's "
     "place with --init"
 )
-"""Warning for a start with a low search score."""
-
+# Ending of warnings, if only upright objects were searched for
 TURNED = "; if the object is rotated against the training images, add --rotations all"
-"""Ending of warnings, if only upright objects were searched for."""
 
 
 LandmarkedFolder = Annotated[
@@ -45,8 +44,7 @@ LandmarkedFolder = Annotated[
     ),
 ]
 """Its permissions are not checked by typer, because the readers' messages say what to do. So for the next one."""
-MODEL_SUFFIXES = (".liaam", ".safetensors")
-"""Suffixes of models, to tell one that is given after the images."""
+MODEL_SUFFIXES = (".liaam", ".safetensors")  # Suffixes of models, to tell one that is given after the images
 
 ModelAndImages = Annotated[
     list[Path],
@@ -100,11 +98,8 @@ RotationsOption = Annotated[
 ]
 
 
-LEAST_ANGLE = 60
-"""Angle theta in degrees from which a number of --camera is an angle; smaller numbers are a gamma."""
-
-AUTO = "auto"
-"""Value of options that liaam chooses itself."""
+LEAST_ANGLE = 60  # Angle theta in degrees from which a number of --camera is an angle; smaller numbers are a gamma
+AUTO = "auto"  # Value of options that liaam chooses itself
 
 ShapesOption = Annotated[
     str,

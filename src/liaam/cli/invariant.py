@@ -39,7 +39,8 @@ def invariant(
     """Write the invariant image of each image: .png for viewing, .tif (float) and .npy for computing."""
     from liaam.calibration import agreement, averaged
     from liaam.photometry import invariant_image
-    from liaam.plotting.photometry import figure_of_agreement, figure_of_sweep, invariant_picture, save_figure
+    from liaam.plotting import save_figure
+    from liaam.plotting.photometry import figure_of_agreement, figure_of_sweep, invariant_picture
 
     camera, pictures = camera_for(images, given_camera), [read_image(path) for path in images]
     # Fail before writing anything if the images cannot be compared.

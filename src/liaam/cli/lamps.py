@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from liaam.lamps import Lamps
     from liaam.photometry import Response
 
-LAMPS_SUFFIX = ".lamps"
-"""Suffix of lamp files."""
+LAMPS_SUFFIX = ".lamps"  # Suffix of lamp files
 
 TrainingLampOption = Annotated[
     str | None,

@@ -8,6 +8,7 @@ import typer
 from liaam.cli.inputs import CategoryOption, StrictOption
 from liaam.cli.terminal import cell, complain, say, show_table, table_of
 from liaam.errors import LiaamError
+from liaam.io import write_columns
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path, some_names
 from liaam.io.landmarks.formats import KNOWN_FILES
@@ -84,7 +85,7 @@ def measure(
         complain(line)
     columns = morphometry.measure(specimens, measures or (), scale, slide)
     error = None if replicates is None else morphometry.measurement_error(specimens, columns, replicates, bool(slide))
-    morphometry.write_measurements(output, columns)
+    write_columns(output, columns)
     unit = "" if "scale" in columns else " in pixels (give --scale for other units)"
     say(f"{output}: {count_of(len(specimens), 'specimen')}{unit}")
     if plot is not None:
@@ -95,7 +96,7 @@ def measure(
         say(f"{plot}: shapes")
     if error is not None:
         beside = output.with_name(f"{output.stem}_replicates.csv")
-        morphometry.write_measurements(beside, error)
+        write_columns(beside, error)
         _show(error)
         say(f"{beside}: measurement error")
     _complain_of_gaps(columns)

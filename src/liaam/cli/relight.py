@@ -18,8 +18,7 @@ from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 if TYPE_CHECKING:
     from liaam.fitting import FitResult
 
-FLAT = "flat"
-"""Value of --light for the training light, and the ending of such images' names."""
+FLAT = "flat"  # Value of --light for the training light, and the ending of such images' names
 
 
 def relight(

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from liaam.model import AAM
     from liaam.photometry import CameraModel
 
-MODEL_SUFFIX = ".liaam"
-"""Suffix of files that may be replaced by a model."""
+MODEL_SUFFIX = ".liaam"  # Suffix of files that may be replaced by a model
 
 MethodsOption = Annotated[
     str,

@@ -11,22 +11,16 @@ from liaam.io.files import is_number, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 from liaam.io.landmarks import LANDMARK_SUFFIXES
 
-NO_IMAGE = "no image has its name"
-"""Reason for leaving out a landmark file."""
-
+NO_IMAGE = "no image has its name"  # Reason for leaving out a landmark file
+# Reason for leaving out a file that seems to hold landmarks
 UNKNOWN = f"unknown format; landmarks are read from {', '.join(LANDMARK_SUFFIXES)}"
-"""Reason for leaving out a file that seems to hold landmarks."""
-
+# Reason for leaving out an image that has landmarks
 UNKNOWN_IMAGE = "unsupported image format; convert it to .png, .tif or .jpg"
-"""Reason for leaving out an image that has landmarks."""
 
 ABSENT = "it names images that do not exist"
 
-_SEARCHED = 20_000
-"""Maximum number of paths in subfolders that are looked at."""
-
-_SAMPLE = 4096
-"""Number of bytes of a file that decide whether it is a table of numbers."""
+_SEARCHED = 20_000  # Maximum number of paths in subfolders that are looked at
+_SAMPLE = 4096  # Number of bytes of a file that decide whether it is a table of numbers
 
 
 def unread_landmarks(files: Sequence[Path], bare: Sequence[Path], unrecognised: Sequence[Path] = ()) -> list[Path]:

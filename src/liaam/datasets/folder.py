@@ -30,8 +30,7 @@ from liaam.progress import progress_bar
 
 _BARE = "the image has no landmarks"
 _UNREAD = "the landmarks cannot be read"
-_SAME = 1.5
-"""Largest difference of positions in pixels that the conventions of programs and rounding explain."""
+_SAME = 1.5  # Largest difference of positions in pixels that the conventions of programs and rounding explain
 
 _LESSER = "another landmark file takes precedence"
 _PARTIAL = "one of several objects in an image lacks landmarks"

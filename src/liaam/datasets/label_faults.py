@@ -17,29 +17,19 @@ from liaam.io.landmarks import Landmarks
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.progress import Progress
 
-LEAST_PICTURES = 8
-"""Least number of images to estimate the usual deviations."""
-
+LEAST_PICTURES = 8  # Least number of images to estimate the usual deviations
+# Number of neighbours whose median gives the expected landmarks. Images with the same error are neighbours: errors of
+# single images are found, but only half of those that a tenth of the images share.
 NEIGHBOURS = 9
-"""Number of neighbours whose median gives the expected landmarks. Images with the same error are neighbours: errors of
-single images are found, but only half of those that a tenth of the images share."""
-
-MOST_COMPARED = 400
-"""Largest number of images that each is compared with."""
-
-OUTLIER = 4.0
-"""Least distance, in usual deviations, of landmarks that may be exchanged."""
-
-BETTER = 8.0
-"""Least factor by which an exchange must reduce the squared distances."""
-
+MOST_COMPARED = 400  # Largest number of images that each is compared with
+OUTLIER = 4.0  # Least distance, in usual deviations, of landmarks that may be exchanged
+BETTER = 8.0  # Least factor by which an exchange must reduce the squared distances
+# Median distance, in usual deviations, above which other orders of all landmarks are tried, and the least factor by
+# which such an order must reduce it; of reflections, the upper quartile
 ALL_OFF = 3.0
-"""Median distance, in usual deviations, above which other orders of all landmarks are tried, and the least factor by
-which such an order must reduce it; of reflections, the upper quartile."""
-
+# Largest rotation (radians) of a record that is upright once its y is reversed, and least mean resultant length of the
+# other records' orientations for it to be judged
 UPRIGHT, ALIGNED = np.pi / 4, 0.8
-"""Largest rotation (radians) of a record that is upright once its y is reversed, and least mean resultant length of
-the other records' orientations for it to be judged."""
 
 
 @dataclass(frozen=True, eq=False)

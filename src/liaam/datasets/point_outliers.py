@@ -14,45 +14,26 @@ import numpy as np
 from liaam.model.shape import align, diagonal_of, procrustes_mean, similarity_modes
 from liaam.progress import Progress
 
-LEAST_POINTS = 4
-"""Least number of landmarks: any three points have a usual shape when one is left out."""
-
-RISK = 0.015
-"""Probability that a set of images without misplaced points has any reported, if its shapes vary normally."""
-
-PRECISION = 0.003
-"""Usual precision of landmarks, as a fraction of the shape's diagonal."""
+LEAST_POINTS = 4  # Least number of landmarks: any three points have a usual shape when one is left out
+RISK = 0.015  # Probability that a set of images without misplaced points has any reported, if its shapes vary normally
+PRECISION = 0.003  # Usual precision of landmarks, as a fraction of the shape's diagonal
 
 LEAST_SPREAD, ALWAYS = 3.5, 0.05
+# Least distance of a misplaced landmark in its standard deviations, or in the usual precision where landmarks are
+# placed more precisely; and at most this fraction of the diagonal, which allows for turned faces and open mouths, and
+# is that for fewer images than MANY
 LEAST = LEAST_SPREAD * PRECISION
-"""Least distance of a misplaced landmark in its standard deviations, or in the usual precision where landmarks are
-placed more precisely; and at most this fraction of the diagonal, which allows for turned faces and open mouths, and is
-that for fewer images than MANY."""
-
-MANY = 30
-"""Least number of images whose landmarks' standard deviations are relied on."""
-
+MANY = 30  # Least number of images whose landmarks' standard deviations are relied on
+# Candidate variances of independent points, as fractions of the mean variance of a coordinate
 SHRINKAGES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Candidate variances of independent points, as fractions of the mean variance of a coordinate."""
-
+# Images that the landmarks' common scale counts for, when each landmark's own scale is estimated: as many as tell the
+# scale from an upper decile to a quarter, which is about how much landmarks differ
 POOLED = 30
-"""Images that the landmarks' common scale counts for, when each landmark's own scale is estimated: as many as tell the
-scale from an upper decile to a quarter, which is about how much landmarks differ."""
-
-ALIKE = 6.0
-"""Points whose test statistics differ by less may each explain an unusual shape."""
-
-PRECISE = 0.8
-"""Precision of a scale from the smaller nine tenths of squared distances, relative to that from all."""
-
-FAR = 4.0
-"""Distance to the guesses, in medians, above which landmarks do not count for the first covariance."""
-
-PASSES = 4
-"""Number of estimates of the mean and the covariance."""
-
-DOUBTFUL = 0.0015
-"""Share of points that do not count for the next estimate if none is misplaced."""
+ALIKE = 6.0  # Points whose test statistics differ by less may each explain an unusual shape
+PRECISE = 0.8  # Precision of a scale from the smaller nine tenths of squared distances, relative to that from all
+FAR = 4.0  # Distance to the guesses, in medians, above which landmarks do not count for the first covariance
+PASSES = 4  # Number of estimates of the mean and the covariance
+DOUBTFUL = 0.0015  # Share of points that do not count for the next estimate if none is misplaced
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from liaam.errors import LiaamError, TrainingError
@@ -26,33 +27,22 @@ from liaam.photometry.encoding import stored_values
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linear, to_linear
 
+# Half the side of a field's square, in diagonals of the mean shape. The square includes the background that a search
+# covers.
 HALF = 0.9
-"""Half the side of a field's square, in diagonals of the mean shape. The square includes the background that a search
-covers."""
-
-DARK = 4.0 / 255.0
-"""Added to stored values before the logarithm, to suppress rounding and noise in dark pixels."""
-
-GAMMA = 2.2
-"""Change of the logarithm of light with that of stored sRGB values, on average."""
-
+DARK = 4.0 / 255.0  # Added to stored values before the logarithm, to suppress rounding and noise in dark pixels
+GAMMA = 2.2  # Change of the logarithm of light with that of stored sRGB values, on average
+# Distances from the mean shape up to which a light basis is sharp, and at which it has faded out; and the standard
+# deviation of the blur in between, where surroundings differ from those of the lamps' objects. In diagonals.
 SHARP, FADED, SOFTNESS = 0.15, 0.5, 0.15
-"""Distances from the mean shape up to which a light basis is sharp, and at which it has faded out; and the standard
-deviation of the blur in between, where surroundings differ from those of the lamps' objects. In diagonals."""
-
+# Number of modes of a light basis, and standard deviation of the uniform changes of colour that are added to it
 MODES, TINT = 16, 0.1
-"""Number of modes of a light basis, and standard deviation of the uniform changes of colour that are added to it."""
-
-STRIDE = 4
-"""Spacing of the pixels for which the map is computed; it is interpolated in between."""
+STRIDE = 4  # Spacing of the pixels for which the map is computed; it is interpolated in between
 
 SCHEMA_VERSION = 1
 
-MAKE = "liaam lamps FOLDER -o LAMPS"
-"""The command that makes a lamp file."""
-
-MOST = 10_000
-"""Largest number of lamps in a file."""
+MAKE = "liaam lamps FOLDER -o LAMPS"  # The command that makes a lamp file
+MOST = 10_000  # Largest number of lamps in a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +100,6 @@ class Lamps:
         TrainingError
             If the lamps were learnt with another number of landmarks.
         """
-        import cv2  # heavy: imported when first needed
-
         self.check_landmarks(len(points), "these images")
         at, values = places(self.mean, points, image.shape[1::-1]), as_srgb(image, response) + np.float32(DARK)
         grey, images = is_grey(image), []
@@ -119,7 +107,11 @@ class Lamps:
             field = self.fields[i].astype(np.float32)
             field = field.mean(axis=2, keepdims=True).repeat(3, axis=2) if grey else field
             relit = np.clip(values * cv2.exp(sample_field(field, at)) - np.float32(DARK), 0.0, 1.0)
-            images.append(_as_stored(relit, image.dtype, response))
+            if response != "srgb":
+                relit = from_linear(srgb_to_linear(relit), response).astype(np.float32)
+            if image.dtype.kind != "f":
+                relit = np.rint(np.clip(relit, 0.0, 1.0) * np.float32(np.iinfo(image.dtype).max)).astype(image.dtype)
+            images.append(relit)
         return images
 
     def halves(self) -> list[np.ndarray]:
@@ -143,8 +135,6 @@ class Lamps:
 
     def basis(self, mirrored: bool) -> LightBasis:
         """Summarise the lamps, and their mirror images if the objects are symmetric, by a low-rank basis."""
-        import cv2  # heavy: imported when first needed
-
         away = _away_from(self.mean)[..., None]
         sharp, kept = (np.clip((far - away) / (FADED - SHARP), 0.0, 1.0) for far in (2 * SHARP, FADED))
         kept = kept * kept * (3.0 - 2.0 * kept)
@@ -157,8 +147,7 @@ class Lamps:
         inside = away[..., 0] <= 0
         rest = _left_out(fields, np.tile(groups, len(fields) // len(groups)), inside)
         remainder = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
-        tints = TINT * CHROMATICITY[:, None, None] * kept
-        modes = np.concatenate([_modes(fields), tints])
+        modes = np.concatenate([_modes(fields), TINT * CHROMATICITY[:, None, None] * kept])
         return LightBasis(self.mean, rounded(modes), remainder.astype(np.float16))
 
     def save(self, path: str | os.PathLike) -> None:
@@ -207,8 +196,6 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
 
     ``mean`` is the mean shape of the fields, and ``points`` are the landmarks in the image.
     """
-    import cv2  # heavy: imported when first needed
-
     width, height = size
     x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
     coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
@@ -222,8 +209,6 @@ def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarr
 
     ``shape`` (n, 2) are the landmarks of the first mean shape in the coordinates of the other.
     """
-    import cv2  # heavy: imported when first needed
-
     at = in_field(_to_mean(mean, shape, square())) * np.float32((fields.shape[1] - 1) / (SIDE - 1))
     x, y, border = at[..., 0], at[..., 1], cv2.BORDER_REPLICATE
     moved = [cv2.remap(field.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=border) for field in fields]
@@ -248,8 +233,6 @@ def in_field(points: np.ndarray) -> np.ndarray:
 
 def sample_field(field: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Interpolate a field (height, width, ...) float32 at its pixels ``at`` (h, w, 2) float32; constant beyond it."""
-    import cv2  # heavy: imported when first needed
-
     return cv2.remap(field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
@@ -261,8 +244,6 @@ def square() -> np.ndarray:
 
 def _away_from(mean: np.ndarray) -> np.ndarray:
     """Return the distance of a field's pixels from the convex hull of the mean shape, (SIDE, SIDE) float32."""
-    import cv2  # heavy: imported when first needed
-
     step = 2 * HALF / (SIDE - 1)
     outside = np.ones((SIDE, SIDE), np.uint8)
     cv2.fillConvexPoly(outside, cv2.convexHull(np.rint((mean + HALF) / step).astype(np.int32)), 0)
@@ -270,8 +251,8 @@ def _away_from(mean: np.ndarray) -> np.ndarray:
 
 
 _STEPS, _ENDS = np.linspace(-HALF, HALF, 5), (-HALF, HALF)
+# Points on the square's border, (16, 2) float64, which follow the shape's pose
 BORDER = np.array([(s, e) for s in _STEPS for e in _ENDS] + [(e, s) for s in _STEPS[1:-1] for e in _ENDS])
-"""Points on the square's border, (16, 2) float64, which follow the shape's pose."""
 
 
 def anchors(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -283,14 +264,6 @@ def as_srgb(image: np.ndarray, response: Response) -> np.ndarray:
     """Convert an image to sRGB values, (h, w, 3) float32, 0 to 1."""
     stored = stored_values(image)
     return stored if response == "srgb" else linear_to_srgb(to_linear(stored, response)).astype(np.float32)
-
-
-def _as_stored(values: np.ndarray, dtype: np.dtype, response: Response) -> np.ndarray:
-    """Convert sRGB values (h, w, 3), 0 to 1, to the values that a camera of a response and type would store."""
-    stored = values if response == "srgb" else from_linear(srgb_to_linear(values), response).astype(np.float32)
-    if dtype.kind == "f":
-        return stored
-    return np.rint(np.clip(stored, 0.0, 1.0) * np.float32(np.iinfo(dtype).max)).astype(dtype)
 
 
 def load_lamps(path: str | os.PathLike) -> Lamps:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from liaam.lamps.bank import Lamps
@@ -10,30 +11,23 @@ from liaam.model.sampling import corners_around
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
 
-AROUND = 0.5
-"""Margin of a crop, as a fraction of the object's diagonal."""
-
-FINER = 2.0
-"""An image is averaged down if it exceeds the required resolution by more than this factor."""
-
+AROUND = 0.5  # Margin of a crop, as a fraction of the object's diagonal
+FINER = 2.0  # An image is averaged down if it exceeds the required resolution by more than this factor
+# Largest number of images and copies together, if that allows a copy of each image; otherwise there is one of each
 MOST = 1200
-"""Largest number of images and copies together, if that allows a copy of each image; otherwise there is one of each."""
 
 
 @dataclass(frozen=True, eq=False)
 class Copies:
     """Plan of the copies of training images."""
 
-    lamps: Lamps | None
-    """Lamps for relit copies; without lamps, copies keep the training light."""
-    counts: np.ndarray
-    """(n,) int: number of copies of each image."""
+    lamps: Lamps | None  # for relit copies; without lamps, copies keep the training light
+    counts: np.ndarray  # (n,) int: number of copies of each image
+    # (n_points,) int: index of each landmark's mirror image, for symmetric objects: half of the copies are mirrored
     order: np.ndarray | None = None
-    """(n_points,) int: index of each landmark's mirror image (:func:`liaam.model.shape.mirror_order`), for symmetric
-    objects: half of the copies are mirrored."""
+    # Distance by which landmarks lie to the right of where they should, in image pixels. Those of mirrored copies are
+    # moved to lie on the same side of the object
     offset: float = 0.0
-    """Distance by which landmarks lie to the right of where they should, in image pixels. Those of mirrored copies are
-    moved to lie on the same side of the object."""
 
     @classmethod
     def of(cls, lamps: Lamps | None, n: int, each: int, order: np.ndarray | None) -> "Copies":
@@ -105,8 +99,6 @@ def mirrored(
 
 def close_up(image: np.ndarray, points: np.ndarray, diagonal: float) -> tuple[np.ndarray, np.ndarray]:
     """Crop an object, average it down to about twice a diagonal in pixels, and map its landmarks."""
-    import cv2  # heavy: imported when first needed
-
     low, high = corners_around(image, points, AROUND, 0.0)
     part, points = image[low[1] : high[1], low[0] : high[0]], points - low
     factor = int(diagonal_of(points) / (FINER * diagonal))

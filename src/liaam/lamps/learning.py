@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable
 
+import cv2
 import numpy as np
 
 from liaam.datasets import Sample
@@ -14,13 +15,12 @@ from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
 from liaam.progress import Progress
 
+# Standard deviation of the blur of a ratio of two images, as a fraction of the object's diagonal. It keeps the light,
+# and removes fine texture and the effect of small movements.
 BLUR = 0.016
-"""Standard deviation of the blur of a ratio of two images, as a fraction of the object's diagonal. It keeps the light,
-and removes fine texture and the effect of small movements."""
-
+# Mean distance of landmarks between two images of an object, as a fraction of its diagonal, above which the object
+# counts as moved
 MOVED = 0.03
-"""Mean distance of landmarks between two images of an object, as a fraction of its diagonal, above which the object
-counts as moved."""
 
 
 def learn_lamps(
@@ -111,19 +111,14 @@ def _lamp_of(picture: Sample) -> str:
 def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> str:
     """Name of the training lamp: the given one, or the only one that all objects have in common."""
     counts = Counter(lamp for pictures in objects.values() for lamp in set(map(_lamp_of, pictures)))
-    if requested is not None:
-        if requested not in counts:
-            raise TrainingError(
-                f"no image has the lamp {requested!r} in its name; choose from {', '.join(sorted(counts))}"
-            )
-        return requested
     common = [lamp for lamp, count in counts.items() if count == len(objects)]
-    if len(common) != 1:
-        raise TrainingError(
-            f"the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...); choose from "
-            f"{', '.join(sorted(counts))}"
-        )
-    return common[0]
+    suited = common if requested is None else [lamp for lamp in counts if lamp == requested]
+    if len(suited) == 1:
+        return suited[0]
+    fault = f"no image has the lamp {requested!r} in its name"
+    if requested is None:
+        fault = "the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...)"
+    raise TrainingError(f"{fault}; choose from {', '.join(sorted(counts))}")
 
 
 def _base(name: str, pictures: list[Sample], training_lamp: str) -> Sample:
@@ -148,8 +143,7 @@ def _base(name: str, pictures: list[Sample], training_lamp: str) -> Sample:
 
 def _field(before: np.ndarray, after: np.ndarray, base: Sample, picture: Sample, mean: np.ndarray) -> np.ndarray:
     """Log ratio of two images, warped to the mean shape, (SIDE, SIDE, 3) float16."""
-    import cv2  # heavy: imported when first needed
-    from scipy.interpolate import LinearNDInterpolator
+    from scipy.interpolate import LinearNDInterpolator  # heavy: imported when first needed
 
     if before.shape != after.shape:
         raise TrainingError(f"{picture.name} and {base.name} differ in size; use images of equal size")

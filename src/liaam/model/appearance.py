@@ -33,11 +33,10 @@ CHANNELS = {
   (:mod:`liaam.photometry.features`).
 """
 
+# Appearances that a method can compare an image with
 APPEARANCES = tuple(name for name in CHANNELS if name not in ("illumination", "search"))
-"""Appearances that a method can compare an image with."""
-
+# Appearances learnt from the training images and their copies. The others are learnt from the images only.
 COPIED_APPEARANCES = ("orientation", "search", "soft", "varied", "illumination")
-"""Appearances learnt from the training images and their copies. The others are learnt from the images only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +95,7 @@ class AppearanceModel:
         return self.mean + np.tensordot(np.asarray(lam, dtype=np.float32), self.modes, axes=1)
 
 
-SEARCHED_MODES = 15
-"""Number of modes of ``search``; with more, the reduced model of the search also explains other objects."""
+SEARCHED_MODES = 15  # Number of modes of search; with more, the reduced model of the search also explains other objects
 
 
 def strongest_modes(orientations: AppearanceModel) -> AppearanceModel:
@@ -113,8 +111,7 @@ def spread(values: np.ndarray, known: np.ndarray, axis: int = 0) -> np.ndarray:
     return whole
 
 
-FILLING_PASSES = 5
-"""Iterations of PCA imputation; the imputed values hardly change after the third."""
+FILLING_PASSES = 5  # Iterations of PCA imputation; the imputed values hardly change after the third
 
 
 @dataclass(frozen=True, eq=False)

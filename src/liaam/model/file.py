@@ -19,43 +19,26 @@ from liaam.model.views import MESH, SIDE, VIEWS, Level, LightBasis, Reliability,
 from liaam.photometry import camera_from, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
 
+# Versions of the format, increased when its meaning changes: of a model, of one of several shapes, and of one with
+# shapes that are stored as mirror images of others
 SCHEMA_VERSION, OF_SHAPES, OF_MIRRORED = 5, 6, 7
-"""Versions of the format, increased when its meaning changes: of a model, of one of several shapes, and of one with
-shapes that are stored as mirror images of others."""
-
+# Versions that are read. Version 4 has the appearances of all methods, modes in single precision.
 READABLE = (4, 5, 6, 7)
-"""Versions that are read. Version 4 has the appearances of all methods, modes in single precision."""
-
+# Key of a shape's header that is the mirror image of the shape before: the index of each landmark's mirror image
 MIRRORED = "mirrored"
-"""Key of a shape's header that is the mirror image of the shape before: the index of each landmark's mirror image."""
-
-MOST_SHAPES = 4
-"""Largest number of shapes of a model."""
-
-MAX_DIAGONAL = 2000.0
-"""Largest diagonal of a reference frame, pixels."""
-
-MAX_POINTS = 4000
-"""Largest number of landmarks: the ring around a mesh takes memory that grows with its square."""
-
+MOST_SHAPES = 4  # Largest number of shapes of a model
+MAX_DIAGONAL = 2000.0  # Largest diagonal of a reference frame, pixels
+MAX_POINTS = 4000  # Largest number of landmarks: the ring around a mesh takes memory that grows with its square
+# Largest ratio of a mesh's area to its number of pixels. It exceeds 1 because borders matter in small frames.
 ROOMY = 4.0
-"""Largest ratio of a mesh's area to its number of pixels. It exceeds 1 because borders matter in small frames."""
-
-LONGEST_NAME = 1000
-"""Largest number of characters of a model's name, its credit and the name of a landmark."""
-
-MAX_BLUR, MAX_LEVELS = 10.0, 10
-"""Largest blur, pixels of the reference frame, and largest number of levels."""
-
-MAX_LIGHTS = 100
-"""Largest number of modes of a light basis."""
-
-LARGEST_FILTER = 100
-"""Largest height and width of the search's filter, pixels."""
-
+LONGEST_NAME = 1000  # Largest number of characters of a model's name, its credit and the name of a landmark
+MAX_BLUR, MAX_LEVELS = 10.0, 10  # Largest blur, pixels of the reference frame, and largest number of levels
+MAX_LIGHTS = 100  # Largest number of modes of a light basis
+LARGEST_FILTER = 100  # Largest height and width of the search's filter, pixels
+# Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest.
 LEAST_SHARE = 0.1
-"""Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest."""
-
+# Tensors of each part of a model: a light basis, a map from another landmarker's points, a function's channels, and
+# those of a view. Those of appearances and of the modes of light are in functions below.
 STORED = {
     "light": ("mean", "remainder"),
     "points": ("weights", "errors", "noise"),
@@ -63,20 +46,10 @@ STORED = {
     "shape": ("modes", "eigenvalues", "unexplained"),
     "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical", "prior"),
 }
-"""Tensors of each part of a model: a light basis, a map from another landmarker's points, a function's channels, and
-those of a view. Those of appearances and of the modes of light are in functions below."""
-
-MOST_WEIGHT = 1e6
-"""Largest weight of such a point."""
-
-UNIT = 0.1
-"""Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors."""
-
-FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"
-"""Formats in the headers of model files and of lamp files."""
-
-UNNAMED = "soft-li"
-"""Method whose calibration is stored without its name."""
+MOST_WEIGHT = 1e6  # Largest weight of such a point
+UNIT = 0.1  # Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors
+FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"  # Formats in the headers of model files and of lamp files
+UNNAMED = "soft-li"  # Method whose calibration is stored without its name
 
 
 def calibration_of(method: str) -> str:

@@ -8,9 +8,9 @@ import numpy as np
 from liaam import _core
 from liaam.errors import TrainingError
 
+# Fraction of the mesh's area in flipped triangles above which a shape counts as folded. Landmarks of lips and eyelids
+# cross by a pixel in good annotations; a wrong order of points flips far more.
 FOLD_TOLERANCE = 0.15
-"""Fraction of the mesh's area in flipped triangles above which a shape counts as folded. Landmarks of lips and eyelids
-cross by a pixel in good annotations; a wrong order of points flips far more."""
 
 
 _NO_MESH = "the landmarks lie on one line or at one point, so they span no mesh; check their order and units"
@@ -85,9 +85,9 @@ def barycentric(points: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return np.column_stack([1.0 - v - w, v, w])
 
 
+# Width of the ring around a mesh, as a fraction of the distance from the shape's centre. Locating an outline needs
+# pixels on both of its sides; at twice the width the background begins to matter (measured on the spot protocol).
 SURROUND = 0.06
-"""Width of the ring around a mesh, as a fraction of the distance from the shape's centre. Locating an outline needs
-pixels on both of its sides; at twice the width the background begins to matter (measured on the spot protocol)."""
 
 
 def surroundings(points: np.ndarray, triangles: np.ndarray, width: float = SURROUND) -> tuple[np.ndarray, np.ndarray]:
@@ -239,8 +239,8 @@ def _spline_slopes(
     return slopes
 
 
+# Largest total size of the triangles' bounding boxes in pixels; rasterising visits each of these pixels
 MAX_RASTER_PIXELS = 2e7
-"""Largest total size of the triangles' bounding boxes in pixels; rasterising visits each of these pixels."""
 
 
 def model_frame(points: np.ndarray, triangles: np.ndarray) -> ReferenceFrame:

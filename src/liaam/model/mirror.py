@@ -13,8 +13,7 @@ from liaam.model.views import VIEWS, Level, View
 if TYPE_CHECKING:
     from liaam.model.aam import AAM
 
-GRADIENTS = ("orientation", "search", "soft")
-"""Appearances whose first channel is a gradient along x."""
+GRADIENTS = ("orientation", "search", "soft")  # Appearances whose first channel is a gradient along x
 
 
 def mirrored_model(model: "AAM", order: np.ndarray) -> "AAM":

@@ -35,8 +35,7 @@ def check_variance(variance: Variance) -> None:
     )
 
 
-CHUNK = 4096
-"""Columns of long vectors that are processed at once, in double precision."""
+CHUNK = 4096  # Columns of long vectors that are processed at once, in double precision
 
 
 def chunks(length: int) -> Iterator[slice]:
@@ -108,8 +107,7 @@ def count_modes(squares: np.ndarray, variance: float | int) -> int:
     return min(int(np.searchsorted(share, variance - 1e-12)) + 1, rank)
 
 
-FOLDS = 10
-"""Largest number of folds for leave-out residuals; with fewer images each is a fold of its own."""
+FOLDS = 10  # Largest number of folds for leave-out residuals; with fewer images each is a fold of its own
 
 
 def some_folds(n: int) -> list[np.ndarray]:

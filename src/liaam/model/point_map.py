@@ -18,17 +18,14 @@ import numpy as np
 from liaam.evaluation import short_repr
 from liaam.model.shape import ShapeModel, align
 
+# Candidate ridges, as fractions of the squared size of a shape of theirs. Measured with MediaPipe on the spot protocol,
+# with maps from five images of a person: median errors of 4.4 % for a ridge of 2e-6, 4.0 % for 6e-5, and 3.9 to 4.0 %
+# between 2e-4 and 2e-2.
 RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
-"""Candidate ridges, as fractions of the squared size of a shape of theirs. Measured with MediaPipe on the spot
-protocol, with maps from five images of a person: median errors of 4.4 % for a ridge of 2e-6, 4.0 % for 6e-5, and 3.9
-to 4.0 % between 2e-4 and 2e-2."""
-
-SHRINK = 5.0
-"""Weight, in images, of uncorrelated errors of equal variance in the estimate of the errors' covariance."""
+SHRINK = 5.0  # Weight, in images, of uncorrelated errors of equal variance in the estimate of the errors' covariance
 
 
-LEAST_NOISE = 1e-4
-"""Lower bound on the variance of uncorrelated errors, square pixels of the reference frame."""
+LEAST_NOISE = 1e-4  # Lower bound on the variance of uncorrelated errors, square pixels of the reference frame
 
 
 @dataclass(frozen=True, eq=False)

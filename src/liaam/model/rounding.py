@@ -5,11 +5,8 @@ Rounding again changes nothing, so that a model file can hold rounded modes as t
 
 import numpy as np
 
-LARGEST = 127
-"""Largest code. 127 times a step of :data:`STEP_BITS` bits is exact in single precision."""
-
-STEP_BITS = 16
-"""Significant bits of a step."""
+LARGEST = 127  # Largest code. 127 times a step of STEP_BITS bits is exact in single precision.
+STEP_BITS = 16  # Significant bits of a step
 
 
 def rounded(modes: np.ndarray) -> np.ndarray:

@@ -98,8 +98,8 @@ class Light:
         return cls(image, encoding, response, _Blocks.of(image, low, high, size, encoding, response))
 
 
+# Relative tolerance of the size of blocks that levels share. The blur that follows compensates for the difference.
 SIZE_TOLERANCE = 0.1
-"""Relative tolerance of the size of blocks that levels share. The blur that follows compensates for the difference."""
 
 
 def make_patch(
@@ -170,9 +170,9 @@ def block_size(encoding: Encoding, scale: float, blur: float) -> float:
     return max(1.0, scale * max(FINENESS * blur, min(blur, 1.0)))
 
 
+# Size of a patch's pixels for soft, in standard deviations of its blur, on levels where the blur exceeds two model
+# pixels. Measured on a generated head: with a size of 1, 22 of 70 distant starts fail instead of 17.
 FINENESS = 0.5
-"""Size of a patch's pixels for ``soft``, in standard deviations of its blur, on levels where the blur exceeds two model
-pixels. Measured on a generated head: with a size of 1, 22 of 70 distant starts fail instead of 17."""
 
 
 def sample_texture(patch: Patch, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

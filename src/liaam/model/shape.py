@@ -122,14 +122,13 @@ def similarity_modes(mean: np.ndarray) -> np.ndarray:
     return np.array([row.ravel() / np.linalg.norm(row) for row in rows])
 
 
-LEAST_NOISE = 0.01
-"""Least variance of a coordinate in the likelihood of shapes, square pixels of the reference frame."""
+LEAST_NOISE = 0.01  # Least variance of a coordinate in the likelihood of shapes, square pixels of the reference frame
 
 
+# Root mean square movement of the landmarks by one standard deviation of a mode, as a fraction of a level's blur, below
+# which the mode is left out there. Of a model of 152 faces, 23 of 64 modes are left at a blur of 4 pixels, and 47 at 2.
+# Doubtful fits take a quarter less time, and right fits end where they did.
 UNSEEN = 0.05
-"""Root mean square movement of the landmarks by one standard deviation of a mode, as a fraction of a level's blur,
-below which the mode is left out there. Of a model of 152 faces, 23 of 64 modes are left at a blur of 4 pixels, and 47
-at 2. Doubtful fits take a quarter less time, and right fits end where they did."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,15 +221,14 @@ def own_parameters(n: int, n_all: int) -> np.ndarray:
     return np.arange(n) + (n_all - n) * (np.arange(n) >= n - 4)
 
 
+# Estimators of the shapes' covariance. sample: the sample covariance. shrunk: with the variances of left-out shapes as
+# its eigenvalues. smooth: shrunk towards smooth deformations (shape_prior), and with mirrored shapes as further
+# examples if they raise the likelihood of left-out shapes. wide: WIDER times the covariance of smooth, for objects that
+# differ more from those of training than these do from each other.
 PRIORS = ("sample", "shrunk", "smooth", "wide")
-"""Estimators of the shapes' covariance. ``sample``: the sample covariance. ``shrunk``: with the variances of left-out
-shapes as its eigenvalues. ``smooth``: shrunk towards smooth deformations (:mod:`liaam.model.shape_prior`), and with
-mirrored shapes as further examples if they raise the likelihood of left-out shapes. ``wide``: :data:`WIDER` times the
-covariance of ``smooth``, for objects that differ more from those of training than these do from each other."""
-
+# Ratio of the variances of wide to those of smooth. The faces that come with liaam are of one studio; factors of 2 to
+# 10 were tried on people of three other sets.
 WIDER = 4.0
-"""Ratio of the variances of ``wide`` to those of ``smooth``. The faces that come with liaam are of one studio; factors
-of 2 to 10 were tried on people of three other sets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,12 +343,11 @@ def _moments(left: np.ndarray) -> np.ndarray:
     return np.einsum("ina,inb->nab", by_landmark, by_landmark) / len(left)
 
 
+# Largest root mean square distance between a symmetric shape and its mirror image, as a fraction of its diagonal.
+# Mirrored shapes are used only if they raise the likelihood of left-out shapes.
 MIRRORED = 0.02
-"""Largest root mean square distance between a symmetric shape and its mirror image, as a fraction of its diagonal.
-Mirrored shapes are used only if they raise the likelihood of left-out shapes."""
-
+# Largest number of shapes, and of their points in total, to test for symmetry if the mean is not symmetric
 MIRRORED_TRIES, MIRRORED_POINTS = 20, 2000
-"""Largest number of shapes, and of their points in total, to test for symmetry if the mean is not symmetric."""
 
 
 def mirror_order(shape: np.ndarray, limit: float = MIRRORED, tilt: float = 90.0) -> np.ndarray | None:

@@ -19,21 +19,15 @@ import numpy as np
 
 from liaam.model.pca import LeftOutCoordinates
 
-SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
-"""Candidate fractions of smooth deformations."""
-
-WIDTHS = (0.1, 0.2)
-"""Candidate standard deviations of the kernel, as fractions of the mean shape's diagonal."""
-
+SHARES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)  # Candidate fractions of smooth deformations
+WIDTHS = (0.1, 0.2)  # Candidate standard deviations of the kernel, as fractions of the mean shape's diagonal
+# Candidate variances of the annotation noise, as fractions of the mean variance of a coordinate
 NOISES = (0.01, 0.02, 0.05, 0.1, 0.2)
-"""Candidate variances of the annotation noise, as fractions of the mean variance of a coordinate."""
-
+# Candidate degrees of freedom of the shapes' distribution; the last is a normal distribution
 FREEDOMS = (3.0, 5.0, 10.0, 20.0, 50.0, np.inf)
-"""Candidate degrees of freedom of the shapes' distribution; the last is a normal distribution."""
-
+# Largest number of landmarks used to choose the mixture. A Gaussian process on a subset of points has the same
+# parameters, and the time grows with the cube of their number.
 MOST_POINTS = 80
-"""Largest number of landmarks used to choose the mixture. A Gaussian process on a subset of points has the same
-parameters, and the time grows with the cube of their number."""
 
 
 @dataclass(frozen=True)

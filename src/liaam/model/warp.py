@@ -164,11 +164,8 @@ class PiecewiseAffineWarp:
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
 
-FEWEST = 8
-"""Least number of a frame's pixels to use."""
-
-FLAT = 0.05
-"""Fraction of its area on the mean shape below which a triangle counts as flat."""
+FEWEST = 8  # Least number of a frame's pixels to use
+FLAT = 0.05  # Fraction of its area on the mean shape below which a triangle counts as flat
 
 
 def _inverse(matrices: np.ndarray, flat: np.ndarray) -> np.ndarray:
@@ -189,8 +186,8 @@ def surrounded_warp(shape_model: ShapeModel, triangles: np.ndarray) -> Piecewise
     return PiecewiseAffineWarp(model_frame(extension @ shape_model.mean, wider), shape_model, extension)
 
 
+# Groups of plane maps, and how many of the GENERATORS they have
 GROUPS = {"translation": 2, "similarity": 4, "affine": 6, "homography": 8}
-"""Groups of plane maps, and how many of the :data:`GENERATORS` they have."""
 
 GENERATORS = np.array(
     [
@@ -206,8 +203,7 @@ GENERATORS = np.array(
     dtype=np.float64,
 )
 
-NEAREST = 0.1
-"""Depth, relative to that of the grid's centre, below which a point counts as behind the image plane."""
+NEAREST = 0.1  # Depth, relative to that of the grid's centre, below which a point counts as behind the image plane
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ from liaam.morphometry.specimens import Specimen
 
 CRITERIA = ("bending", "procrustes")
 
+# Most rounds, few because all semilandmarks drift together with more, and movement of the mean that ends them
 _ROUNDS, _TOLERANCE = 10, 1e-4
-"""Most rounds, few because all semilandmarks drift together with more, and movement of the mean that ends them."""
 
 
 def with_even_curves(specimens: Iterable[Specimen], numbers: str | int) -> tuple[Specimen, ...]:

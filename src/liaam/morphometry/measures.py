@@ -51,17 +51,9 @@ def centroid_size(points: np.ndarray) -> Measured:
 
 
 def procrustes(points: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Procrustes coordinates: centred, of centroid size 1, and rotated to a mean shape, which is taken as fixed.
+    """Procrustes coordinates (k, 2): centred, of centroid size 1, and rotated to a mean shape (k, 2), taken as fixed.
 
-    Parameters
-    ----------
-    points, mean : (k, 2) float
-
-    Returns
-    -------
-    coordinates : (k, 2) float64
-    jacobian : (2 k, 2 k) float64
-        Derivative by the points, flattened as x0, y0, x1, ...
+    Also return their derivative (2 k, 2 k) by the points, flattened as x0, y0, x1, ...
     """
     n = len(points)
     turn = align(points, mean).matrix
@@ -153,13 +145,7 @@ class ScaleBar:
 
 
 def parse_scale(text: str) -> float | ScaleBar:
-    """Parse the length of a pixel, ``0.012``, or a scale bar, ``11-12=5``.
-
-    Raises
-    ------
-    LiaamError
-        If it is neither, or a length is not positive.
-    """
+    """Parse the length of a pixel, ``0.012``, or a scale bar, ``11-12=5``."""
     bar, equals, length = text.rpartition("=")
     ends = _split(bar)
     try:

@@ -19,6 +19,8 @@ def _line(text: str, *words: str) -> list[str]:
     return text.format(*words).split()
 
 
+# Schemes by name. In turn: the names of landmarks along a line, the number of points at even distances on it with both
+# ends, and which of these are landmarks of the scheme. {} stands for the middle between right and left.
 SCHEMES = {
     "ibug-68": (
         (_line(_JAW, "right"), 9, slice(None)),
@@ -42,30 +44,13 @@ SCHEMES = {
         (_line(_INNER, "right", "lower", "top")[::-1], 6, slice(2, 3)),
     ),
 }
-"""Schemes by name. In turn: the names of landmarks along a line, the number of points at even distances on it with both
-ends, and which of these are landmarks of the scheme. ``{}`` stands for the middle between right and left."""
 
 
 def in_scheme(points: np.ndarray, names: Sequence[str], scheme: str) -> np.ndarray:
-    """Place the landmarks of a scheme along lines through the landmarks of a face.
+    """Place the landmarks of a scheme, (m, 2) float64, along lines through the landmarks of a face, (n, 2).
 
-    Parameters
-    ----------
-    points : (n, 2)
-        Landmarks, pixels.
-    names : sequence of str
-        Their names, those of the face model that comes with liaam.
-    scheme : str
-        A name of :data:`SCHEMES`: ``ibug-68`` for the 68 landmarks of iBUG's 300-W.
-
-    Returns
-    -------
-    (m, 2) float64
-
-    Raises
-    ------
-    LiaamError
-        If the scheme is unknown, or the landmarks lack one that it needs.
+    The names are those of the face model that comes with liaam. The scheme ``ibug-68`` has the 68 landmarks of iBUG's
+    300-W.
     """
     if scheme not in SCHEMES:
         raise LiaamError(f"scheme {scheme!r} is unknown; choose from {', '.join(SCHEMES)}")

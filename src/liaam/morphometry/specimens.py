@@ -22,14 +22,10 @@ from liaam.io.landmarks.matching import stem_of
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError
 from liaam.tables import Columns, landmark_columns
 
+# Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows
 _MOST = 1e9
-"""Largest coordinate in pixels, variance in square pixels, and length of a pixel, so that no measure overflows."""
-
-_SAME = 2.0
-"""Difference in pixels that rounding to whole pixels can make between distances, and a little more."""
-
-_ROUNDING = 1e-5
-"""Smallest eigenvalue of a covariance, relative to the largest entry of all, because files round them."""
+_SAME = 2.0  # Difference in pixels that rounding to whole pixels can make between distances, and a little more
+_ROUNDING = 1e-5  # Smallest eigenvalue of a covariance, relative to the largest entry of all, because files round them
 
 
 @dataclass(frozen=True, eq=False)

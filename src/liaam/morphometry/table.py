@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from liaam.errors import LiaamError
 from liaam.fitting.result import USABLE
-from liaam.io import write_columns
 from liaam.io.landmarks import Contour
 from liaam.model.shape import procrustes_mean
 from liaam.morphometry.curves import slide as slid
@@ -26,15 +25,13 @@ Row = dict[str, str | float]
 _USABLE = {"", *USABLE}
 
 
-@dataclass(frozen=True)
-class _Item:
-    """A column to measure."""
+class _Item(NamedTuple):
+    """A column to measure: its name, function, landmarks, and power of the length in its unit."""
 
     column: str
     function: Callable[[np.ndarray], Measured]
     indices: Sequence[int]
     power: int
-    """Power of the length in its unit."""
 
 
 def measure(
@@ -114,11 +111,6 @@ def _slid(specimens: Sequence[Specimen], whole: Sequence[int], inside: Sequence[
     return tuple(moved)
 
 
-def write_measurements(path: str | os.PathLike[str], columns: Columns) -> None:
-    """Write the columns of :func:`measure`; see :func:`liaam.io.write_columns`."""
-    write_columns(path, columns)
-
-
 def _has_shape(points: np.ndarray) -> bool:
     """Whether no point is missing and not all are the same."""
     return bool(np.isfinite(points).all() and np.ptp(points, axis=0).any())
@@ -151,23 +143,16 @@ def alike(specimens: Iterable[Specimen]) -> tuple[tuple[Specimen, ...], tuple[st
     names = next((specimen.names for specimen in fitted if frozenset(specimen.names) == shared), ()) if shared else ()
     kept, left_out = [], []
     for specimen in specimens:
-        reason = _unlike(specimen, usual, names)
+        absent, n = [name for name in names if name not in specimen.names], len(specimen.points)
+        if specimen.names and absent:
+            reason = f"it has no landmark {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}; it is left out"
+        else:
+            reason = f"it has {n} landmarks where most have {usual}; it is left out" if n != usual else ""
         if reason and specimen.status in _USABLE:
             left_out.append(f"{specimen.name}: {reason}")
         else:
             kept.append(specimen if reason else _in_order(specimen, names))
     return tuple(kept), tuple(left_out)
-
-
-def _unlike(specimen: Specimen, usual: int, names: tuple[str, ...]) -> str:
-    """Return why a specimen cannot be measured with those of these names, or nothing."""
-    n = len(specimen.points)
-    absent = [name for name in names if name not in specimen.names] if specimen.names else []
-    if absent:
-        return f"it has no landmark {', '.join(absent[:5])}{' …' if len(absent) > 5 else ''}; it is left out"
-    if n != usual:
-        return f"it has {n} landmarks where most have {usual}; it is left out"
-    return ""
 
 
 def _in_order(specimen: Specimen, names: tuple[str, ...]) -> Specimen:
@@ -202,13 +187,17 @@ def _row(
     row: Row = {"specimen": specimen.name, "status": specimen.status}
     if specimen.status not in _USABLE:
         return row
-    pixel = _pixel(specimen, rule, bar)
-    known = pixel[0] > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
-    row["scale"] = pixel[0] if known else math.nan
-    pixel = pixel if known else (1.0, np.zeros_like(specimen.points))
+    length, slope = _pixel(specimen, rule, bar)
+    known = length > 0 if isinstance(rule, ScaleBar) else rule is not None or specimen.scale is not None
+    row["scale"] = length if known else math.nan
+    if not known:
+        length, slope = 1.0, np.zeros_like(specimen.points)
     for item in items:
-        row[item.column], gradient = _scaled(item, specimen.points, pixel)
-        row[f"{item.column}_se"] = _standard_error(specimen, gradient)
+        value, change = item.function(specimen.points[item.indices])
+        gradient = item.power * length ** (item.power - 1) * value * slope if item.power else np.zeros_like(slope)
+        gradient[item.indices] += length**item.power * change
+        row[item.column] = value * length**item.power
+        row[f"{item.column}_se"] = float(_standard_errors(specimen.covariances, gradient[None])[0])
     inside = items[-1].indices
     if mean is not None and _has_shape(specimen.points[inside]):
         row |= _shape(specimen, inside, mean)
@@ -227,35 +216,23 @@ def _pixel(specimen: Specimen, rule: float | ScaleBar | None, bar: Sequence[int]
     return rule.length / length, gradient
 
 
-def _scaled(item: _Item, points: np.ndarray, pixel: Measured) -> Measured:
-    """Return a measure in the specimen's units and its gradient by all points, (n, 2)."""
-    length, slope = pixel
-    value, change = item.function(points[item.indices])
-    gradient = item.power * length ** (item.power - 1) * value * slope if item.power else np.zeros_like(slope)
-    gradient[item.indices] += length**item.power * change
-    return value * length**item.power, gradient
-
-
-def _standard_error(specimen: Specimen, gradient: np.ndarray) -> float:
-    """Carry the covariances of the landmarks to the error of a value (delta method)."""
-    if specimen.covariances is None:
-        return math.nan
-    touched = gradient.any(axis=1)  # other landmarks may be missing
-    gradient = gradient[touched]
-    variance = np.einsum("ni,nij,nj->", gradient, specimen.covariances[touched], gradient)
-    return float(np.sqrt(np.maximum(variance, 0.0)))
+def _standard_errors(covariances: np.ndarray | None, jacobian: np.ndarray) -> np.ndarray:
+    """Carry the covariances of n landmarks to the errors of m values, given their derivatives (m, n, 2)."""
+    if covariances is None:
+        return np.full(len(jacobian), math.nan)
+    touched = jacobian.any(axis=(0, 2))  # other landmarks may be missing
+    jacobian = jacobian[:, touched]
+    variances = np.einsum("mni,nij,mnj->m", jacobian, covariances[touched], jacobian)
+    return np.sqrt(np.maximum(variances, 0.0))
 
 
 def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Row:
     """Return the Procrustes coordinates, y upwards, and then their standard errors."""
     shape, jacobian = procrustes(specimen.points[inside], mean)
-    spread = np.full(shape.shape, math.nan)
-    if specimen.covariances is not None:
-        blocks = jacobian.reshape(len(jacobian), -1, 2)
-        variances = np.einsum("mni,nij,mnj->m", blocks, specimen.covariances[inside], blocks)
-        spread = np.sqrt(np.maximum(variances, 0.0)).reshape(shape.shape)
+    covariances = None if specimen.covariances is None else specimen.covariances[inside]
+    errors = _standard_errors(covariances, jacobian.reshape(len(jacobian), -1, 2))
     row: Row = {}
-    for end, values in (("", shape * (1, -1)), ("_se", spread)):
+    for end, values in (("", shape * (1, -1)), ("_se", errors.reshape(shape.shape))):
         for index, (x, y) in zip(inside, values.tolist(), strict=True):
             row |= {f"X{index + 1}{end}": x, f"Y{index + 1}{end}": y}
     return row

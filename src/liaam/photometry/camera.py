@@ -18,17 +18,11 @@ from liaam.photometry.response import Response, describe_response, from_linear, 
 FORMAT = "liaam-camera"
 VERSION = 1
 
-DIMMEST, BRIGHTEST = 0.02, 50.0
-"""Least and largest relative light that vignetting may leave."""
-
-MOST_COEFFICIENTS = 16
-"""Largest number of vignetting coefficients; each costs a pass over the image."""
-
+DIMMEST, BRIGHTEST = 0.02, 50.0  # Least and largest relative light that vignetting may leave
+MOST_COEFFICIENTS = 16  # Largest number of vignetting coefficients; each costs a pass over the image
+# Largest slope and offset of noise, on the curve's scale of light; the squares of larger values might overflow
 NOISIEST = 1e8
-"""Largest slope and offset of noise, on the curve's scale of light; the squares of larger values might overflow."""
-
-LARGEST = 10_000_000
-"""Largest size of a camera file, bytes."""
+LARGEST = 10_000_000  # Largest size of a camera file, bytes
 
 
 @dataclass(frozen=True)

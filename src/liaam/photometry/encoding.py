@@ -5,7 +5,6 @@ This module alone defines the result for NaN, black, saturated, 16-bit and float
 """
 
 import os
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -218,12 +217,9 @@ def encode(
 class Means(NamedTuple):
     """Linear light of blocks of pixels."""
 
-    light: np.ndarray
-    """(rows, columns, 4) float32: R, G, B, and the fraction of usable pixels."""
-    finite: np.ndarray | None = None
-    """(rows, columns) float32: the fraction of finite pixels; None if all are finite."""
-    grey: bool = False
-    """Whether the image is grey, so that colours are unusable."""
+    light: np.ndarray  # (rows, columns, 4) float32: R, G, B, and the fraction of usable pixels
+    finite: np.ndarray | None = None  # (rows, columns) float32: the fraction of finite pixels; None if all are finite
+    grey: bool = False  # whether the image is grey, so that colours are unusable
 
     def averaged(self, start: tuple[float, float], size: float, shape: tuple[int, int]) -> "Means":
         """Average blocks of ``size`` by ``size`` blocks; the first starts at ``start`` (x, y)."""
@@ -259,7 +255,13 @@ def block_means(
         top, bottom = int(y), int(np.ceil(y + n_rows * size + 1e-6))
         pixels = light_of_floats(image[top:bottom], encoding, response)
         parts.append(pixels.averaged((start[0], y - top), size, (n_rows, columns)))
-    return _stacked(parts)._replace(grey=grey)
+    if len(parts) == 1:
+        return parts[0]._replace(grey=grey)
+    finite = None
+    if any(part.finite is not None for part in parts):
+        finite = [np.ones(part.light.shape[:2], np.float32) if part.finite is None else part.finite for part in parts]
+        finite = np.concatenate(finite)
+    return Means(np.concatenate([part.light for part in parts]), finite, grey)
 
 
 def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
@@ -275,17 +277,6 @@ def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -
     return Means(light, None if finite.all() else finite.astype(np.float32))
 
 
-def _stacked(parts: Sequence[Means]) -> Means:
-    """Means of parts of a picture, one below the other."""
-    if len(parts) == 1:
-        return parts[0]
-    light = np.concatenate([part.light for part in parts], axis=0)
-    if all(part.finite is None for part in parts):
-        return Means(light)
-    finite = [np.ones(part.light.shape[:2], np.float32) if part.finite is None else part.finite for part in parts]
-    return Means(light, np.concatenate(finite, axis=0))
-
-
 def encode_means(
     means: Means,
     encoding: Encoding,
@@ -299,28 +290,23 @@ def encode_means(
     These are the encoding's channels (``WIDTHS``), zeros, and last the weight of the pixel in {0, 1}. The means are
     from :func:`block_means` for the same encoding; for the other parameters see :func:`encode`.
     """
-    if callable(encoding):
-        return _own_channels(means, encoding, blur)
+    if callable(encoding):  # unusable pixels hardly count in the blur
+        usable = (means.light[..., 3] > ALL).astype(np.float32)
+        values = encoding(np.ascontiguousarray(linear_to_srgb(means.light[..., :3]), np.float32))
+        channels = np.zeros((*usable.shape, 8), np.float32)
+        channels[..., : values.shape[2]], channels[..., -1] = values, usable
+        if blur > 0.0:
+            weight = usable + np.float32(UNUSABLE)
+            planes = np.moveaxis(channels, -1, 0) * weight
+            planes[-1] = weight
+            blurred = _core.blur_planes(np.ascontiguousarray(planes), blur)
+            channels[..., :-1] = np.moveaxis(blurred[:-1] / blurred[-1], 0, -1)
+        return channels
     light, finite = np.ascontiguousarray(means.light), means.finite
     finite = None if finite is None else np.ascontiguousarray(finite)
     axes = (1.0, 0.0, 0.0, 1.0) if turn is None else tuple(np.ravel(turn).tolist())
     number = ENCODINGS.index(encoding)
     return _core.encode(light, finite, means.grey, number, log_floor(response), float(blur), axes, float(pixel))
-
-
-def _own_channels(means: Means, encoding: Encoder, blur: float) -> np.ndarray:
-    """Eight channels by a function of the user; unusable pixels hardly count in the blur."""
-    usable = (means.light[..., 3] > ALL).astype(np.float32)
-    values = encoding(np.ascontiguousarray(linear_to_srgb(means.light[..., :3]), np.float32))
-    channels = np.zeros((*usable.shape, 8), np.float32)
-    channels[..., : values.shape[2]], channels[..., -1] = values, usable
-    if blur > 0.0:
-        weight = usable + np.float32(UNUSABLE)
-        planes = np.moveaxis(channels, -1, 0) * weight
-        planes[-1] = weight
-        blurred = _core.blur_planes(np.ascontiguousarray(planes), blur)
-        channels[..., :-1] = np.moveaxis(blurred[:-1] / blurred[-1], 0, -1)
-    return channels
 
 
 def width_of(encoding: Encoding) -> int:

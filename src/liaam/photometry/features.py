@@ -14,28 +14,17 @@ from liaam.errors import MethodError
 FeatureFunction = Callable[[np.ndarray], Any]
 """From an image (h, w, 3) float32, sRGB values in [0, 1], to its channels (h, w, c) float."""
 
+# Largest number of channels that are compared; the core samples eight, and the last is the weight of the pixel
 WIDEST = 7
-"""Largest number of channels that are compared; the core samples eight, and the last is the weight of the pixel."""
-
-MOST_CHANNELS = 4096
-"""Largest number of channels of a function."""
-
-LARGEST = 1e6
-"""Largest magnitude of a channel."""
+MOST_CHANNELS = 4096  # Largest number of channels of a function
+LARGEST = 1e6  # Largest magnitude of a channel
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What a model knows of a function of the user.
+    """What a model knows of a function of the user: its name and, of its c channels, mean (c,) and projection (c, w).
 
-    Attributes
-    ----------
-    name : str
-        Name of the function.
-    mean : (c,) float64
-        Mean of each channel in the training images.
-    projection : (c, w) float64
-        Orthonormal columns; the w channels that are compared are ``(channels - mean) @ projection``.
+    The columns are orthonormal, and the w channels that are compared are ``(channels - mean) @ projection``.
     """
 
     name: str
@@ -81,19 +70,16 @@ def name_of(function: Any) -> str:
 
 def channels_of(function: FeatureFunction, image: np.ndarray) -> np.ndarray:
     """Return the channels of an image (h, w, 3), (h, w, c) float64, and check them."""
+    what = f"the function {getattr(function, '__name__', function)}"
     try:
         channels = np.asarray(function(image), dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise MethodError(
-            f"the function {name_of(function)} fails on an image of shape {image.shape}: {error}"
-        ) from error
+        raise MethodError(f"{what} fails on an image of shape {image.shape}: {error}") from error
     if channels.ndim != 3 or channels.shape[:2] != image.shape[:2] or not 1 <= channels.shape[2] <= MOST_CHANNELS:
         raise MethodError(
-            f"the function {name_of(function)} returns an array of shape {channels.shape} for an image of shape "
-            f"{image.shape}; it must return (height, width, channels) with at most {MOST_CHANNELS} channels"
+            f"{what} returns an array of shape {channels.shape} for an image of shape {image.shape}; it must return "
+            f"(height, width, channels) with at most {MOST_CHANNELS} channels"
         )
     if not (np.abs(channels) <= LARGEST).all():
-        raise MethodError(
-            f"the function {name_of(function)} returns values that are not finite, or beyond {LARGEST:g}; scale them"
-        )
+        raise MethodError(f"{what} returns values that are not finite, or beyond {LARGEST:g}; scale them")
     return channels

@@ -9,20 +9,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+# Rec. 709 luminance weights, the metric of the grey method, shape (1, 3).
 LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]])
-"""Rec. 709 luminance weights, the metric of the ``grey`` method, shape (1, 3)."""
-
+# The two orthonormal rows orthogonal to 1, the metric of the chroma method, shape (2, 3)
 CHROMATICITY = np.array(
     [
         [1 / np.sqrt(2), -1 / np.sqrt(2), 0.0],
         [1 / np.sqrt(6), 1 / np.sqrt(6), -2 / np.sqrt(6)],
     ]
 )
-"""The two orthonormal rows orthogonal to 1, the metric of the ``chroma`` method, shape (2, 3)."""
-
+# Angle assumed for an unknown camera, radians: that of the shift of the logarithm of linear sRGB under Planckian lights
+# of 3000-8000 K. Published sensor sensitivities give 116-122 degrees.
 THETA_DEFAULT = float(np.deg2rad(122.0))
-"""Angle assumed for an unknown camera, radians: that of the shift of the logarithm of linear sRGB under Planckian
-lights of 3000-8000 K. Published sensor sensitivities give 116-122 degrees."""
 
 
 def invariant_row(theta: float) -> np.ndarray:

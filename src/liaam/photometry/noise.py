@@ -5,11 +5,9 @@ import numpy as np
 from liaam import _core
 from liaam.photometry.encoding import stored_values
 
-ENOUGH = 600
-"""Side of the central crop that :func:`noise_deviation` uses, pixels."""
-
+ENOUGH = 600  # Side of the central crop that noise_deviation uses, pixels
+# Approximate number of pixels that it uses, in evenly spaced rows; their median is accurate to 2 per cent
 SPARSE = 5_000
-"""Approximate number of pixels that it uses, in evenly spaced rows; their median is accurate to 2 per cent."""
 
 
 def noise_deviation(image: np.ndarray) -> float:

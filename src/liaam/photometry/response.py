@@ -109,9 +109,14 @@ def from_linear(linear: np.ndarray, response: Response = "srgb") -> np.ndarray:
         return linear_to_srgb(linear)
     if response == "linear":
         return np.asarray(linear)
-    if isinstance(response, ResponseCurve):
-        return _encode_curve(np.asarray(linear), response)
-    return np.maximum(linear, 0.0) ** (1.0 / float(response))
+    if not isinstance(response, ResponseCurve):
+        return np.maximum(linear, 0.0) ** (1.0 / float(response))
+    spline, wanted = _spline(response), np.log(np.maximum(linear, SMALLEST))
+    grid = np.linspace(spline.x[0], spline.x[-1], 2048)
+    found = np.interp(wanted, spline(grid), grid)
+    for _ in range(2):  # beyond the points, the first Newton step leaves them and the second follows the straight end
+        found = found - (_power_law_ends(spline, found) - wanted) / _power_law_ends(spline, found, slope=True)
+    return np.where(np.asarray(linear) > SMALLEST, np.exp(found), 0.0)
 
 
 def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
@@ -127,21 +132,13 @@ def log_slope(stored: np.ndarray, response: Response = "srgb") -> np.ndarray:
     return (1.0 if response == "linear" else float(response)) / v
 
 
-MOST_POINTS = 65536
-"""Largest number of points of a curve: the number of 16-bit values."""
-
+MOST_POINTS = 65536  # Largest number of points of a curve: the number of 16-bit values
+# Largest slope of a curve in logarithms. 16-bit values just above a black level have 10,000; with larger slopes the
+# squares of a logarithm's noise exceed the range of single precision.
 MOST_STEEP = 1e5
-"""Largest slope of a curve in logarithms. 16-bit values just above a black level have 10,000; with larger slopes the
-squares of a logarithm's noise exceed the range of single precision."""
-
-MOST_CONTRAST = 10.0
-"""Largest overall gamma of a curve; twice the largest gamma accepted as a number."""
-
-WHITES = (1e-4, 1e4)
-"""Range of linear light at stored value 1."""
-
-BLACKEST = 0.02
-"""Stored value that defines, together with 1, the overall gamma of a curve."""
+MOST_CONTRAST = 10.0  # Largest overall gamma of a curve; twice the largest gamma accepted as a number
+WHITES = (1e-4, 1e4)  # Range of linear light at stored value 1
+BLACKEST = 0.02  # Stored value that defines, together with 1, the overall gamma of a curve
 
 
 def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
@@ -167,12 +164,10 @@ def _check_range(curve: ResponseCurve, logs: np.ndarray) -> None:
         )
 
 
-SMALLEST = 1e-12
-"""Stored value or light below which a curve gives 0."""
-
+SMALLEST = 1e-12  # Stored value or light below which a curve gives 0
+# Least slope of a curve in logarithms, and the largest outside its points. The spline of increasing points can have
+# flat ends, and just above a black level it is very steep.
 FLATTEST, STEEPEST_END = 1e-3, 5.0
-"""Least slope of a curve in logarithms, and the largest outside its points. The spline of increasing points can have
-flat ends, and just above a black level it is very steep."""
 
 
 @lru_cache(maxsize=8)
@@ -191,13 +186,3 @@ def _power_law_ends(spline, log_values: np.ndarray, slope: bool = False) -> np.n
     if slope:
         return np.where(log_values == inside, within, beyond)
     return spline(inside) + beyond * (log_values - inside)
-
-
-def _encode_curve(linear: np.ndarray, curve: ResponseCurve) -> np.ndarray:
-    """Invert a curve by a table and two Newton steps in logarithms."""
-    spline, wanted = _spline(curve), np.log(np.maximum(linear, SMALLEST))
-    grid = np.linspace(spline.x[0], spline.x[-1], 2048)
-    found = np.interp(wanted, spline(grid), grid)
-    for _ in range(2):  # beyond the points, the first step leaves them and the second follows the straight end
-        found = found - (_power_law_ends(spline, found) - wanted) / _power_law_ends(spline, found, slope=True)
-    return np.where(linear > SMALLEST, np.exp(found), 0.0)

@@ -14,11 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ACROSS = 5
-"""Images in a row."""
-
-TRUTH = "#ff4060"
-"""Colour of given landmarks beside fitted ones."""
+ACROSS = 5  # Images in a row
+TRUTH = "#ff4060"  # Colour of given landmarks beside fitted ones
 
 
 def plot_cumulative(errors: np.ndarray, limit: float, label: str, ax: "Axes | None" = None) -> "Axes":
@@ -36,16 +33,7 @@ def plot_cumulative(errors: np.ndarray, limit: float, label: str, ax: "Axes | No
 def figure_of_worst(
     images: Sequence[Any], truths: np.ndarray, landmarks: np.ndarray, titles: Sequence[str]
 ) -> "Figure":
-    """Draw given and fitted landmarks on images.
-
-    Parameters
-    ----------
-    images : sequence of (h, w, 3) array or path
-        One or more.
-    truths, landmarks : (k, n, 2) float
-        Image pixels; points that are not finite are left out.
-    titles : sequence of str
-    """
+    """Draw given (`truths`) and fitted landmarks, (k, n, 2), on one or more images; points not finite are left out."""
     rows = -(-len(images) // ACROSS)
     columns = min(len(images), ACROSS)
     figure, axes = subplots(rows, columns, (2.6 * columns, 2.9 * rows))

@@ -16,35 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-COLOURS = {
-    "soft-li": "#7b2ff2",
-    "grey": "#9a9a9a",
-    "rgb": "#e8743b",
-    "li": "#19a979",
-    "li-lit": "#0f6e4f",
-    "li-pc": "#5899da",
-    "li-pcs": "#1d4e89",
-    "chroma": "#b565a7",
-    "grey-plain": "#5c5c5c",
-    "grey-norm": "#8a7f5c",
-    "varied": "#9c5b3b",
-    "aia": "#d4a017",
-    "igo": "#c2185b",
-}
-"""Colour of each method in all figures."""
-
 LINE_WIDTH = 1.8
-
-
-def base_of(method: str) -> str:
-    """Return the name of a method without its suffixes (``li`` for ``li+noise``)."""
-    return method.partition("+")[0]
-
-
-def colour_of(method: str) -> str:
-    """Return the colour of a method, with or without suffixes; dark grey for methods not in :data:`COLOURS`."""
-    return COLOURS.get(base_of(method), "#222222")
 
 
 def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
@@ -116,10 +88,11 @@ def figure_of_fits(
     show_picture(axes[0, 0], training, "a training image")
     show_picture(axes[0, 1], image, "new image, hard lateral light: start")
     _draw_shape(axes[0, 1], start, model, "#ffd166")
-    for axis, (method, (shape, error)) in zip(axes[0, 2:], fits.items(), strict=True):
+    for i, (method, (shape, error)) in enumerate(fits.items()):
+        axis = axes[0, 2 + i]
         show_picture(axis, image, f"{method}: {error:.1f} px")
         _draw_shape(axis, truth, model, "white", "truth", lw=0.9)
-        _draw_shape(axis, shape, model, colour_of(method), method)
+        _draw_shape(axis, shape, model, f"C{i}", method)
         axis.legend(loc="lower right", fontsize=7, framealpha=0.6)
     return figure
 
@@ -129,41 +102,34 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
 
     The shapes of a model of several are drawn below each other.
     """
-    shown = max(1, min(n_modes, max(_n_modes(part) for part in model.parts)))
-    n_parts = len(model.parts)
-    figure, axes = subplots(2 * n_parts, 2 + shown, (2.6 * (2 + shown), 6.0 * n_parts))
-    for part, own in zip(model.parts, np.split(axes, n_parts), strict=True):
-        _show_model(own, part, shown)
+    parts = [(part, part.levels[-1].appearances["log"]) for part in model.parts]
+    known = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
+    shown = max(1, min(n_modes, known))
+    figure, grid = subplots(2 * len(parts), 2 + shown, (2.6 * (2 + shown), 6.0 * len(parts)))
+    for axis in grid.ravel():
+        axis.axis("off")
+    for (part, appearance), axes in zip(parts, np.split(grid, len(parts)), strict=True):
+        mean = _stored(part, appearance.mean)
+        show_picture(axes[0, 0], mean, "mean appearance")
+        show_picture(axes[1, 0], mean, f"mesh, {part.n_points} landmarks")
+        axes[1, 0].triplot(*(part.shape_model.mean - part.frame.origin).T, part.triangles, color="#19a979", lw=0.7)
+        if part.is_colour:
+            values = part.frame.picture(invariant(appearance.mean, part.theta), np.nan)
+            # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
+            axes[0, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
+            axes[0, 1].set_title("mean invariant", fontsize=10)
+        for i in range(min(shown, len(part.shape_model.modes))):
+            _show_shape_mode(axes[0, 2 + i], part, i)
+        for i in range(min(shown, appearance.n_modes)):
+            step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
+            pair = [_stored(part, appearance.mean + sign * step) for sign in (-1, 1)]
+            half = mean.shape[1] // 2
+            halves = np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1)
+            show_picture(axes[1, 2 + i], halves, f"appearance mode {i + 1}, −2 | +2 sd")
     return figure
 
 
-def _n_modes(model: AAM) -> int:
-    return max(len(model.shape_model.modes), model.levels[-1].appearances["log"].n_modes)
-
-
-def _show_model(axes: np.ndarray, model: AAM, shown: int) -> None:
-    """Draw a model of one shape on axes (2, 2 + shown)."""
-    shape_model, appearance = model.shape_model, model.levels[-1].appearances["log"]
-    mean = _stored(model, appearance.mean)
-    show_picture(axes[0, 0], mean, "mean appearance")
-    show_picture(axes[1, 0], mean, f"mesh, {model.n_points} landmarks")
-    axes[1, 0].triplot(*(shape_model.mean - model.frame.origin).T, model.triangles, color="#19a979", lw=0.7)
-    axes[0, 1].axis("off")
-    axes[1, 1].axis("off")
-    if model.is_colour:
-        values = model.frame.picture(invariant(appearance.mean, model.theta), np.nan)
-        # Without NaN below the mask: Matplotlib resamples what is masked, too, and may warn of it.
-        axes[0, 1].imshow(np.ma.masked_array(np.nan_to_num(values), np.isnan(values)), cmap="viridis")
-        axes[0, 1].set_title("mean invariant", fontsize=10)
-    for i in range(shown):
-        _show_shape_mode(axes[0, 2 + i], model, i)
-        _show_appearance_mode(axes[1, 2 + i], model, i)
-
-
 def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
-    axis.axis("off")
-    if i >= len(model.shape_model.modes):
-        return
     mean = model.shape_model.mean
     step = 2 * np.sqrt(model.shape_model.eigenvalues[i]) * model.shape_model.modes[i].reshape(-1, 2)
     if not model.contours:
@@ -180,25 +146,12 @@ def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
     axis.invert_yaxis()
 
 
-def _show_appearance_mode(axis: "Axes", model: AAM, i: int) -> None:
-    axis.axis("off")
-    appearance = model.levels[-1].appearances["log"]
-    if i >= appearance.n_modes:
-        return
-    step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
-    pair = [_stored(model, appearance.mean + sign * step) for sign in (-1, 1)]
-    half = pair[0].shape[1] // 2
-    halves = np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1)
-    show_picture(axis, halves, f"appearance mode {i + 1}, −2 | +2 sd")
-
-
 def _stored(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
     """Return the picture (h, w, 3) of logarithms of light (n_pixels, 3) on the reference frame."""
     return model.frame.picture(linear_to_srgb(np.minimum(np.exp(log_rgb), 1.0)), 1.0)
 
 
-LAMPS_DRAWN, LAMPS_ACROSS = 47, 8
-"""Maximum number of lamps, and number of images in a row."""
+LAMPS_DRAWN, LAMPS_ACROSS = 47, 8  # Maximum number of lamps, and number of images in a row
 
 
 def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
@@ -217,11 +170,10 @@ def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.nd
         points = 79.5 + 100.0 * lamps.mean
     shown = range(min(len(lamps), LAMPS_DRAWN))
     titles = ["training light", *(lamps.names[i] for i in shown)]
-    lit = [image, *lamps.relit(image, points, shown)]
-    pictures: list[tuple[str, np.ndarray | None]] = list(zip(titles, lit, strict=True))
-    rows = [pictures[first : first + LAMPS_ACROSS] for first in range(0, len(pictures), LAMPS_ACROSS)]
-    rows[-1] += [(" " * i, None) for i in range(len(rows[0]) - len(rows[-1]))]
-    figure = figure_of_pictures([dict(row) for row in rows], 1.6)
+    pictures = [*zip(titles, [image, *lamps.relit(image, points, shown)], strict=True)]
+    across = min(len(pictures), LAMPS_ACROSS)
+    pictures += [(" " * i, None) for i in range(-len(pictures) % across)]
+    figure = figure_of_pictures([dict(pictures[i : i + across]) for i in range(0, len(pictures), across)], 1.6)
     figure.axes[0].plot(*points.T, ".", color="white", ms=1.5)
     return figure
 

@@ -2,23 +2,18 @@
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from liaam.datasets.label_faults import LabelFault
 from liaam.drawing import as_picture, ellipses
 from liaam.model import AAM
 
-
-def mesh_edges(triangles: np.ndarray) -> np.ndarray:
-    """Return the unique edges of a mesh, (m, 2) int."""
-    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    return np.unique(pairs, axis=0)
+GREEN, YELLOW = (64, 255, 140), (255, 220, 64)  # Colours of landmarks; of their ellipses and expected positions
 
 
 def enlarged(image: np.ndarray) -> tuple[np.ndarray, int]:
     """Return a copy of an image to draw on, (h', w', 3) uint8, enlarged if small, and the zoom factor."""
-    import cv2
-
     picture = as_picture(image)
     zoom = max(1, round(700 / max(picture.shape[:2])))
     if zoom == 1:
@@ -30,7 +25,6 @@ def overlay(
     image: np.ndarray,
     shape: np.ndarray,
     model: AAM,
-    colour: tuple[int, int, int] = (64, 255, 140),
     covariances: np.ndarray | None = None,
 ) -> np.ndarray:
     """Draw a fitted shape on its image.
@@ -42,8 +36,6 @@ def overlay(
         Landmarks in image pixels.
     model : AAM
         Model with the mesh (drawn transparent) and the contours (drawn opaque).
-    colour : (int, int, int)
-        RGB of contours and landmarks.
     covariances : (n, 2, 2) float, optional
         Covariances of the landmarks in square pixels, drawn as 95 % confidence ellipses.
 
@@ -52,8 +44,6 @@ def overlay(
     (h', w', 3) uint8
         The image, enlarged if small so that the lines do not cover it.
     """
-    import cv2
-
     picture, zoom = enlarged(image)
     size = float(np.ptp(shape, axis=0).max()) * zoom if np.isfinite(shape).all() else 100.0
     size = float(np.clip(size, 1.0, 4 * max(picture.shape[:2])))  # a failed fit may have any size
@@ -62,20 +52,22 @@ def overlay(
     points = np.clip(np.nan_to_num((shape + 0.5) * zoom - 0.5), -1e6, 1e6)
     fixed = np.rint(points * 16).astype(np.int32)
     faint = picture.copy()
-    edges = fixed[mesh_edges(model.triangles)].reshape(-1, 2, 1, 2)
-    cv2.polylines(faint, list(edges), False, colour, thick, cv2.LINE_AA, 4)
+    edges = np.sort(model.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    cv2.polylines(
+        faint, list(fixed[np.unique(edges, axis=0)].reshape(-1, 2, 1, 2)), False, GREEN, thick, cv2.LINE_AA, 4
+    )
     weight = 0.35 if model.contours else 0.6
     picture = cv2.addWeighted(faint, weight, picture, 1 - weight, 0)
     for indices, closed in model.contours:
-        cv2.polylines(picture, [fixed[list(indices)].reshape(-1, 1, 2)], closed, colour, thick, cv2.LINE_AA, 4)
+        cv2.polylines(picture, [fixed[list(indices)].reshape(-1, 1, 2)], closed, GREEN, thick, cv2.LINE_AA, 4)
     if covariances is not None:
         rings = ellipses(points, zoom**2 * np.asarray(covariances))
         rings = np.clip(np.rint(rings * 16), -(2**30), 2**30).astype(np.int32)
-        cv2.polylines(picture, list(rings), True, (255, 220, 64), thick, cv2.LINE_AA, 4)
+        cv2.polylines(picture, list(rings), True, YELLOW, thick, cv2.LINE_AA, 4)
     radius = int(16 * max(1.2, size / 180))
     for x, y in fixed:
         cv2.circle(picture, (int(x), int(y)), radius, (0, 0, 0), -1, cv2.LINE_AA, 4)
-        cv2.circle(picture, (int(x), int(y)), int(radius * 0.7), colour, -1, cv2.LINE_AA, 4)
+        cv2.circle(picture, (int(x), int(y)), int(radius * 0.7), GREEN, -1, cv2.LINE_AA, 4)
     return picture
 
 
@@ -95,8 +87,6 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     (h', w', 3) uint8
         The surroundings of the landmarks, enlarged.
     """
-    import cv2
-
     margin = 0.15 * np.ptp(points, axis=0).max() + 5
     whole = np.array(image.shape[1::-1])
     low = np.clip(np.floor(points.min(axis=0) - margin), 0, whole).astype(int)
@@ -112,10 +102,10 @@ def overlay_of_faults(image: np.ndarray, points: np.ndarray, faults: Sequence[La
     size = max(picture.shape[:2]) / 700
     thick, radius = max(1, round(size)), max(2, round(3 * size))
     for point in points:
-        cv2.circle(picture, at(point), radius, (64, 255, 140), -1, cv2.LINE_AA)
+        cv2.circle(picture, at(point), radius, GREEN, -1, cv2.LINE_AA)
     for fault in faults:
         for i in fault.points:
-            cv2.line(picture, at(points[i]), at(fault.expected[i]), (255, 220, 64), thick, cv2.LINE_AA)
+            cv2.line(picture, at(points[i]), at(fault.expected[i]), YELLOW, thick, cv2.LINE_AA)
             cv2.circle(picture, at(points[i]), radius, (255, 40, 40), -1, cv2.LINE_AA)
         for i in fault.points:
             x, y = at(points[i])

@@ -1,8 +1,10 @@
 """Figures of invariant images, sweeps over theta, agreement, responses and registrations."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from liaam.calibration.chart import patch_corners
@@ -13,33 +15,16 @@ from liaam.drawing import as_picture
 from liaam.photometry import CameraModel, to_linear
 from liaam.photometry.camera import falloff_at
 from liaam.photometry.projection import log_picture, projected
-from liaam.plotting.figures import save_figure, show_picture, subplots
+from liaam.plotting.figures import show_picture, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "checkerboard",
-    "figure_of_agreement",
-    "figure_of_invariants",
-    "figure_of_response",
-    "figure_of_sweep",
-    "invariant_picture",
-    "save_figure",
-]
-
-UNSEEN = (34, 40, 66)
-"""Colour of pixels without an invariant: dark blue, which differs from all grey values."""
-
-STRETCH = (1.0, 99.0)
-"""Percentiles that become black and white in a rendering of an invariant image."""
-
-SWEEP = np.arange(0, 180, 15)
-"""Angles of a sweep in degrees."""
-
-THUMBNAIL = 240
-"""Size of the images of a sweep in pixels."""
+UNSEEN = (34, 40, 66)  # Colour of pixels without an invariant: dark blue, which differs from all grey values
+STRETCH = (1.0, 99.0)  # Percentiles that become black and white in a rendering of an invariant image
+SWEEP = np.arange(0, 180, 15)  # Angles of a sweep in degrees
+THUMBNAIL = 240  # Size of the images of a sweep in pixels
 
 
 def invariant_picture(values: np.ndarray, limits: tuple[float, float] | None = None) -> np.ndarray:
@@ -112,8 +97,6 @@ def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
     camera : CameraModel
         Camera with the response, and the angle to mark.
     """
-    import cv2
-
     scale = THUMBNAIL / max(image.shape[:2])
     small = image if scale >= 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     encoded = log_picture(small, camera)
@@ -122,7 +105,16 @@ def figure_of_sweep(image: np.ndarray, camera: CameraModel) -> "Figure":
     figure, axes, curve = _two_rows_above_a_panel(columns, (2.0 * columns, 4.0 * height + 3.2), height, 0.75)
     for axis, angle in zip(axes.ravel(), SWEEP, strict=True):
         show_picture(axis, invariant_picture(projected(encoded, float(np.deg2rad(angle)))), f"{angle}°")
-    _draw_entropy(curve, encoded[..., :3][encoded[..., 3] > 0], camera)
+    curve.axvspan(*np.rad2deg(PHYSICAL), color="#eef3ea", label="physical cameras")
+    log_rgb = encoded[..., :3][encoded[..., 3] > 0]
+    if len(log_rgb) > 100 and np.ptp(log_rgb, axis=0).max() > 1e-3:
+        thetas, entropies = entropy_curve(log_rgb)
+        curve.plot(np.rad2deg(thetas), entropies, color="#19a979", lw=1.8, label="entropy")
+        curve.axvline(np.rad2deg(thetas[np.argmin(entropies)]), color="#19a979", ls=":", lw=1.4, label="its minimum")
+    curve.axvline(np.rad2deg(camera.theta) % 180, color="black", ls="--", lw=1.2, label="theta given")
+    ticks = np.arange(0, 181, 15)
+    curve.set(xlim=(0, 180), xlabel="theta, degrees", ylabel="entropy of the values, bits", xticks=ticks)
+    _finish_panel(curve)
     return figure
 
 
@@ -143,26 +135,9 @@ def _finish_panel(axis: "Axes") -> None:
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, frameon=False, fontsize=9)
 
 
-def _draw_entropy(axis: "Axes", log_rgb: np.ndarray, camera: CameraModel) -> None:
-    low, high = np.rad2deg(PHYSICAL)
-    axis.axvspan(low, high, color="#eef3ea", label="physical cameras")
-    if len(log_rgb) > 100 and np.ptp(log_rgb, axis=0).max() > 1e-3:
-        thetas, entropies = entropy_curve(log_rgb)
-        axis.plot(np.rad2deg(thetas), entropies, color="#19a979", lw=1.8, label="entropy")
-        axis.axvline(np.rad2deg(thetas[np.argmin(entropies)]), color="#19a979", ls=":", lw=1.4, label="its minimum")
-    axis.axvline(np.rad2deg(camera.theta) % 180, color="black", ls="--", lw=1.2, label="theta given")
-    axis.set(xlim=(0, 180), xlabel="theta, degrees", ylabel="entropy of the values, bits", xticks=np.arange(0, 181, 15))
-    _finish_panel(axis)
-
-
-MATRIX = 4
-"""Maximum number of images to draw above the correlations. More are shown as a matrix."""
-
-LOWEST = 0.5
-"""Correlation at the lower end of a matrix's colour map."""
-
-NUMBERED = 16
-"""Maximum number of images for numbers in the matrix."""
+MATRIX = 4  # Maximum number of images to draw above the correlations. More are shown as a matrix.
+LOWEST = 0.5  # Correlation at the lower end of a matrix's colour map
+NUMBERED = 16  # Maximum number of images for numbers in the matrix
 
 
 def figure_of_agreement(
@@ -184,13 +159,12 @@ def figure_of_agreement(
     for i in range(n):
         show_picture(axes[0, i], brightened(pictures[i]), f"{i + 1}  {shortened(names[i], 30)}")
         show_picture(axes[1, i], invariant_picture(seen.invariant[i], limits), "invariant image")
-    places = np.arange(len(found))
-    for shift, key, colour in ((-0.18, "invariant", "#19a979"), (0.18, "log_grey", "#9a9a9a")):
-        heights = [getattr(pair, key) for pair in found]
-        drawn = bars.bar(places + shift, heights, 0.34, color=colour, label=key.replace("_", " "))
-        bars.bar_label(drawn, fmt="%.3f", fontsize=8, padding=2)
+    places, heights = np.arange(len(found)), {"invariant": [pair.invariant for pair in found]}
+    heights["log grey"] = [pair.log_grey for pair in found]
+    for shift, colour, (key, own) in zip((-0.18, 0.18), ("#19a979", "#9a9a9a"), heights.items(), strict=True):
+        bars.bar_label(bars.bar(places + shift, own, 0.34, color=colour, label=key), fmt="%.3f", fontsize=8, padding=2)
     bars.set_xticks(places, [f"{pair.first + 1} and {pair.second + 1}" for pair in found])
-    lowest = min([0.0, *(getattr(pair, key) for pair in found for key in ("invariant", "log_grey"))])
+    lowest = min([0.0, *chain.from_iterable(heights.values())])
     bars.set(ylabel="correlation", ylim=(1.25 * lowest, 1.12), xlabel="images")
     bars.axhline(0.0, color="black", lw=0.8)
     _finish_panel(bars)
@@ -218,9 +192,9 @@ def _draw_matrix(axis: "Axes", n: int, found: Sequence[Agreement], key: str, tit
             axis.text(j, i, text, ha="center", va="center", fontsize=6, color=ink)
     median = np.nanmedian([getattr(pair, key) for pair in found])
     axis.set_title(f"{title}: median {median:z.3f}", fontsize=10)
-    axis.set(xticks=range(n), yticks=range(n), xlabel="image", ylabel="image")
-    axis.set_xticklabels([str(i + 1) for i in range(n)], fontsize=7)
-    axis.set_yticklabels([str(i + 1) for i in range(n)], fontsize=7)
+    axis.set(xlabel="image", ylabel="image")
+    for set_ticks in (axis.set_xticks, axis.set_yticks):
+        set_ticks(range(n), [str(i + 1) for i in range(n)], fontsize=7)
     return shown
 
 
@@ -245,20 +219,18 @@ def figure_of_response(camera: CameraModel) -> "Figure":
     return figure
 
 
-def checkerboard(a: np.ndarray, b: np.ndarray, fields: int = 8) -> np.ndarray:
+def checkerboard(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Combine two registered images in a checkerboard pattern: lines continue across fields where they are aligned.
 
     Parameters
     ----------
     a, b : (h, w, 3) arrays
-    fields : int
-        Number of fields along the longer side.
 
     Returns
     -------
     (h, w, 3) uint8
     """
     height, width = a.shape[:2]
-    size = max(8, max(height, width) // fields)
+    size = max(8, max(height, width) // 8)
     odd = ((np.arange(height) // size)[:, None] + np.arange(width) // size) % 2 == 1
     return np.where(odd[..., None], as_picture(b), as_picture(a))

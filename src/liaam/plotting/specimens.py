@@ -13,22 +13,13 @@ from liaam.plotting.figures import subplots
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_NAMED = 60
-"""Number of specimens up to which their names are written beside their shapes."""
+MOST_NAMED = 60  # Number of specimens up to which their names are written beside their shapes
 
 
 def figure_of_specimens(columns: Mapping[str, list]) -> "Figure":
     """Draw the specimens' shapes on each other, with the mean and the landmarks' numbers, and their main components.
 
-    Parameters
-    ----------
-    columns : dict of str to list
-        The table of :func:`liaam.measure`. Specimens without a shape are left out.
-
-    Raises
-    ------
-    LiaamError
-        If no specimen has a shape.
+    The columns are those of :func:`liaam.measure`. Specimens without a shape are left out; an error, if none has one.
     """
     places = [name for name in columns if re.fullmatch(r"[XY]\d+", name)]
     table = np.array([columns[name] for name in places], dtype=float).T

@@ -7,8 +7,7 @@ import numpy as np
 from liaam.model import AAM
 from liaam.plotting.overlays import enlarged, overlay
 
-GOOD, BAD = (64, 255, 140), (255, 96, 80)
-"""Colours of the dot before the caption, for tracked and lost frames."""
+GOOD, BAD = (64, 255, 140), (255, 96, 80)  # Colours of the dot before the caption, for tracked and lost frames
 
 
 def annotated(
@@ -37,28 +36,23 @@ def annotated(
     (h', w', 3) uint8
         The frame, enlarged if small, as by :func:`liaam.plotting.overlay`.
     """
+    from PIL import Image, ImageDraw
+
     if landmarks is None:
         picture, _ = enlarged(image)
     else:
         picture = overlay(image, landmarks, model, covariances=covariances)
-    return captioned(picture, caption, BAD if landmarks is None else GOOD)
-
-
-def captioned(picture: np.ndarray, text: str, colour: tuple[int, int, int]) -> np.ndarray:
-    """Write a line of text, after a coloured dot, on a dark band at the bottom left. Modifies `picture`."""
-    from PIL import Image, ImageDraw
-
+    # The caption, after a coloured dot, on a dark band at the bottom left.
     size = max(11, round(picture.shape[0] / 32))
     font, pad = _font(size), size // 2
-    width_of_text, height_of_text = round(font.getlength(text)), round(font.getbbox("Ag")[3])
-    height = min(height_of_text + pad, picture.shape[0])
-    width = min(width_of_text + 2 * pad + size, picture.shape[1])
+    height = min(round(font.getbbox("Ag")[3]) + pad, picture.shape[0])
+    width = min(round(font.getlength(caption)) + 2 * pad + size, picture.shape[1])
     corner = picture[picture.shape[0] - height :, :width]
     patch = Image.fromarray((0.4 * corner).astype(np.uint8))
     draw = ImageDraw.Draw(patch)
     middle, radius = height // 2, max(2, round(0.28 * size))
-    draw.ellipse((pad, middle - radius, pad + 2 * radius, middle + radius), fill=colour)
-    draw.text((pad + size, middle), text, font=font, fill=(255, 255, 255), anchor="lm")
+    draw.ellipse((pad, middle - radius, pad + 2 * radius, middle + radius), fill=BAD if landmarks is None else GOOD)
+    draw.text((pad + size, middle), caption, font=font, fill=(255, 255, 255), anchor="lm")
     corner[:] = np.asarray(patch)
     return picture
 

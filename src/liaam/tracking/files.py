@@ -13,8 +13,7 @@ from liaam.io import atomic_path
 from liaam.io.atomic import lock
 from liaam.tracking.frames import TrackedFrame
 
-TRACK_SUFFIXES = (".csv", ".npz")
-"""Suffixes (lower case) of track files."""
+TRACK_SUFFIXES = (".csv", ".npz")  # Suffixes (lower case) of track files
 
 _HEADER = b"frame,time,status"
 

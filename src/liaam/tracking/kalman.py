@@ -9,21 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+# Squared innovation, in variances, above which the prediction's covariance is inflated: three standard deviations
 GATE = 9.0
-"""Squared innovation, in variances, above which the prediction's covariance is inflated: three standard deviations."""
-
-MEMORY = 25.0
-"""Number of second differences that the running moments average."""
-
-STEADY = 8.0
-"""Weight of the initial moments, in second differences."""
-
-LEAST_SHARE = 1e-3
-"""Minimum fraction of a fit's covariance that changes from frame to frame."""
-
+MEMORY = 25.0  # Number of second differences that the running moments average
+STEADY = 8.0  # Weight of the initial moments, in second differences
+LEAST_SHARE = 1e-3  # Minimum fraction of a fit's covariance that changes from frame to frame
+# Initial values: the fraction of a fit's variance that changes from frame to frame, and the density of acceleration
+# divided by the fit's variance. They smooth a little, and lose their influence within a second.
 FIRST_SHARE, FIRST_DRIVE = 0.2, 0.05
-"""Initial values: the fraction of a fit's variance that changes from frame to frame, and the density of acceleration
-divided by the fit's variance. They smooth a little, and lose their influence within a second."""
 
 
 @dataclass(frozen=True, eq=False)

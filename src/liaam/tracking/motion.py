@@ -33,17 +33,17 @@ class Motion:
     def coordinates(self, shape: np.ndarray) -> np.ndarray:
         """Project a shape (n, 2) on the coordinates y, (m + 4,) float64."""
         flat = np.asarray(shape, dtype=np.float64).ravel()
-        pose = self.similarity @ flat
-        turned_back = (flat - pose @ self.similarity).view(np.complex128) * np.conj(_turn(pose))
-        return np.concatenate([pose, (np.conj(self.modes) @ turned_back).real])
+        return self.basis(self.similarity @ flat) @ flat
 
     def shape(self, y: np.ndarray) -> np.ndarray:
         """Return the shape (n, 2) float64 of coordinates (m + 4,)."""
-        return (y[:4] @ self.similarity + ((y[4:] @ self.modes) * _turn(y[:4])).view(np.float64)).reshape(-1, 2)
+        return (y @ self.basis(y)).reshape(-1, 2)
 
     def basis(self, y: np.ndarray) -> np.ndarray:
         """Return orthonormal directions of the coordinates at `y`, (m + 4, 2 n) float64."""
-        return np.concatenate([self.similarity, (self.modes * _turn(y[:4])).view(np.float64)])
+        turn = complex(y[0], y[1])
+        turned = self.modes * (turn / abs(turn) if abs(turn) > 0 else 1.0)
+        return np.concatenate([self.similarity, turned.view(np.float64)])
 
     def measured(self, result: FitResult) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the coordinates of a fit, (m + 4,), their covariance by the fit, and their directions (m + 4, 2 n)."""
@@ -63,11 +63,9 @@ def landmark_covariances(basis: np.ndarray, covariance: np.ndarray) -> np.ndarra
     return columns.transpose(1, 2, 0) @ transformed.transpose(1, 0, 2)
 
 
+# Upper bound of variances, in square pixels. A fit has infinite variance in directions without information.
 LARGEST = 1e6
-"""Upper bound of variances, in square pixels. A fit has infinite variance in directions without information."""
-
-LEAST = 1e-6
-"""Minimum variance of a coordinate, in square pixels, since the filter divides by it."""
+LEAST = 1e-6  # Minimum variance of a coordinate, in square pixels, since the filter divides by it
 
 
 def rescaled(shape: np.ndarray, before: tuple[int, int], after: tuple[int, int]) -> np.ndarray:
@@ -82,9 +80,3 @@ def _bounded(covariance: np.ndarray) -> np.ndarray:
         return covariance
     values, vectors = np.linalg.eigh(np.nan_to_num(covariance))
     return (vectors * np.clip(values, 0.0, LARGEST)) @ vectors.T
-
-
-def _turn(pose: np.ndarray) -> complex:
-    """Return the rotation given by the first two coordinates, as a complex number of length 1."""
-    turn = complex(pose[0], pose[1])
-    return turn / abs(turn) if abs(turn) > 0 else 1.0 + 0.0j

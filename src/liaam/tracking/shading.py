@@ -15,9 +15,9 @@ from liaam.relighting import Relighter
 from liaam.relighting.appearance import check_colour, check_method
 from liaam.relighting.shading import Shading
 
+# Weights of a frame's light in the running average, at first and later: the light follows within about five and about
+# twenty frames
 FIRST_SHARE, SHARE = 0.2, 0.05
-"""Weights of a frame's light in the running average, at first and later: the light follows within about five and about
-twenty frames."""
 
 
 @dataclass(eq=False)

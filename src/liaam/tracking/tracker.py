@@ -25,25 +25,19 @@ from liaam.tracking import kalman
 from liaam.tracking.frames import TrackedFrame, TrackStatus, lost_frame
 from liaam.tracking.motion import Motion, landmark_covariances, rescaled
 
+# Maximum mean distance between prediction and fit of the same object, as a fraction of the object's diagonal
 JUMP = 0.25
-"""Maximum mean distance between prediction and fit of the same object, as a fraction of the object's diagonal."""
-
-SLOWING = 0.7
-"""Factor of the velocity per frame in which the object is lost."""
-
-FIRST_SPEED = 0.01
-"""Prior standard deviation of the speed, as a fraction of the object's diagonal per frame."""
-
+LEVELS, ITERATIONS = 1, 20  # Of a fit from a prediction: number of finest levels, and most iterations at each
+SLOWING = 0.7  # Factor of the velocity per frame in which the object is lost
+FIRST_SPEED = 0.01  # Prior standard deviation of the speed, as a fraction of the object's diagonal per frame
+# Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
+# fewer iterations than 0.03, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter.
 RELATIVE_TOLERANCE = 0.1
-"""Step size, in standard deviations, at which a fit from a prediction has converged. Measured on a talking face: 20 %
-fewer iterations than 0.03, landmarks within 0.04 pixels (1/40 of their standard deviation), and the same jitter."""
-
+# A fit from the mean shape replaces the tracked fit if its 1 - quality is less than this fraction of the other's.
+# Measured on a talking face: 0.6 to 0.8 where the jaw had drifted, at least 0.88 where the track is right.
 BETTER = 0.8
-"""A fit from the mean shape replaces the tracked fit if its 1 - quality is less than this fraction of the other's.
-Measured on a talking face: 0.6 to 0.8 where the jaw had drifted, at least 0.88 where the track is right."""
-
+# Distance of a landmark between both fits, as a fraction of the object's diagonal, above which a track has drifted
 APART = 0.02
-"""Distance of a landmark between both fits, as a fraction of the object's diagonal, above which a track has drifted."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +48,6 @@ class TrackingOptions:
     ----------
     smooth : bool
         Whether to smooth landmarks over time.
-    levels : int
-        Number of finest levels of the model used for fits from a prediction. Other fits use all levels.
-    iterations : int
-        Maximum number of iterations of a fit from a prediction, at each level.
     patience : int
         Number of frames after a loss in which the object is expected at its last position.
     longest_wait : int
@@ -68,16 +58,14 @@ class TrackingOptions:
     """
 
     smooth: bool = True
-    levels: int = 1
-    iterations: int = 20
     patience: int = 8
     longest_wait: int = 32
     review: int = 48
 
     def __post_init__(self) -> None:
         """Raise if an option is out of range."""
-        if min(self.levels, self.iterations, self.longest_wait) < 1 or min(self.patience, self.review) < 0:
-            raise MethodError("levels, iterations and longest_wait must be at least 1, patience and review at least 0")
+        if self.longest_wait < 1 or min(self.patience, self.review) < 0:
+            raise MethodError("longest_wait must be at least 1, patience and review at least 0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,12 +138,10 @@ class Tracker:
     def __post_init__(self) -> None:
         self.fitter = Fitter(self.model, self.method, camera=self.camera, restarts=False)  # it searches instead
         # early_tolerance=0: stopping early would leave the landmarks between the previous frame's and this one's.
-        near = SolverOptions(
-            max_iterations=self.options.iterations, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0
-        )
+        near = SolverOptions(max_iterations=ITERATIONS, relative_tolerance=RELATIVE_TOLERANCE, early_tolerance=0.0)
         self._of_parts = []
         for part in self.fitter.parts:
-            few = sharpest(part.model, self.options.levels)
+            few = sharpest(part.model, LEVELS)
             fitter = Fitter(few, self.method, near, camera=self.camera, margin=NEAR, restarts=False)
             self._of_parts.append((fitter, part, Motion(part.shapes)))
         self._estimates = self.fitter.objectives[-1].method.free_angles != "none"
@@ -204,7 +190,10 @@ class Tracker:
                 self._predicted()  # it keeps moving
             self._lose(searched=False)
         else:
-            self._follow_size(pixels.shape[0], pixels.shape[1])
+            before, self.state.size = self.state.size, pixels.shape[:2]
+            if before not in (None, self.state.size) and self.state.last is not None:
+                # Speed and scatter change with the size: restart from the last position.
+                self.state.last, self.state.track = rescaled(self.state.last, before, self.state.size), None
             status, tried = self._locate(pixels, index, name)
         self.state.count += 1
         self.result = None if status is TrackStatus.LOST else tried
@@ -226,14 +215,6 @@ class Tracker:
         if searched:
             self.state.due = self.state.wait = min(max(1, 2 * self.state.wait), self.options.longest_wait)
         self.state.lost, self.state.due = self.state.lost + 1, self.state.due - 1
-
-    def _follow_size(self, height: int, width: int) -> None:
-        """Adapt the state to frames of another size."""
-        before, self.state.size = self.state.size, (height, width)
-        if before in (None, self.state.size) or self.state.last is None:
-            return
-        # Speed and scatter change with the size: restart from the last position.
-        self.state.last, self.state.track = rescaled(self.state.last, before, self.state.size), None
 
     def _locate(self, pixels: np.ndarray, index: int, name: str) -> tuple[TrackStatus, FitResult | None]:
         """Return the status, and its fit or the last failed one."""

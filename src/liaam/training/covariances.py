@@ -6,23 +6,20 @@ import numpy as np
 
 from liaam.evaluation import Contours, contour_axes, contour_directions
 
+# Weight, in left-out images, of what is known without them: of the average over landmarks that are alike in the
+# estimate of one's covariance, and of 1 in the factor on a fit's own variances. With 5, the noise of 20 images makes
+# ellipses too large, because remainders below 0 are set to 0 (experiments/notes/uncertainty.md).
 SHRINK = 15.0
-"""Weight, in left-out images, of what is known without them: of the average over landmarks that are alike in the
-estimate of one's covariance, and of 1 in the factor on a fit's own variances. With 5, the noise of 20 images makes
-ellipses too large, because remainders below 0 are set to 0 (experiments/notes/uncertainty.md)."""
-
+# Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
+# underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half
+# of TAIL.
 TAIL, STEADY = 12.0, 10.0
-"""Covariances estimated from m left-out images are multiplied by 1 + TAIL / (m + STEADY), because few errors
-underestimate the tails. On generated scenes with 20 images left out, the 95 % ellipses hold 93 %, and 91 % with half of
-TAIL."""
-
+# Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones.
 LARGEST_FACTOR = 10.0
-"""Largest factor on a fit's own variances. Images without noise may suggest any factor, too large for noisy ones."""
-
+# Range of the factors by which the variances along and across a contour are corrected in the end. They change no
+# variance of models without contours. A common factor would be too small for objects that few images show: scaled to
+# agree with left-out errors exactly, ellipses of a model of 30 faces hold 86 % instead of 90 %.
 SCALES = (0.4, 2.5)
-"""Range of the factors by which the variances along and across a contour are corrected in the end. They change no
-variance of models without contours. A common factor would be too small for objects that few images show: scaled to
-agree with left-out errors exactly, ellipses of a model of 30 faces hold 86 % instead of 90 %."""
 
 
 def surprise(error: np.ndarray, spread: np.ndarray) -> float:

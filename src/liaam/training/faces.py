@@ -22,15 +22,11 @@ from liaam.training.reliability import OPTIONS
 FOLDER = Path(__file__).with_name("faces")
 MODEL, LAMPS = FOLDER / "heads.liaam", FOLDER / "lamps.safetensors"
 
-N_LAMPS = 10
-"""Number of lamps of each head, in this order in the file."""
-
-MOST = 16
-"""Number of images that are fitted."""
-
+N_LAMPS = 10  # Number of lamps of each head, in this order in the file
+MOST = 16  # Number of images that are fitted
+# Largest distance of fits from their median, as a fraction of the object's diagonal, and smallest quality, medians over
+# the images. Faces of five sets have 0.007 to 0.025, and 0.35 to 0.6; fly wings have 0.068 and 0.02.
 AGREEMENT, LEAST_QUALITY = 0.04, 0.1
-"""Largest distance of fits from their median, as a fraction of the object's diagonal, and smallest quality, medians
-over the images. Faces of five sets have 0.007 to 0.025, and 0.35 to 0.6; fly wings have 0.068 and 0.02."""
 
 
 def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> Lamps | None:

@@ -12,8 +12,7 @@ from liaam.photometry.encoding import as_colour
 from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, Features, channels_of, name_of
 from liaam.training.entries import Entry
 
-MOST_IMAGES = 50
-"""Largest number of images that the projection is learnt from."""
+MOST_IMAGES = 50  # Largest number of images that the projection is learnt from
 
 
 def encoder_of(function: FeatureFunction, entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) -> Encoder:

@@ -16,19 +16,14 @@ from liaam.photometry.encoding import as_colour, refuse_unscaled
 from liaam.training.entries import Entry
 from liaam.workers import in_threads
 
+# Least fraction of the mesh inside the image. Pixels outside have no weight, and their values are estimated from the
+# other images; fits stop at the same fraction (FitStatus.LEFT_IMAGE).
 LEAST_INSIDE = 0.5
-"""Least fraction of the mesh inside the image. Pixels outside have no weight, and their values are estimated from the
-other images; fits stop at the same fraction (``FitStatus.LEFT_IMAGE``)."""
-
+# Largest distance of a landmark from the image, in diagonals of the landmarks' box. Landmarks a little outside are
+# usual in photographs that cut an object off, by up to half of it; farther ones are mistakes that distort the shapes.
 FAR = 0.35
-"""Largest distance of a landmark from the image, in diagonals of the landmarks' box. Landmarks a little outside are
-usual in photographs that cut an object off, by up to half of it; farther ones are mistakes that distort the shapes."""
-
-LEAST_USABLE = 0.2
-"""Least fraction of the object that is neither black nor saturated."""
-
-LEAST_COLOUR = 3
-"""Least number of colour images to learn colours from."""
+LEAST_USABLE = 0.2  # Least fraction of the object that is neither black nor saturated
+LEAST_COLOUR = 3  # Least number of colour images to learn colours from
 
 
 def grey_use(grey: Sequence[str], colour: Sequence[str]) -> str:

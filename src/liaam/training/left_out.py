@@ -18,8 +18,8 @@ from liaam.training.entries import Entry, image_of
 from liaam.training.reliability import LeftOut, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
+# Largest numbers of models to train without a fold, and of left-out images to fit
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
-"""Largest numbers of models to train without a fold, and of left-out images to fit."""
 
 
 Settings = Mapping[str, tuple[Recipe, Variance, Variance]]

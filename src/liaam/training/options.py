@@ -16,36 +16,27 @@ from liaam.training.kept import Methods, chosen
 
 Blurs = tuple[float, ...]
 
+# Blur of each view's levels from coarse to fine, standard deviation in pixels of the reference frame. Those of the
+# surroundings were measured on unseen persons. They shrink in proportion in frames smaller than FULL_SIZE.
 BLURS = {MESH: (3.0, 0.5), SURROUNDINGS: (4.0, 2.0, 1.0)}
-"""Blur of each view's levels from coarse to fine, standard deviation in pixels of the reference frame. Those of the
-surroundings were measured on unseen persons. They shrink in proportion in frames smaller than :data:`FULL_SIZE`."""
-
+# Diagonal at which the blurs of the surroundings were measured, pixels, and the smallest blur of smaller frames. At a
+# diagonal of 90 pixels faces are fitted to 1.8 % with a last blur of 0.6, and to 2.0 % with 1.
 FULL_SIZE, LEAST_BLUR = 150.0, 0.5
-"""Diagonal at which the blurs of the surroundings were measured, pixels, and the smallest blur of smaller frames. At a
-diagonal of 90 pixels faces are fitted to 1.8 % with a last blur of 0.6, and to 2.0 % with 1."""
-
-AUTO = "auto"
-"""Value of options that training chooses itself: ``shapes``, and ``lamps`` of :func:`liaam.train`."""
-
-COPIES, MOST_COPIES = 3, 20
-"""Default and largest number of relit copies of each image."""
-
+AUTO = "auto"  # Value of options that training chooses itself: shapes, and lamps of train
+COPIES, MOST_COPIES = 3, 20  # Default and largest number of relit copies of each image
+# Default fraction of the variance kept by appearances of the surroundings. Their coordinates have a prior, and the
+# variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM and under hard flashes, and faster.
 KEPT = 0.85
-"""Default fraction of the variance kept by appearances of the surroundings. Their coordinates have a prior, and the
-variance that is left out counts as error: 0.85 is as accurate as 0.98 on IMM and under hard flashes, and faster."""
-
+# Arguments of train by name besides the options, for messages
 ARGUMENTS = ("camera", "lamps", "training_lamp", "points", "features", "contours", "name", "progress")
-"""Arguments of :func:`liaam.train` by name besides the options, for messages."""
-
+# Remedies for options of the command line that belong to the camera in Python
 CAMERA_OPTIONS = {
     "response": "give camera=CameraModel(response=...)",
     "theta": "give camera=CameraModel(theta=...), in radians",
 }
-"""Remedies for options of the command line that belong to the camera in Python."""
-
+# Largest number of landmarks for which the smooth prior is the default. It takes seconds for 200 landmarks, half a
+# minute for 1000, and grows with the cube.
 MOST_SMOOTH = 200
-"""Largest number of landmarks for which the ``smooth`` prior is the default. It takes seconds for 200 landmarks, half a
-minute for 1000, and grows with the cube."""
 
 
 @dataclass(frozen=True, eq=False)

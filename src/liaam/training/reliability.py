@@ -25,29 +25,21 @@ from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened
 
+# Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
+# fit is right up to the first and wrong beyond the second. Fits in between are not used.
 RIGHT, WRONG = 0.03, 0.06
-"""Mean distance from the landmarks as a fraction of the shape's diagonal, of landmarks on contours from the contours: a
-fit is right up to the first and wrong beyond the second. Fits in between are not used."""
-
-OPTIONS = SolverOptions(max_iterations=20)
-"""Right fits converge sooner; wrong ones need not converge."""
-
-PLACES = 3
-"""Places of the search that are fitted in an image, besides those that fill the frame."""
-
-RARE = 0.05
-"""Fraction of right fits whose quality is below :attr:`liaam.model.Reliability.typical`."""
-
+OPTIONS = SolverOptions(max_iterations=20)  # Right fits converge sooner; wrong ones need not converge
+PLACES = 3  # Places of the search that are fitted in an image, besides those that fill the frame
+RARE = 0.05  # Fraction of right fits whose quality is below typical
+# Precision of the prior on the slopes of the quality's regression, whose features have a standard deviation of 1. Right
+# and wrong fits to left-out images hardly overlap, so that the prior decides where between them the quality is 0.5:
+# with a strong one halfway between their means. Of right fits to persons under real flashes, with neither persons nor
+# lamps of the tests, 9.0 % are refused with 0.5, 6.8 with 0.1 and 4.8 with 0.02, and of wrong ones 0.3, 0.3 and 0.4 %
+# pass.
 RIDGE = 0.1
-"""Precision of the prior on the slopes of the quality's regression, whose features have a standard deviation of 1.
-Right and wrong fits to left-out images hardly overlap, so that the prior decides where between them the quality is 0.5:
-with a strong one halfway between their means. Of right fits to persons under real flashes, with neither persons nor
-lamps of the tests, 9.0 % are refused with 0.5, 6.8 with 0.1 and 4.8 with 0.02, and of wrong ones 0.3, 0.3 and 0.4 %
-pass."""
-
+# Largest odds of right to wrong fits that are assumed before an image is seen. Left-out images are like those of
+# training, and others are not: of the face model's fits to photographs in the wild, a quarter are wrong.
 MOST_ODDS = 9.0
-"""Largest odds of right to wrong fits that are assumed before an image is seen. Left-out images are like those of
-training, and others are not: of the face model's fits to photographs in the wild, a quarter are wrong."""
 
 
 @dataclass(frozen=True, eq=False)

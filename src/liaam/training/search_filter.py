@@ -16,18 +16,13 @@ from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import align, rotation
 from liaam.photometry import Response
 
+# Largest differences in pose that are averaged: degrees, logarithm of size, and pixels of the filter. Rotations of the
+# search are 10 degrees apart, and sizes a factor of 1.2.
 TURN, GROWTH, SHIFT = 7.0, 0.1, 1.0
-"""Largest differences in pose that are averaged: degrees, logarithm of size, and pixels of the filter. Rotations of the
-search are 10 degrees apart, and sizes a factor of 1.2."""
-
-RIDGE = 0.1
-"""Variance added to that of random images, as a fraction of it."""
-
+RIDGE = 0.1  # Variance added to that of random images, as a fraction of it
+# Number of random images, their sides, the number of leaves in each, and the smallest radius of one, pixels
 LEAVES, SIDE, N_LEAVES, SMALLEST = 60, 160, 600, 3.0
-"""Number of random images, their sides, the number of leaves in each, and the smallest radius of one, pixels."""
-
-BORDER = 4
-"""Margin around the filter's window in which gradients are computed, pixels."""
+BORDER = 4  # Margin around the filter's window in which gradients are computed, pixels
 
 
 class FilterLearner:

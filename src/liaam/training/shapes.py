@@ -17,19 +17,13 @@ from liaam.training.entries import FEWEST
 from liaam.training.left_out import LEFT_OUT_FOLDS, objects_of
 from liaam.training.options import AUTO
 
-LEAST_GROUP = 8
-"""Fewest images of a group that is found."""
-
+LEAST_GROUP = 8  # Fewest images of a group that is found
+# Least gain in the mean log-likelihood of a left-out shape for which groups are used. The gain is below 0 for nine sets
+# of one kind of object, turned heads among them, 2.1 and 4.2 for wings of two outlines, and 8.4 if every other wing is
+# mirrored.
 GAIN = 1.0
-"""Least gain in the mean log-likelihood of a left-out shape for which groups are used. The gain is below 0 for nine
-sets of one kind of object, turned heads among them, 2.1 and 4.2 for wings of two outlines, and 8.4 if every other wing
-is mirrored."""
-
-POINTS = 30
-"""Largest number of landmarks used. All groups use the same, so that likelihoods can be compared."""
-
-SAME = 1e-5
-"""Distance below which two shapes are of copies of one image."""
+POINTS = 30  # Largest number of landmarks used. All groups use the same, so that likelihoods can be compared.
+SAME = 1e-5  # Distance below which two shapes are of copies of one image
 
 
 def shape_groups(shapes: np.ndarray, names: Sequence[str], wanted: int | str = AUTO) -> list[np.ndarray]:

@@ -28,11 +28,9 @@ from liaam.training.entries import Entry
 from liaam.training.options import Blurs
 from liaam.training.search_filter import FilterLearner
 
+# Appearances that are learnt from the textures of another
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
-"""Appearances that are learnt from the textures of another."""
-
-FITTED = 6
-"""Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image."""
+FITTED = 6  # Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image
 
 Wanted = dict[str, list[list[str]]]
 """Names of the appearances to learn, by view and level."""
