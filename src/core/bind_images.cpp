@@ -67,15 +67,6 @@ nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
     return owned(std::move(out), {image.shape(0), image.shape(1)});
 }
 
-nb::object bent(const Image<std::uint8_t>& image, const Array<std::int64_t, 1>& rows) {
-    for (std::size_t i = 0; i < rows.size(); ++i)
-        require(rows.data()[i] >= 1 && rows.data()[i] + 1 < static_cast<std::int64_t>(image.shape(0)),
-                "each row has a row above and one below");
-    std::vector<std::int64_t> counts(16 * 255 + 1);
-    bent_counts(stored(image), span_of(rows), counts);
-    return owned(std::move(counts), {16 * 255 + 1});
-}
-
 nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<float, 2>>& finite,
                                            bool grey, int encoding, float floor, double blur, std::array<float, 4> turn,
                                            double pixel) {
@@ -214,7 +205,6 @@ void bind_images(nb::module_& module) {
     module.def("area_means", average_area, "image"_a, "rows"_a, "columns"_a);
     module.def("stored_luminance", luminance<std::uint8_t>, "image"_a.noconvert(), "tables"_a);
     module.def("stored_luminance", luminance<std::uint16_t>, "image"_a.noconvert(), "tables"_a);
-    module.def("bent_counts", bent, "image"_a, "rows"_a);
     module.def("encode", encode_light, "light"_a, "finite"_a.none(), "grey"_a, "encoding"_a, "floor"_a, "blur"_a, "turn"_a,
                "pixel"_a);
     module.def("blur_planes", blur_planes, "planes"_a, "sigma"_a);

@@ -150,24 +150,6 @@ void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& table
 template void stored_luminance(const Stored<std::uint8_t>&, const std::array<Floats, 3>&, float*);
 template void stored_luminance(const Stored<std::uint16_t>&, const std::array<Floats, 3>&, float*);
 
-void bent_counts(const Stored<std::uint8_t>& image, std::span<const std::int64_t> rows,
-                 std::span<std::int64_t> counts) {
-    const std::size_t n = 3 * image.width;
-    std::vector<std::int16_t> bent(n);
-    std::fill(counts.begin(), counts.end(), 0);
-    for (const std::int64_t y : rows) {
-        const std::uint8_t *above = image.row(y - 1), *own = image.row(y), *below = image.row(y + 1);
-        for (std::ptrdiff_t x = 0; x < image.width; ++x) {
-            for (std::ptrdiff_t c = 0; c < 3; ++c) {
-                const std::ptrdiff_t at = x * image.by_pixel + c * image.by_channel;
-                bent[3 * x + c] = static_cast<std::int16_t>(above[at] - 2 * own[at] + below[at]);
-            }
-        }
-        for (std::size_t i = 3; i + 3 < n; ++i)  // an offset of 3: the same channel of the neighbour
-            ++counts[std::abs(bent[i - 3] - 2 * bent[i] + bent[i + 3])];
-    }
-}
-
 void sample_channels(Rows<const float> pixels, std::ptrdiff_t width, Rows<const double> points, float* values,
                      float* usable) {
     const std::size_t last = pixels.n_columns - 1;

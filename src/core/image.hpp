@@ -63,10 +63,6 @@ void area_means(const float* image, std::ptrdiff_t height, std::ptrdiff_t width,
 template <class T>
 void stored_luminance(const Stored<T>& image, const std::array<Floats, 3>& tables, float* luminance);
 
-// Histogram of the absolute response of the filter (1, -2, 1)'(1, -2, 1), which is zero on planes, at some rows.
-void bent_counts(const Stored<std::uint8_t>& image, std::span<const std::int64_t> rows,
-                 std::span<std::int64_t> counts);
-
 // Samples channels (h, w, c + 1) bilinearly at points (x, y): values (n, c), and 1 where all four pixels around a point
 // are inside and usable, else 0. The last channel is the weight of the pixel.
 void sample_channels(Rows<const float> pixels, std::ptrdiff_t width, Rows<const double> points, float* values,

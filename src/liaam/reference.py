@@ -64,17 +64,6 @@ def stored_luminance(image: np.ndarray, tables: np.ndarray) -> np.ndarray:
     return np.asarray(channels[0] + channels[1] + channels[2], np.float32)
 
 
-def bent_counts(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Histogram (4081,) of the absolute response of the filter (1, -2, 1)' (1, -2, 1), which is zero on planes.
-
-    The image is (h, w, 3) uint8, and the filter is centred on the given rows.
-    """
-    above, own, below = (image[rows + shift].astype(np.int64) for shift in (-1, 0, 1))
-    bent = above - 2 * own + below
-    sizes = np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:])
-    return np.bincount(sizes.ravel(), minlength=16 * 255 + 1)
-
-
 def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
     """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
     from scipy.ndimage import gaussian_filter  # heavy: imported when first needed

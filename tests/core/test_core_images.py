@@ -74,14 +74,6 @@ def test_stored_luminance_is_that_of_the_tables(module, dtype, rng):
     np.testing.assert_allclose(module.stored_luminance(image, tables), expected, atol=1e-6)
 
 
-def test_bent_counts_are_those_of_the_filter(module, rng):
-    image, rows = rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8), np.array([1, 5, HEIGHT - 2])
-    whole = image.astype(int)
-    bent = whole[rows - 1] - 2 * whole[rows] + whole[rows + 1]
-    sizes = np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:])
-    np.testing.assert_array_equal(module.bent_counts(image, rows), np.bincount(sizes.ravel(), minlength=4081))
-
-
 @given(turn=st.floats(-3.0, 3.0), softness=st.sampled_from([1e-3, 0.1, 1.0]), seed=seeds)
 def test_soft_directions_are_gradients_over_a_root(module, turn, softness, seed):
     image = np.random.default_rng(seed).random((HEIGHT, WIDTH), np.float32)
@@ -275,7 +267,6 @@ REFUSED = {
     "a vertex that does not exist": lambda: _core.draw_triangles(
         np.zeros((3, 3)), np.array([[0, 1, 3]], np.int32), np.zeros((3, 1)), 4, 4
     ),
-    "a row without a neighbour": lambda: _core.bent_counts(np.zeros((4, 4, 3), np.uint8), np.array([0])),
     "an image of one row": lambda: _core.sample_channels(np.zeros((1, 5, 2), np.float32), np.zeros((1, 2))),
     "spectra of other sizes": lambda: _core.correlate(
         np.zeros((2, 4, 4, 2), np.float32), np.zeros((2, 4, 5, 2), np.float32), np.zeros((4, 4, 2), np.float32)

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from liaam import _core
 from liaam.photometry.encoding import stored_values
 
 ENOUGH = 600  # Side of the central crop that noise_deviation uses, pixels
@@ -28,15 +27,8 @@ def noise_deviation(image: np.ndarray) -> float:
     rows = np.arange(1, image.shape[0] - 1, step)
     whole = image.dtype.kind == "u"  # differences of integers are exact
     top = np.iinfo(image.dtype).max if whole else 1.0
-    if image.dtype == np.uint8 and image.shape[2] == 3:
-        up_to = _core.bent_counts(image, rows).cumsum()
-        # The mean of the two middle values, which are the same for an odd number.
-        middle = np.searchsorted(up_to, ((up_to[-1] - 1) // 2, up_to[-1] // 2), side="right").mean()
-    else:
-        above, own, below = (
-            image[rows + shift].astype(np.int32) if whole else stored_values(image[rows + shift])
-            for shift in (-1, 0, 1)
-        )
-        bent = above - 2 * own + below
-        middle = np.median(np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]))
+    parts = (image[rows + shift] for shift in (-1, 0, 1))
+    above, own, below = (part.astype(np.int32) if whole else stored_values(part) for part in parts)
+    bent = above - 2 * own + below
+    middle = np.median(np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]))
     return max(float(1.4826 * middle / (6.0 * top)), least)
