@@ -47,7 +47,7 @@ for axis, (name, scene) in zip(axes, scenes.items(), strict=True):
     )
     axis.set_title(f"{name}: {result.status}, quality {result.quality:.2f}", fontsize=9)
     axis.axis("off")
-    print(f"{name}: mean deviation {result.deviations.mean():.2f} pixels")
+    print(f"{name}: mean deviation {result.sd.mean():.2f} pixels")
 
 # %%
 # An image without the object
