@@ -69,8 +69,8 @@ _MESSAGES = {
         "was kept fixed."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit converged, but its quality is low: in training, fits that matched so badly were mostly wrong. Check the "
-        "landmarks, and start nearer to the object if they are wrong."
+        "The fit converged, but its quality is low: in training, fits that matched so badly were mostly wrong. Check "
+        "the landmarks, and start nearer to the object if they are wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit did not converge within its iterations; start nearer to the object or allow more iterations."
