@@ -9,6 +9,23 @@ import numpy as np
 
 from liaam.errors import LiaamError
 
+__all__ = [
+    "angle_difference",
+    "cumulative_errors",
+    "error_statistics",
+    "inter_ocular_distance",
+    "landmark_errors",
+    "nme",
+    "point_error",
+    "rms_error",
+    "within_ellipses",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 Contours = Sequence[tuple[Sequence[int], bool]]
 """Lines through landmarks: their indices in turn, and whether the last is joined to the first."""
 

@@ -58,6 +58,16 @@ class Fitter(Prepared):
     restarts: bool = True
     rotations: str = "upright"
 
+    def __repr__(self) -> str:
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        usual = {each.name: each.default for each in fields(self)} | {"options": SolverOptions()}
+        changed = [f"{name}={value!r}" for name, value in values.items() if value != usual[name] and name != "model"]
+        return f"Fitter({', '.join([repr(self.model), *changed])})"
+
+    def __dir__(self) -> list[str]:
+        """List what is for users: fields and these methods; the other attributes are for the rest of liaam."""
+        return [*(each.name for each in fields(self)), "find", "find_all", "fit", "fit_all", "of"]
+
     @classmethod
     def of(cls, model: AAM, method: str | Method = DEFAULT_METHOD, **settings) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""

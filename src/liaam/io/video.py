@@ -88,7 +88,7 @@ class VideoReader:
     """
 
     def __init__(
-        self, source: AnyPath | int, start: int = 0, stop: int | None = None, skipping: Progress = lambda *_: None
+        self, source: AnyPath | int, start: int = 0, stop: int | None = None, skipping: Progress | None = None
     ):
         if start < 0 or (stop is not None and stop <= start):
             raise VideoError(f"frames {start} to {stop}: give a first frame of at least 0 and a later end")
@@ -153,7 +153,8 @@ class VideoReader:
             if self._closed or (self._stop is not None and index >= self._stop):
                 return
             if index < self._start:
-                self._skipping(index + 1, self._start, "skipping frames")
+                if self._skipping is not None:
+                    self._skipping(index + 1, self._start, "skipping frames")
             elif (image := picture()) is not None:
                 yield VideoFrame(index, time, image)
 
