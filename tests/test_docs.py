@@ -153,7 +153,8 @@ def test_the_arrays_of_a_track_are_described():
 
 def public_classes() -> list[type]:
     """Data types of the API reference."""
-    names = re.findall(r"^   ([a-zA-Z_.]+)$", text_of(ROOT / "docs/reference/api.rst"), re.MULTILINE)
+    text = "".join(text_of(page) for page in (ROOT / "docs/reference/api").glob("*.rst"))
+    names = re.findall(r"^   ([a-zA-Z_.]+)$", text, re.MULTILINE)
     found = [pkgutil.resolve_name(f"liaam:{name}" if "." not in name else f"liaam.{name}") for name in names]
     return [each for each in found if isinstance(each, type) and is_dataclass(each)]
 
