@@ -90,8 +90,8 @@ def test_another_landmarkers_points_start_fits(run, portraits, tmp_path):
     assert "the quality and the ellipses of fits are not calibrated (--no-leave-out)" in out
     info = run("show", model)[1]
     assert "29 points of another landmarker" in info and "not calibrated" in info
-    options = ("--init", tmp_path / "new.pts", "-o", tmp_path / "fits", "--format", "json,pts")
-    code, out, err = run("fit", model, image, *options)
+    outputs = ("-o", tmp_path / "fits", "--format", "json,pts")
+    code, out, err = run("fit", model, image, "--init", tmp_path / "new.pts", *outputs)
     assert (code, err) == (0, "")
     assert "not calibrated" in out
     found, wanted = read_landmarks(tmp_path / "fits" / "new.pts").points, read_landmarks(truth).points
@@ -305,7 +305,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "use only one of them"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "choose from soft-li, grey, rgb, li"),
-        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is one of the input images"),
     ],
 )
 def test_wrong_input_is_one_line_that_says_what_to_do(
@@ -380,6 +380,22 @@ def test_help_and_methods(run):
         assert argument in run(command, "--help")[1]  # as in messages and in the reference
     out = run("fit", "--help")[1]
     assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("fit", "x.png", "--elipses"), "No such option: --elipses (Possible options: --ellipses"),
+        (("fti", "x.png"), "No such command 'fti'. Did you mean 'fit'?"),
+        (("fit",), "Missing argument"),
+        (("train", "faces", "-o", "m.liaam", "--diagonal", "wide"), "Invalid value for '--diagonal'"),
+    ],
+)
+def test_a_misused_command_is_one_line_that_says_where_to_look(run, arguments, message):
+    code, _, err = run(*arguments)
+    assert code == 2
+    assert err.startswith("error: ") and message in err and err.count("\n") == 1
+    assert "--help'" in err
 
 
 def test_show_checks_where_it_writes_before_it_draws(run, model_file, tmp_path, monkeypatch):

@@ -17,7 +17,8 @@ def fits(tmp_path):
     folder.mkdir()
     for i, status in enumerate(("converged", "light unobservable", "diverged")):
         facts = {"status": status, "covariance": np.tile([1.0, 0, 1], (4, 1))}
-        write_fit(folder / f"wing{i}.json", Landmarks(POINTS), facts, (30, 40))
+        for suffix in (".json", ".csv"):
+            write_fit(folder / f"wing{i}{suffix}", Landmarks(POINTS), facts, (30, 40))
     return folder
 
 

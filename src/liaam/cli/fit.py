@@ -145,6 +145,8 @@ def fit(
 def row_of(result: "FitResult") -> tuple[str, ...]:
     """Return the table row of a fit: start, score, status, quality, median landmark sd, iterations and theta."""
     start, score = ("given", "–") if result.found is None else ("searched", f"{result.found.score:.2f}")
+    if result.found is not None and result.found.score == 0:  # its start is the middle of the image
+        start = "not found"
     angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
     sd = f"{np.median(result.sd):.1f} px" if result.status.ok else "–"
     return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), angle

@@ -237,7 +237,7 @@ class _File(_Source):
 
     def __init__(self, path: AnyPath):
         self.path = existing_file(path, VideoError, "video")
-        av = pyav(f"{path} is a video")
+        av = pyav(f"{path}: videos need PyAV")
         self.errors, self.reformatter = av.error.FFmpegError, av.video.reformatter.VideoReformatter()
         # FFmpeg decodes some frames to open a file. Some decoders count what they pad frames with.
         options = {"max_pixels": str(2 * MAX_PIXELS)}
@@ -316,7 +316,7 @@ class _File(_Source):
 
 def is_video(path: Path) -> bool:
     """Return whether a file can be opened as a video."""
-    pyav(f"{path} is a video")
+    pyav(f"{path}: videos need PyAV")
     with suppress(VideoError), closing(_File(path)):
         return True
     return False
@@ -327,5 +327,4 @@ def pyav(what: str) -> Any:
     try:
         return importlib.import_module("av")  # optional
     except ImportError as error:
-        need = "PyAV, which reads and writes videos, is not installed"
-        raise VideoError(f"{what}, but {need}: {installing('video')}") from error
+        raise VideoError(f"{what}, which is not installed: {installing('video')}") from error

@@ -126,7 +126,7 @@ def video_writer(path: AnyPath, rate: Fraction | float = DEFAULT_RATE) -> Iterat
     """
     path = Path(path)
     check_video_name(path)
-    av = pyav(f"{path} is a video")
+    av = pyav(f"{path}: videos need PyAV")
     rate = rate if isinstance(rate, Fraction) else Fraction(rate).limit_denominator(1001)
     with atomic_path(path, VideoError) as temporary, av.open(str(temporary), "w") as container:
         writer = VideoWriter(container, path, rate)

@@ -282,7 +282,7 @@ def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respons
 
 
 def relight(
-    model: AAM,
+    model: AAM | str,
     image,
     light: Light | None = None,
     *,
@@ -299,8 +299,8 @@ def relight(
 
     Parameters
     ----------
-    model : AAM
-        Trained on colour images.
+    model : AAM or "face"
+        Trained on colour images, or the name of a model that comes with liaam.
     image : (h, w, 3) uint8, uint16 or float array, or path
     light : (3,) float, Lamp, or sequence of Lamp, optional
         Direction to a distant lamp (x to the right, y down, z to the viewer), or lamps. By default the light of the
@@ -338,9 +338,9 @@ def relight(
     if light is not None and like is not None:
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
-    check_colour(model)
     check_ambient(ambient)
-    fitter, other = Fitter.of(model, method, **settings), None
+    fitter, other = Fitter.of(model, method, known=relight, **settings), None
+    check_colour(fitter.model)
     if like is not None:
         other, result = separated(fitter, like, like_init, "like")
         _warn(result, "like")

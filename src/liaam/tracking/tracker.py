@@ -19,6 +19,7 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.io import VideoReader
 from liaam.model import AAM
+from liaam.model.aam import named_model
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
 from liaam.tracking import kalman
@@ -341,7 +342,7 @@ class Tracker:
 
 
 def track_video(
-    model: AAM,
+    model: AAM | str,
     video: str | os.PathLike[str] | int,
     *,
     init=None,
@@ -355,7 +356,7 @@ def track_video(
 
     Parameters
     ----------
-    model : AAM
+    model : AAM or "face"
     video : path-like or int
         A file, a folder of frames as images, or a camera number.
     init : shape, box, or point and size, optional
@@ -382,7 +383,7 @@ def track_video(
     >>> for frame in track_video(model, "talk.mp4"):  # doctest: +SKIP
     ...     print(frame.index, frame.status, frame.landmarks.mean(axis=0))
     """
-    tracker = Tracker(model, method, camera, options or TrackingOptions(), init)
+    tracker = Tracker(named_model(model), method, camera, options or TrackingOptions(), init)
     with VideoReader(video, start, stop) as frames:
         tracker.name = frames.name
         for frame in frames:
