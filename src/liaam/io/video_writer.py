@@ -42,8 +42,8 @@ class VideoWriter:
         image : (h, w, 3) uint8
             Resized to the size of the first frame.
         time : float, optional
-            Seconds, such as :attr:`VideoFrame.time`, relative to the first frame that has a time. If left out or NaN,
-            the frame follows the previous one at the given rate. An ``.avi`` ignores times.
+            Seconds, such as :attr:`liaam.io.VideoFrame.time`, relative to the first frame that has a time. If left out
+            or NaN, the frame follows the previous one at the given rate. An ``.avi`` ignores times.
         """
         import av
 
