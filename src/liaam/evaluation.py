@@ -273,6 +273,13 @@ def short_repr(self: Any) -> str:
     return f"{type(self).__name__}({', '.join(f'{name}={value}' for name, value in values.items())})"
 
 
+def changed_repr(self: Any) -> str:
+    """Return a dataclass as text, with the fields that differ from their defaults: the ``__repr__`` of options."""
+    values = {each.name: (getattr(self, each.name), each) for each in fields(self)}
+    shown = [f"{name}={value!r}" for name, (value, each) in values.items() if each.repr and value != each.default]
+    return f"{type(self).__name__}({', '.join(shown)})"
+
+
 def _short(value: object) -> str:
     if isinstance(value, np.ndarray):
         return f"{value.shape} {value.dtype}"

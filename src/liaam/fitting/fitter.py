@@ -8,6 +8,7 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
+from liaam.evaluation import changed_repr
 from liaam.fitting.detection import DOUBTFUL, Detection
 from liaam.fitting.level_image import MARGIN, NEAR
 from liaam.fitting.levels import LinearImage, Target
@@ -61,11 +62,7 @@ class Fitter(Prepared):
     restarts: bool = True
     rotations: str = "upright"
 
-    def __repr__(self) -> str:
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        usual = {each.name: each.default for each in fields(self)} | {"options": SolverOptions()}
-        changed = [f"{name}={value!r}" for name, value in values.items() if value != usual[name] and name != "model"]
-        return f"Fitter({', '.join([repr(self.model), *changed])})"
+    __repr__ = changed_repr
 
     def __dir__(self) -> list[str]:
         """List what is for users: fields and these methods; the other attributes are for the rest of liaam."""

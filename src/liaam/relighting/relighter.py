@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -75,10 +75,10 @@ class Relighter:
     picture: np.ndarray
     appearance: ShadowFree
     frame_shading: Shading
-    region: Region = NO_REGION
-    log_flat: np.ndarray = field(default_factory=NOTHING.copy)
-    log_own: np.ndarray = field(default_factory=NOTHING.copy)
-    surroundings: Surroundings = NO_SURROUNDINGS
+    region: Region
+    log_flat: np.ndarray
+    log_own: np.ndarray
+    surroundings: Surroundings
 
     __repr__ = short_repr
 
@@ -116,7 +116,8 @@ class Relighter:
         if not len(seen_triangles(image, shape, model)):
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
-            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
+            nothing = (NO_REGION, NOTHING, NOTHING, NO_SURROUNDINGS)
+            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading, *nothing)
         appearance, shading = find_shading(model, image, shape, response)
         shading = shading if steadied is None else steadied(shading)
         rest = _removed(model, image, shape, response, shading)

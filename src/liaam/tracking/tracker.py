@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
+from liaam.evaluation import changed_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
@@ -74,6 +75,8 @@ class TrackingOptions:
     patience: int = 8
     longest_wait: int = 32
     review: int = 48
+
+    __repr__ = changed_repr
 
     def __post_init__(self) -> None:
         """Raise if an option is out of range."""
@@ -142,7 +145,7 @@ class Tracker:
     model: AAM
     method: str | Method = DEFAULT_METHOD
     camera: CameraModel | None = None
-    options: TrackingOptions = field(default_factory=TrackingOptions)
+    options: TrackingOptions = TrackingOptions()
     init: object = None
     name: str = ""
     result: FitResult | None = field(default=None, init=False, repr=False)
