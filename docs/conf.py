@@ -61,7 +61,6 @@ repository_pages = {
 shutil.rmtree(HERE / "reference/generated", ignore_errors=True)  # pages of names that are gone
 autosummary_generate = True
 autodoc_typehints = "none"
-autodoc_preserve_defaults = True
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False

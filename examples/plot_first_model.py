@@ -5,6 +5,8 @@ First model
 Train a model on ten images of a face under one light. Then fit it to a new image under a hard light from the left.
 """
 
+# sphinx_gallery_thumbnail_number = 2
+
 import matplotlib.pyplot as plt
 import numpy as np
 

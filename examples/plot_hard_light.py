@@ -6,6 +6,8 @@ A model that has seen one light only can fail under hard light from the side. Le
 train with copies of the images under these lamps.
 """
 
+# sphinx_gallery_thumbnail_number = 2
+
 import matplotlib.pyplot as plt
 import numpy as np
 

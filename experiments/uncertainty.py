@@ -204,7 +204,7 @@ def fit_picture(request: Request, fitter: Fitter, picture: Picture) -> Iterator[
             "start": start,
             "nme": nme(result.landmarks, picture.truth, unit),
             **{f"held_{level}": held(result, picture.truth, level) for level in LEVELS},
-            "deviation": float(np.sqrt(np.mean(np.square(result.deviations)))) / unit,
+            "deviation": float(np.sqrt(np.mean(np.square(result.sd)))) / unit,
             "quality": result.quality,
             "status": str(result.status),
         }

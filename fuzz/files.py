@@ -113,7 +113,7 @@ def check_start(given: tuple[str, bytes]) -> None:
 
 _FACTS = {"liaam": "0.1.0", "model": "ab", "method": "soft-li", "init": None, "camera": {"theta_deg": 122.0}}
 _COLUMNS = (
-    *("path", "object", "status", "message", "quality", "found", "n_found", "theta_deg", "cost", "iterations"),
+    *("path", "object", "status", "message", "quality", "score", "n_found", "theta_deg", "cost", "iterations"),
     *("landmarks", "covariance", "seconds"),
 )
 _ROW = {

@@ -264,7 +264,7 @@ _FITS = (
         "image": "01.png",
         "status": "converged",
         "landmarks": POINTS,
-        "landmark_covariances_px2": [[1.5, 0.5, 2.0]] * 4,
+        "covariance": [[1.5, 0.5, 2.0]] * 4,
         "scale": 0.5,
     },
     {"status": "converged", "path": "a/01.png", "landmarks": [1, 2, 3, 4, 5.5, 6, 7, 8], "covariance": [1, 0, 1] * 4},

@@ -10,6 +10,7 @@ import sys
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -152,7 +153,8 @@ def test_the_arrays_of_a_track_are_described():
 
 def public_classes() -> list[type]:
     """Data types of the API reference."""
-    names = re.findall(r"^   ([a-zA-Z_.]+)$", text_of(ROOT / "docs/reference/api.rst"), re.MULTILINE)
+    text = "".join(text_of(page) for page in (ROOT / "docs/reference/api").glob("*.rst"))
+    names = re.findall(r"^   ([a-zA-Z_.]+)$", text, re.MULTILINE)
     found = [pkgutil.resolve_name(f"liaam:{name}" if "." not in name else f"liaam.{name}") for name in names]
     return [each for each in found if isinstance(each, type) and is_dataclass(each)]
 
@@ -200,6 +202,20 @@ def test_values_in_docstrings_are_those_of_the_code():
 
 def test_the_package_offers_its_public_names_only():
     assert {name for name in dir(liaam) if not name.startswith("__")} == {*liaam.__all__, *liaam._SUBMODULES}
+
+
+@pytest.mark.parametrize("name", liaam._SUBMODULES)
+def test_public_modules_list_nothing_that_they_import(name):
+    module = import_module(f"liaam.{name}")
+    for each in (each for each in dir(module) if not each.startswith("__")):
+        value = getattr(module, each)
+        home = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", "liaam")
+        assert home.split(".")[0] in ("liaam", "typing"), each  # a type such as Response is an alias
+
+
+def test_a_fitter_lists_what_is_for_users():
+    methods = {name for name in dir(liaam.Fitter(liaam.load_model("face"))) if not name.startswith("_")}
+    assert methods - {each.name for each in fields(liaam.Fitter)} == {"find", "find_all", "fit", "fit_all", "of"}
 
 
 def test_the_readme_is_short_and_says_how_to_install_and_test():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import liaam
 from liaam import TrackedFrame
 from liaam.evaluation import (
     along_and_across,
@@ -109,3 +110,11 @@ def test_errors_and_intervals_along_and_across():
     np.testing.assert_array_equal(along_and_across(errors, directions)[:2], errors[:2])
     inside = within_intervals(errors, np.tile(np.diag([4.0, 1.0]), (5, 1, 1)), directions)
     np.testing.assert_array_equal(inside, [[1, 0], [1, 1], [0, 1], [np.nan] * 2, [np.nan] * 2])
+
+
+def test_options_and_fitters_print_what_differs_from_the_defaults():
+    assert repr(liaam.SolverOptions()) == "SolverOptions()"
+    assert repr(liaam.TrackingOptions(review=12)) == "TrackingOptions(review=12)"
+    model = liaam.load_model("face")
+    fitter = liaam.Fitter(model, options=liaam.SolverOptions(damping=0.0), restarts=False)
+    assert repr(fitter) == f"Fitter(model={model!r}, options=SolverOptions(damping=0.0), restarts=False)"

@@ -32,20 +32,20 @@ def main() -> None:
     result = fitter.fit(picture)
     relighter = Relighter.of(fitter, picture, result)
     save(HERE / "taken.webp", [picture])
-    save(HERE / "relit.webp", [relighter.under(direction) for direction in around()])
+    save(HERE / "relit.webp", [relighter.under(direction, ambient=0.1) for direction in around()])
 
 
 def around() -> list[tuple[float, float, float]]:
     """Return directions to a lamp that goes around the face once."""
     angles = np.linspace(0, 2 * np.pi, FRAMES, endpoint=False)
-    return [(float(np.sin(angle)), float(-0.25 - 0.35 * np.cos(angle)), 0.55) for angle in angles]
+    return [(float(np.sin(angle)), float(-0.25 - 0.35 * np.cos(angle)), 0.4) for angle in angles]
 
 
 def save(path: Path, frames: list[np.ndarray]) -> None:
     """Write an image, or one that moves for ever."""
     height = round(WIDTH * frames[0].shape[0] / frames[0].shape[1])
     small = [Image.fromarray(frame).resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
-    small[0].save(path, save_all=True, append_images=small[1:], duration=MILLISECONDS, loop=0, quality=75, method=6)
+    small[0].save(path, save_all=True, append_images=small[1:], duration=MILLISECONDS, loop=0, quality=71, method=6)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,29 @@ file is missing, and :exc:`TypeError` for a misspelt keyword. A failed fit does 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
+__all__ = [
+    "CameraError",
+    "ImageError",
+    "LandmarkError",
+    "LiaamError",
+    "MethodError",
+    "MissingCameraError",
+    "MissingFileError",
+    "MissingImageError",
+    "MissingLandmarksError",
+    "MissingModelError",
+    "MissingVideoError",
+    "ModelFileError",
+    "OptionError",
+    "StartError",
+    "TrainingError",
+    "VideoError",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
 
 def installing(extra: str) -> str:
     """Return the command that installs an optional dependency, for messages."""

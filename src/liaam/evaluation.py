@@ -9,6 +9,23 @@ import numpy as np
 
 from liaam.errors import LiaamError
 
+__all__ = [
+    "angle_difference",
+    "cumulative_errors",
+    "error_statistics",
+    "inter_ocular_distance",
+    "landmark_errors",
+    "nme",
+    "point_error",
+    "rms_error",
+    "within_ellipses",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 Contours = Sequence[tuple[Sequence[int], bool]]
 """Lines through landmarks: their indices in turn, and whether the last is joined to the first."""
 
@@ -223,6 +240,13 @@ def short_repr(self: Any) -> str:
     """Return the fields of a dataclass as text, arrays by shape and type: the ``__repr__`` of classes with arrays."""
     values = {each.name: _short(getattr(self, each.name)) for each in fields(self)}
     return f"{type(self).__name__}({', '.join(f'{name}={value}' for name, value in values.items())})"
+
+
+def changed_repr(self: Any) -> str:
+    """Return a dataclass as text, with the fields that differ from their defaults: the ``__repr__`` of options."""
+    values = {each.name: (getattr(self, each.name), each) for each in fields(self)}
+    shown = [f"{name}={value!r}" for name, (value, each) in values.items() if each.repr and value != each.default]
+    return f"{type(self).__name__}({', '.join(shown)})"
 
 
 def _short(value: object) -> str:

@@ -25,6 +25,16 @@ from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_c
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, stored_values
 
+__all__ = [
+    "Registration",
+    "register",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 METHOD = "igo+tukey"
 """Gradient orientations do not depend on the light's intensity, and the robust loss rejects the edges of cast shadows.
 Measured on posters and real objects: more accurate than ``li``, ``chroma`` and ``grey``."""

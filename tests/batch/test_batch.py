@@ -190,7 +190,7 @@ def test_each_picture_is_a_row(world, expected):
             assert 0 < float(row["x1"]) < SIZE[0]
             assert float(row["xx1"]) > 0
             assert "x0" not in row
-            assert row["quality"] == row["found"] == row["theta_deg"] == ""
+            assert row["quality"] == row["score"] == row["theta_deg"] == ""
         else:
             assert row["status"] == "error"
             assert fault[1] in row["message"]
@@ -272,7 +272,7 @@ def test_starts_and_covariances_are_choices(world, tmp_path):
     found = Settings("grey", iterations=30)
     assert Settings("grey", iterations=30, rotations="all").describe() != found.describe()  # other rows
     batch_of(world, tmp_path / "c.jsonl", pictures[:1], settings=found)
-    assert 0 < rows_of(tmp_path / "c.jsonl")[0]["found"] <= 1
+    assert 0 < rows_of(tmp_path / "c.jsonl")[0]["score"] <= 1
 
 
 def test_every_object_of_an_image_has_a_row(tmp_path):

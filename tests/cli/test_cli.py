@@ -90,7 +90,8 @@ def test_another_landmarkers_points_start_fits(run, portraits, tmp_path):
     assert "the quality and the ellipses of fits are not calibrated (--no-leave-out)" in out
     info = run("show", model)[1]
     assert "29 points of another landmarker" in info and "not calibrated" in info
-    code, out, err = run("fit", model, image, "--init", tmp_path / "new.pts", "-o", tmp_path / "fits")
+    outputs = ("-o", tmp_path / "fits", "--format", "json,pts")
+    code, out, err = run("fit", model, image, "--init", tmp_path / "new.pts", *outputs)
     assert (code, err) == (0, "")
     assert "not calibrated" in out
     found, wanted = read_landmarks(tmp_path / "fits" / "new.pts").points, read_landmarks(truth).points
@@ -153,16 +154,13 @@ def test_contours_are_given_by_numbers_from_1():
 def test_fit_writes_landmarks_and_overlay(run, portraits, model_file, tmp_path):
     truth = read_landmarks(portraits[2]).points
     out = tmp_path / "fits"
-    code, text, err = run("fit", model_file, portraits[1], "--init", box_around(truth), "-o", out)
+    fitted = ("fit", model_file, portraits[1], "--init", box_around(truth), "-o")
+    code, text, err = run(*fitted, out)
     assert (code, err) == (0, "")
     assert "converged" in text or "light unobservable" in text
-    assert sorted(p.name for p in out.iterdir()) == [
-        "new.csv",
-        "new.json",
-        "new.pts",
-        "new.tps",
-        "new_fit.png",
-    ]
+    assert sorted(p.name for p in out.iterdir()) == ["new.json", "new_fit.png"]
+    assert run(*fitted, out, "--format", "json, .PTS,csv")[0] == 0  # its own results may be renewed
+    assert sorted(p.name for p in out.iterdir()) == ["new.csv", "new.json", "new.pts", "new_fit.png"]
     found = read_landmarks(out / "new.pts").points
     assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
     assert np.allclose(found, read_landmarks(out / "new.csv").points, atol=1e-3)
@@ -170,7 +168,27 @@ def test_fit_writes_landmarks_and_overlay(run, portraits, model_file, tmp_path):
     assert facts["method"] == "soft-li"
     assert facts["theta_deg"] is None  # taken from the camera, not estimated
     assert 0.5 < facts["quality"] <= 1.0
-    assert all(0 < deviation < 20 for deviation in facts["landmark_deviations_px"])
+    assert all(0 < deviation < 20 for deviation in facts["sd"])
+
+
+def test_fit_writes_the_only_file_that_is_asked_for(run, portraits, model_file, tmp_path):
+    folder = tmp_path / "new" / "folder"
+    for name in ("mine.pts", "mine.json", "mine.PNG", "other.jpg"):
+        code, _, err = run("fit", model_file, portraits[1], "--init", portraits[2], "-o", folder / name)
+        assert (code, err) == (0, "")
+        assert (folder / name).is_file()
+    assert len(list(folder.iterdir())) == 4
+    assert read_landmarks(folder / "mine.pts").points.shape == (58, 2)
+    (folder / "mine.json").unlink()
+    code, _, err = run("fit", model_file, portraits[1], "--init", portraits[2], "-o", folder / "mine.pts")
+    assert code == 1 and "mine.pts exists and is not from an earlier fit; give another -o" in err
+    images = (portraits[0] / "face0.png", portraits[0] / "face1.png")
+    code, _, err = run("fit", model_file, *images, "-o", folder / "all.pts")
+    assert code == 1 and "all.pts is one file; give a folder" in err
+    code, _, err = run("fit", model_file, images[0], "-o", images[0])
+    assert code == 1 and "face0.png is one of the input images" in err
+    code, _, err = run("fit", model_file, images[0], "-o", folder, "--format", "json,xml")
+    assert code == 1 and "--format xml is unknown; choose from json, pts, csv and tps" in err
 
 
 def test_fit_with_li_tells_the_angle(run, portraits, model_file, tmp_path):
@@ -188,13 +206,12 @@ def test_fit_searches_without_a_start(run, portraits, model_file, tmp_path):
     truth = read_landmarks(portraits[2]).points
     code, text, err = run("fit", model_file, portraits[1], "-o", tmp_path)
     assert (code, err) == (0, "")
-    assert "found, 0." in text
-    found = read_landmarks(tmp_path / "new.pts").points
-    assert np.linalg.norm(found - truth, axis=1).mean() < 1.5
+    assert "searched" in text
     facts = json.loads((tmp_path / "new.json").read_text())
+    assert np.linalg.norm(facts["landmarks"] - truth, axis=1).mean() < 1.5
     assert facts["start"] == "searched"
-    assert facts["search_score"] > 0.52
-    assert facts["search_doubtful"] is False
+    assert facts["score"] > 0.52
+    assert facts["detection_doubtful"] is False
 
 
 def test_fit_says_how_it_was_started(run, portraits, model_file, tmp_path):
@@ -202,7 +219,7 @@ def test_fit_says_how_it_was_started(run, portraits, model_file, tmp_path):
     assert code == 0
     assert "given" in text
     facts = json.loads((tmp_path / "new.json").read_text())
-    assert (facts["start"], facts["search_score"], facts["search_doubtful"]) == ("given", None, None)
+    assert (facts["start"], facts["score"], facts["detection_doubtful"]) == ("given", None, None)
 
 
 def test_fit_all_numbers_what_it_finds(run, portraits, model_file, tmp_path):
@@ -210,11 +227,11 @@ def test_fit_all_numbers_what_it_finds(run, portraits, model_file, tmp_path):
     write_image(tmp_path / "two.png", np.concatenate([picture, picture[::-1], picture], axis=1))
     code, text, _ = run("fit", model_file, tmp_path / "two.png", "--all", "-m", "igo", "-o", tmp_path / "o")
     assert code == 0
-    assert text.count("found, 0.") >= 2
+    assert text.count("searched") >= 2
     names = {path.name for path in (tmp_path / "o").iterdir()}
-    assert {"two_1.pts", "two_1_fit.png", "two_2.pts", "two_2.json"} <= names
-    assert "two.pts" not in names
-    shapes = [read_landmarks(path).points for path in (tmp_path / "o").glob("*.pts")]
+    assert {"two_1.json", "two_1_fit.png", "two_2.json", "two_2_fit.png"} <= names
+    assert "two.json" not in names
+    shapes = [json.loads(path.read_text())["landmarks"] for path in (tmp_path / "o").glob("*.json")]
     for shift in (0, 2 * picture.shape[1]):
         assert min(np.linalg.norm(shape - truth - [shift, 0], axis=1).mean() for shape in shapes) < 2
 
@@ -223,7 +240,7 @@ def test_fit_says_when_a_search_is_in_doubt(run, model_file, tmp_path, rng):
     write_image(tmp_path / "noise.png", rng.integers(0, 256, (120, 150, 3), dtype=np.uint8))
     _, _, err = run("fit", model_file, tmp_path / "noise.png", "-m", "igo", "-o", tmp_path / "o")
     assert "noise.png: the search may have found something else" in err
-    assert json.loads((tmp_path / "o" / "noise.json").read_text())["search_doubtful"] is True
+    assert json.loads((tmp_path / "o" / "noise.json").read_text())["detection_doubtful"] is True
     code, _, err = run("fit", model_file, tmp_path / "noise.png", "--all", "-o", tmp_path / "o")
     assert code == 1
     assert "error: noise.png: no object was found (the best score is 0." in err
@@ -236,13 +253,7 @@ def test_fit_goes_on_after_a_bad_image_and_says_so(run, portraits, model_file, t
     assert code == 1
     assert "bad.png" in err
     assert "new.png" in out
-    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [
-        "new.csv",
-        "new.json",
-        "new.pts",
-        "new.tps",
-        "new_fit.png",
-    ]
+    assert sorted(p.name for p in (tmp_path / "o").iterdir()) == ["new.json", "new_fit.png"]
 
 
 def test_fit_takes_a_folder_of_starts(run, portraits, model_file, tmp_path):
@@ -294,7 +305,7 @@ def test_failed_fit_has_advice_and_an_exit_status(run, portraits, model_file, tm
         (("fit", "{model}", "{image}", "--init", "50,50,20,90"), "is empty"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "--all"), "use only one of them"),
         (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-m", "magic"), "choose from soft-li, grey, rgb, li"),
-        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is a file"),
+        (("fit", "{model}", "{image}", "--init", "9,9,99,99", "-o", "{image}"), "is one of the input images"),
     ],
 )
 def test_wrong_input_is_one_line_that_says_what_to_do(
@@ -322,7 +333,7 @@ def test_fit_does_not_overwrite_a_persons_landmarks(run, portraits, model_file, 
     write_landmarks(tmp_path / "mine.pts", read_landmarks(portraits[2]).points)
     before = (tmp_path / "mine.pts").read_bytes()
     arguments = ("fit", model_file, tmp_path / "mine.png", "--init", tmp_path)
-    code, _, err = run(*arguments, "-o", tmp_path)
+    code, _, err = run(*arguments, "-o", tmp_path, "--format", "pts")
     assert code == 1
     assert "mine.pts exists and is not from an earlier fit" in err
     assert (tmp_path / "mine.pts").read_bytes() == before
@@ -331,7 +342,7 @@ def test_fit_does_not_overwrite_a_persons_landmarks(run, portraits, model_file, 
     write_landmarks(tmp_path / "out/mine.pts", read_landmarks(portraits[2]).points)
     code, _, err = run(*arguments, "-o", tmp_path / "out")
     assert code == 1
-    assert "mine.pts: its points were changed after the fit; give another folder" in err
+    assert "mine.pts: its points were changed after the fit; give another -o" in err
 
 
 def test_train_does_not_overwrite_a_picture(run, portraits, tmp_path):
@@ -369,6 +380,22 @@ def test_help_and_methods(run):
         assert argument in run(command, "--help")[1]  # as in messages and in the reference
     out = run("fit", "--help")[1]
     assert all(name in out for name in ("grey", "rgb", "li", "li-lit", "li-pc", "li-pcs", "chroma"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("fit", "x.png", "--elipses"), "No such option: --elipses (Possible options: --ellipses"),
+        (("fti", "x.png"), "No such command 'fti'. Did you mean 'fit'?"),
+        (("fit",), "Missing argument"),
+        (("train", "faces", "-o", "m.liaam", "--diagonal", "wide"), "Invalid value for '--diagonal'"),
+    ],
+)
+def test_a_misused_command_is_one_line_that_says_where_to_look(run, arguments, message):
+    code, _, err = run(*arguments)
+    assert code == 2
+    assert err.startswith("error: ") and message in err and err.count("\n") == 1
+    assert "--help'" in err
 
 
 def test_show_checks_where_it_writes_before_it_draws(run, model_file, tmp_path, monkeypatch):

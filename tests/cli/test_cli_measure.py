@@ -16,8 +16,9 @@ def fits(tmp_path):
     folder = tmp_path / "fits"
     folder.mkdir()
     for i, status in enumerate(("converged", "light unobservable", "diverged")):
-        facts = {"status": status, "landmark_covariances_px2": np.tile([1.0, 0, 1], (4, 1))}
-        write_fit(folder, f"wing{i}", Landmarks(POINTS), facts, (30, 40))
+        facts = {"status": status, "covariance": np.tile([1.0, 0, 1], (4, 1))}
+        for suffix in (".json", ".csv"):
+            write_fit(folder / f"wing{i}{suffix}", Landmarks(POINTS), facts, (30, 40))
     return folder
 
 

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from liaam.errors import LandmarkError
-from liaam.fitting.files import corrected_file, fit_text, points_of_fit, read_fit, write_fit
+from liaam.fitting.files import FIT_SUFFIXES, corrected_file, fit_text, points_of_fit, read_fit, write_fit
 from liaam.io import Landmarks, read_landmarks, write_landmarks
 
 POINTS = np.array([[1.5, 2.0], [3.25, -4.0]])
 
 
-def test_a_fit_is_written_four_times(tmp_path):
+def test_a_fit_is_written_in_each_format(tmp_path):
     landmarks = Landmarks(POINTS, image_name="anna.1.png", scale=0.25)
-    paths = write_fit(tmp_path, "anna.1", landmarks, {"status": "converged", "cost": 0.5}, (40, 30))
-    assert [path.name for path in paths] == ["anna.1.pts", "anna.1.csv", "anna.1.tps", "anna.1.json"]
+    paths = [tmp_path / f"anna.1{suffix}" for suffix in FIT_SUFFIXES]
+    for path in paths:
+        write_fit(path, landmarks, {"status": "converged", "cost": 0.5}, (40, 30))
     for path in paths[:3]:
         assert np.array_equal(read_landmarks(path, (40, 30)).points, POINTS)
     assert paths[2].read_text() == "LM=2\n1.5 27.0\n3.25 33.0\nIMAGE=anna.1.png\nID=anna.1\nSCALE=0.25\n"
@@ -59,7 +60,9 @@ def fit(tmp_path):
     """Write a fit; give its .json file and its content, without the size of the image if asked."""
 
     def make(points=POINTS, sized=True):
-        path = write_fit(tmp_path, "a", Landmarks(points, image_name="a.png"), {"status": "converged"}, SIZE)[-1]
+        for suffix in FIT_SUFFIXES:
+            path = tmp_path / f"a{suffix}"
+            write_fit(path, Landmarks(points, image_name="a.png"), {"status": "converged"}, SIZE)
         content = read_fit(path)
         assert content is not None and content["image_size"] == list(SIZE)
         return path, content if sized else {**content, "image_size": None}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import liaam
 from liaam.errors import MethodError, OptionError
 from liaam.fitting import METHODS, Fitter, Method, fit, get_method
 from liaam.model.appearance import CHANNELS
@@ -158,7 +159,7 @@ def test_methods_that_learn_light_need_a_model_that_has(fine_model):
 
 
 def test_unknown_options_are_listed(model, scenes):
-    with pytest.raises(OptionError, match=r"'max_iteration'; choose from camera, .*max_iterations, tolerance"):
+    with pytest.raises(OptionError, match=r"'max_iteration'; choose from model, .*camera, .*max_iterations, tolerance"):
         fit(model, scenes[0].image, scenes[0].landmarks, max_iteration=3)
     with pytest.raises(MethodError, match="finite"):
         fit(model, scenes[0].image, scenes[0].landmarks, tolerance=float("nan"))
@@ -176,3 +177,18 @@ def test_the_table_of_methods_prints_a_line_for_each():
     assert len(lines) == len(METHODS)
     assert lines[0].startswith("soft-li  ")
     assert lines[0].endswith(METHODS["soft-li"].summary)
+
+
+@pytest.mark.parametrize(
+    ("function", "misspelt", "meant"),
+    [
+        (liaam.fit, "methd", "method"),
+        (liaam.fit_many, "worker", "workers"),
+        (liaam.relight, "ambiant", "ambient"),
+        (liaam.evaluate, "normalize", "normalise"),
+        (liaam.fit_all, "max_iteration", "max_iterations"),
+    ],
+)
+def test_a_misspelt_keyword_names_the_one_that_was_meant(function, misspelt, meant):
+    with pytest.raises(TypeError, match=f"unknown option '{misspelt}'; choose from .*; did you mean '{meant}'"):
+        function("face", ["new.jpg"], **{misspelt: 1})

@@ -185,7 +185,7 @@ def test_steps_that_nobody_can_tell_are_not_made(fine_model, lit_scene):
     assert sum(result.n_iterations for result in sparing) < sum(result.n_iterations for result in patient)
     for spared, full in zip(sparing, patient, strict=True):
         off = np.linalg.norm(spared.landmarks - full.landmarks, axis=1)
-        assert np.sqrt(np.square(off / full.deviations).mean()) < 0.3
+        assert np.sqrt(np.square(off / full.sd).mean()) < 0.3
 
 
 def test_a_last_step_that_nobody_can_tell_is_taken_without_another_look(fine_model, lit_scene, monkeypatch):

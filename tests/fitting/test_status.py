@@ -24,4 +24,4 @@ def test_a_fit_whose_residuals_are_no_numbers_states_that_it_knows_nothing(model
     monkeypatch.setattr(Objective, "noise_variance", lambda self, solution: unit)
     result = Fitter(model, "grey", SolverOptions(max_iterations=0)).fit(scenes[0].image, scenes[0].landmarks)
     assert np.isfinite(result.covariance).all()
-    assert (result.deviations > 0).all()
+    assert (result.sd > 0).all()

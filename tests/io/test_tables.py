@@ -35,7 +35,7 @@ def test_a_fit_is_a_row_per_landmark_counted_from_1(result):
     assert list(table) == COLUMNS
     assert table.landmark.tolist() == list(range(1, n + 1))
     np.testing.assert_array_equal(table[["x", "y"]], result.landmarks)
-    np.testing.assert_allclose(table.sd, result.deviations)
+    np.testing.assert_allclose(table.sd, result.sd)
     assert set(table.image) == {"image 1"} and set(table.status) == {str(result.status)}
     named = replace(result, image=Path("a/b.png"), landmark_names=tuple(f"p{i}" for i in range(n)))
     assert named.to_dataframe().iloc[-1][["image", "name"]].tolist() == ["b.png", f"p{n - 1}"]

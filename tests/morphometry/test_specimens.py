@@ -8,7 +8,7 @@ import pytest
 
 from liaam.batch.tables import Table, write_table
 from liaam.errors import LiaamError
-from liaam.fitting.files import write_fit
+from liaam.fitting.files import FIT_SUFFIXES, write_fit
 from liaam.io import Landmarks, read_collection, write_collection, write_image, write_landmarks
 from liaam.io.landmarks import Contour
 from liaam.morphometry import Specimen, alike, measure, read_specimens
@@ -20,15 +20,17 @@ SPREAD = np.array([[1.0, 0.5, 2], [2, 0, 2], [3, 1, 4]])
 
 def add_fit(folder: Path, stem: str, status: str = "converged", **facts: object) -> None:
     folder.mkdir(exist_ok=True)
-    content = {"status": status, "landmark_covariances_px2": SPREAD, **facts}
-    write_fit(folder, stem, Landmarks(POINTS, image_name=f"{stem}.png"), content, (30, 40))
+    content = {"status": status, "covariance": SPREAD, **facts}
+    for suffix in FIT_SUFFIXES:
+        landmarks = Landmarks(POINTS, image_name=f"{stem}.png")
+        write_fit(folder / f"{stem}{suffix}", landmarks, content, (30, 40))
 
 
 def row_of(path: str, status: str = "converged") -> dict:
     known = status == "converged"
     return {
         **dict.fromkeys(
-            ("message", "quality", "object", "found", "n_found", "theta_deg", "cost", "iterations", "seconds")
+            ("message", "quality", "object", "score", "n_found", "theta_deg", "cost", "iterations", "seconds")
         ),
         "path": path,
         "status": status,
@@ -73,9 +75,10 @@ def test_numbers_of_landmarks_count_from_1_whatever_their_names() -> None:
 @pytest.mark.parametrize("suffix", [".json", ".tps"])
 def test_curves_of_fits_are_read(tmp_path: Path, suffix: str) -> None:
     lines = (Contour((1, 2)),)
-    write_fit(tmp_path, "a", Landmarks(POINTS, lines), {"status": "converged"}, (30, 40))
+    write_fit(tmp_path / f"a{suffix}", Landmarks(POINTS, lines), {"status": "converged"}, (30, 40))
     assert read_specimens(tmp_path / f"a{suffix}")[0].curves == lines
-    write_fit(tmp_path, "a", Landmarks(POINTS, lines), {"status": "converged", "contours": [[[1, 9], 0]]}, (30, 40))
+    facts = {"status": "converged", "contours": [[[1, 9], 0]]}
+    write_fit(tmp_path / "a.json", Landmarks(POINTS, lines), facts, (30, 40))
     assert read_specimens(tmp_path / "a.json")[0].curves == lines
 
 
@@ -128,7 +131,7 @@ def test_a_correction_counts_also_beside_a_file_that_cannot_be_read(tmp_path: Pa
 def test_any_change_of_a_point_is_a_correction(tmp_path: Path, shift: tuple[float, float]) -> None:
     fitted = POINTS.copy()
     fitted[1] = (3e6, 5.0)
-    write_fit(tmp_path, "a", Landmarks(fitted), {"status": "diverged"}, (30, 40))
+    write_fit(tmp_path / "a.json", Landmarks(fitted), {"status": "diverged"}, (30, 40))
     write_landmarks(tmp_path / "a.csv", Landmarks(fitted + np.array([(0, 0), (0, 0), shift])))
     said: list[str] = []
     read_specimens(tmp_path, said.append)
@@ -213,7 +216,7 @@ def test_files_of_a_folder_that_cannot_be_read_are_named(tmp_path: Path) -> None
 
 def test_fits_that_diverged_do_not_stop_the_others(tmp_path: Path) -> None:
     add_fit(tmp_path, "good")
-    add_fit(tmp_path, "lost", "diverged", landmark_covariances_px2=np.full((3, 3), np.nan))
+    add_fit(tmp_path, "lost", "diverged", covariance=np.full((3, 3), np.nan))
     text = (tmp_path / "lost.json").read_text().replace("11.0", "1e300")
     (tmp_path / "lost.json").write_text(text)
     for suffix in (".pts", ".csv", ".tps"):

@@ -272,7 +272,7 @@ class TestFit:
         whole = Fitter(head_model).fit(large)
         close = 0.002 * diagonal_of(whole.landmarks)
         assert np.abs(fitted.result.landmarks - whole.landmarks).max() < close
-        assert np.allclose(fitted.result.deviations, whole.deviations, rtol=0.2)
+        assert np.allclose(fitted.result.sd, whole.sd, rtol=0.2)
         assert fitted.result.found.scale == pytest.approx(whole.found.scale, rel=0.05)
         assert fitted.as_json()["width"] == 120 * factor
 

@@ -32,14 +32,14 @@ def test_a_table_holds_everything(tmp_path, frames):
         assert float(row["time"]) == pytest.approx(frame.time)
         assert float(row["quality"]) == pytest.approx(frame.quality, abs=1e-4)
         for i in (0, 57):
-            seen = [float(row[f"{name}{i + 1}"]) for name in ("x", "y", "raw_x", "raw_y", "var_x", "cov_xy", "var_y")]
+            seen = [float(row[f"{name}{i + 1}"]) for name in ("x", "y", "raw_x", "raw_y", "xx", "xy", "yy")]
             spread = frame.covariances[i]
             expected = [*frame.landmarks[i], *frame.raw[i], spread[0, 0], spread[0, 1], spread[1, 1]]
             np.testing.assert_allclose(seen, expected, rtol=1e-3, atol=1e-3)
         seen = [float(row[name]) for name in ("roll_deg", "size", "centre_x", "centre_y")]
         expected = [np.rad2deg(frame.roll), frame.size, *frame.landmarks.mean(axis=0)]
         np.testing.assert_allclose(seen, expected, atol=1e-3)
-    assert rows[2]["x1"] == rows[2]["var_y58"] == rows[2]["roll_deg"] == rows[2]["centre_y"] == ""
+    assert rows[2]["x1"] == rows[2]["yy58"] == rows[2]["roll_deg"] == rows[2]["centre_y"] == ""
     assert is_track(path)
 
 

@@ -324,7 +324,7 @@ def test_names_of_landmarks_are_kept_until_they_are_measured(pairs, tmp_path):
     assert model.landmark_names == names
     result = Fitter(model).fit(pairs[0][0], pairs[0][1])
     assert result.landmark_names == names
-    write_fit(tmp_path, "a", Landmarks(result.landmarks, names=names), result.to_dict(), (180, 240))
+    write_fit(tmp_path / "a.json", Landmarks(result.landmarks, names=names), result.to_dict(), (180, 240))
     distance = measure(read_specimens(tmp_path), ["distance:p3-p9"])["distance_p3_p9"]
     assert distance[0] == pytest.approx(np.linalg.norm(result.landmarks[3] - result.landmarks[9]))
 

@@ -53,7 +53,7 @@ class _Protocol(NamedTuple):
 
 
 def evaluate(
-    model: AAM,
+    model: AAM | str,
     samples: Iterable,
     init=None,
     method: str | Method = DEFAULT_METHOD,
@@ -68,7 +68,7 @@ def evaluate(
 
     Parameters
     ----------
-    model : AAM
+    model : AAM or "face"
     samples : Dataset, or iterable of Sample or of (image, landmarks) pairs
         Landmarks are (n, 2) arrays, :class:`liaam.Landmarks` or paths. Landmarks with names are put into the order of
         the model's. Images that cannot be used are left out. Of several objects in an image, the fit is compared with
@@ -102,7 +102,8 @@ def evaluate(
     >>> print(found.report())                                                               # doctest: +SKIP
     >>> found.to_dataframe().groupby("landmark").error.median()                             # doctest: +SKIP
     """
-    fitter, samples = Fitter.of(model, method, **settings), _samples(samples)
+    fitter, samples = Fitter.of(model, method, known=evaluate, **settings), _samples(samples)
+    model = fitter.model
     protocol = _protocol(samples, model.landmark_names, model.n_points, model.contours, normalise, limit)
     cases, left_out = _cases(samples, protocol)
     starts = _starts(init, cases, len({_key(sample.image) for sample in samples}))

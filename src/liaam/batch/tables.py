@@ -27,7 +27,7 @@ COLUMNS = {
     "message": "string",
     "quality": "float32",
     "object": "int32",
-    "found": "float32",
+    "score": "float32",
     "n_found": "int32",
     "theta_deg": "float32",
     "cost": "float64",

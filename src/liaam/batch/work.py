@@ -188,7 +188,7 @@ class Job:
             "message": result.message,
             "quality": _short(result.quality),
             "object": None,
-            "found": None if result.found is None else _short(result.found.score),
+            "score": None if result.found is None else _short(result.found.score),
             "n_found": result.n_found,
             "theta_deg": _short(result.theta_degrees),
             "cost": finite_or_none(result.cost),
@@ -217,7 +217,7 @@ class Job:
 
 def failed_row(path: str, message: str) -> Row:
     """Return the row of an image that could not be fitted."""
-    numbers = ("quality", "object", "found", "n_found", "theta_deg", "cost", "iterations")
+    numbers = ("quality", "object", "score", "n_found", "theta_deg", "cost", "iterations")
     row = dict.fromkeys((*numbers, "landmarks", "covariance", "seconds"))
     return {"path": _printable(path), "status": ERROR, "message": _printable(message), **row}
 

@@ -1,1 +1,1 @@
-"""The command line, a thin layer over the Python API."""
+"""The command line: one module for each command, or for a few that belong together, over the Python API."""

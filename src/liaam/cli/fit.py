@@ -60,7 +60,23 @@ def fit(
         bool, typer.Option("--all", help="Fit every object that the search finds; results are NAME_1, NAME_2 ...")
     ] = False,
     method: Annotated[str, typer.Option("--method", "-m", help="Fitting method; they are listed below.")] = "soft-li",
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("liaam-fits"),
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Folder for a landmark file and a picture of each image; or, for one image, the only file to write: "
+            f"{', '.join(FIT_SUFFIXES)}, or a picture.",
+        ),
+    ] = Path("liaam-fits"),
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            help="Landmark files to write into the folder: json (with covariances, quality and status), pts, csv or "
+            "tps, or several, such as json,tps.",
+        ),
+    ] = "json",
     scheme: Annotated[
         str | None,
         typer.Option(help="Write the landmarks of another scheme instead: ibug-68, from those of the model 'face'."),
@@ -69,7 +85,7 @@ def fit(
     ellipses: inputs.EllipsesOption = False,
     given_camera: inputs.CameraOption = None,
 ) -> None:
-    """Fit a model to images. Writes landmarks (.pts, .csv, .tps, .json) and an overlay image for each."""
+    """Fit a model to images. Writes the landmarks and an overlay image for each."""
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.workers import all_cores, in_order, one_blas_thread, one_thread
@@ -79,20 +95,20 @@ def fit(
     model_file, images = inputs.model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
-    if output.suffix.lower() in IMAGE_SUFFIXES and not output.exists():
-        raise LiaamError(f"{output} is not a folder; several files are written, so give a folder with -o")
+    outputs = Outputs.asked(output, formats, ellipses, scheme, len(images) > 1 or every)
+    inputs.refuse_inputs([output], images)
     model = load_model(model_file)
     camera = inputs.camera_for(images, given_camera, model.camera)
     fitter = Fitter(model, method, camera=camera, rotations=rotations)
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
-    make_folder(output)
-    table = table_of("image", "start", "status", "quality", "error", "iterations", "theta")
+    make_folder(outputs.folder)
+    table = table_of("image", "start", "score", "status", "quality", "sd", "iterations", "theta")
     advice: defaultdict[str, list[str]] = defaultdict(list)
     failed, uncalibrated = 0, False
     low_score = inputs.LOW_SCORE + (inputs.TURNED if rotations == "upright" else "")
 
-    results_of = partial(fit_file, fitter, init, every, Outputs(output, ellipses, scheme))
+    results_of = partial(fit_file, fitter, init, every, outputs)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
@@ -119,7 +135,7 @@ def fit(
     if table.row_count:
         show_table(table)
         if uncalibrated:
-            say("the quality is unknown, and errors and ellipses are not calibrated: see 'liaam show MODEL'")
+            say("the quality is unknown, and sd and ellipses are not calibrated: see 'liaam show MODEL'")
         say(f"written to {output}")
     inputs.say_advice(advice)
     if failed:
@@ -127,23 +143,39 @@ def fit(
 
 
 def row_of(result: "FitResult") -> tuple[str, ...]:
-    """Return the table row of a fit: start, status, quality, median landmark error, iterations and theta."""
-    if result.found is None:
-        start = "given"
-    else:  # a search without any detection starts in the middle of the image
-        start = f"found, {result.found.score:.2f}" if result.found.score > 0 else "not found"
+    """Return the table row of a fit: start, score, status, quality, median landmark sd, iterations and theta."""
+    start, score = ("given", "–") if result.found is None else ("searched", f"{result.found.score:.2f}")
+    if result.found is not None and result.found.score == 0:  # its start is the middle of the image
+        start = "not found"
     angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
-    error = f"{np.median(result.deviations):.1f} px" if result.status.ok else "–"
-    return start, str(result.status), result.quality_text, error, str(result.n_iterations), angle
+    sd = f"{np.median(result.sd):.1f} px" if result.status.ok else "–"
+    return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), angle
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Output folder and optional outputs."""
+    """What is written for each image: files of these suffixes in a folder, or the only file of a given stem."""
 
     folder: Path
+    suffixes: tuple[str, ...]
+    picture: str | None = "_fit.png"
+    stem: str | None = None
     ellipses: bool = False
     scheme: str | None = None
+
+    @classmethod
+    def asked(cls, output: Path, formats: str, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
+        """Take -o as one file if its suffix is that of one, and else as a folder for files of --format."""
+        suffix = output.suffix.lower()
+        suffixes = tuple(f".{name.strip().lower().removeprefix('.')}" for name in formats.split(","))
+        if unknown := [each for each in suffixes if each not in FIT_SUFFIXES]:
+            raise LiaamError(f"--format {unknown[0][1:]} is unknown; choose from json, pts, csv and tps")
+        if output.is_dir() or suffix not in (*FIT_SUFFIXES, *IMAGE_SUFFIXES):
+            return cls(output, suffixes, ellipses=ellipses, scheme=scheme)
+        if several:
+            raise LiaamError(f"{output} is one file; give a folder with -o, since there may be several results")
+        picture = output.suffix if suffix in IMAGE_SUFFIXES else None
+        return cls(output.parent, () if picture else (output.suffix,), picture, output.stem, ellipses, scheme)
 
 
 def fit_file(
@@ -162,7 +194,7 @@ def fit_file(
         if every:
             starts = {f"{stem}_{i}": found for i, found in enumerate(fitter.find_all(pixels, name=image.name), 1)}
         for name in starts:
-            refuse_to_overwrite(outputs.folder, name)
+            refuse_to_overwrite([outputs.folder / f"{outputs.stem or name}{suffix}" for suffix in outputs.suffixes])
         for name, start in starts.items():
             results[name] = result = fitter.fit(pixels, start, image.name)
             points, contours, names = result.landmarks, Contour.all_of(model.contours), result.landmark_names
@@ -172,26 +204,24 @@ def fit_file(
                 points, contours, names = in_scheme(points, names, outputs.scheme), (), ()
                 facts = {key: value for key, value in facts.items() if not key.startswith("landmark_")}
             landmarks = Landmarks(points, contours, names, image_name=image.name, scale=scale)
-            write_fit(outputs.folder, name, landmarks, facts, pixels.shape[1::-1])
-            drawn = result.landmark_covariances if outputs.ellipses else None
-            picture = overlay(pixels, result.landmarks, model, covariances=drawn)
-            write_image(outputs.folder / f"{name}_fit.png", picture)
+            path = outputs.folder / (outputs.stem or name)
+            for suffix in outputs.suffixes:
+                write_fit(path.with_name(path.name + suffix), landmarks, facts, pixels.shape[1::-1])
+            if outputs.picture:
+                drawn = result.landmark_covariances if outputs.ellipses else None
+                picture = overlay(pixels, result.landmarks, model, covariances=drawn)
+                write_image(path.with_name(path.name + outputs.picture), picture)
     except LiaamError as error:
         return error
     return results
 
 
-def refuse_to_overwrite(output: Path, stem: str) -> None:
+def refuse_to_overwrite(paths: list[Path]) -> None:
     """Raise if landmarks that no earlier fit wrote, or that were corrected since, would be overwritten."""
-    path = output / f"{stem}.json"
-    if fit := read_fit(path):  # results of an earlier fit may be replaced
-        if corrected := corrected_file(path, fit):
-            raise LiaamError(
-                f"{corrected}: its points were changed after the fit; give another folder with -o to keep them"
-            )
-        return
-    for suffix in FIT_SUFFIXES:
-        if (output / f"{stem}{suffix}").exists():
-            raise LiaamError(
-                f"{output / stem}{suffix} exists and is not from an earlier fit; give another folder with -o to keep it"
-            )
+    for path in paths:
+        known = path.with_suffix(".json")
+        if fit := read_fit(known):  # results of an earlier fit may be replaced
+            if corrected := corrected_file(known, fit):
+                raise LiaamError(f"{corrected}: its points were changed after the fit; give another -o to keep them")
+        elif path.exists():
+            raise LiaamError(f"{path} exists and is not from an earlier fit; give another -o to keep it, or remove it")

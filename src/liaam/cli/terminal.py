@@ -21,8 +21,8 @@ from liaam.progress import Progress, progress_bar as library_bar
 console = Console()
 error_console = Console(stderr=True)
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, as in a shell: 128 plus the number of the signal."""
+MISUSED, INTERRUPTED = 2, 130
+"""Exit status after an unknown option or a value of the wrong type, and after Ctrl-C, as in a shell."""
 
 UNCUT = 500
 """Width of tables that do not go to a terminal, characters."""
@@ -71,10 +71,13 @@ def _plain_complaints() -> Iterator[None]:
         yield
     except KeyboardInterrupt as stop:
         raise StoppedError(str(stop) or "stopped") from None
-    except Exception as error:
-        if isinstance(message := getattr(error, "message", None), str):  # of click, which typer may bring along
-            error.__dict__["message"] = plain(message)
-        raise
+    except Exception as error:  # a misused option or argument: a class of click, which typer may bring along
+        if getattr(error, "exit_code", None) != MISUSED or "\n" in (text := error.format_message()):  # type: ignore
+            raise
+        context = getattr(error, "ctx", None)
+        command = "liaam" if context is None else context.command_path
+        complain(f"error: {text.rstrip('.')}; see '{command} --help'")
+        raise SystemExit(MISUSED) from None
 
 
 def make_app(**options: Any) -> typer.Typer:

@@ -1,4 +1,4 @@
-"""Fitting: the table of methods, the objective and the solver that all methods use."""
+"""Fit a model to images: the search for the object, the table of methods, and the one objective and solver of all."""
 
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter

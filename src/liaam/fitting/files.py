@@ -1,4 +1,4 @@
-"""Fit results: landmarks as .pts, .csv and .tps, and all values as .json."""
+"""Fit results: all values as .json, and landmarks as .pts, .csv and .tps."""
 
 import json
 import math
@@ -13,24 +13,21 @@ from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
 from liaam.io.landmarks.reading import read_text
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
-"""Suffixes of the files of a fit."""
+"""Suffixes of the files that a fit can have."""
 
 ROUNDING, FARTHEST = 0.02, 1e6
 """Difference in pixels below which points of two files are the same; coordinate beyond which all are the same."""
 
 
-def write_fit(folder: Path, stem: str, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> list[Path]:
-    """Write the landmarks of a fit, pixels from the centre of the top-left one, and the further entries of its .json.
+def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[int, int]) -> None:
+    """Write the landmarks of a fit, and in a .json file its further facts.
 
-    The folder exists, ``stem`` is the file name without suffix, and ``image_size`` width and height. The files are
-    ``stem.pts`` (counts from 1), ``stem.csv``, ``stem.tps`` (y upwards) and ``stem.json`` (counts from 0). Numbers that
-    are not finite become null.
+    Landmarks are in pixels from the centre of the top-left one, and ``image_size`` is width and height. In .json files,
+    numbers that are not finite become null.
     """
-    paths = [folder / f"{stem}{suffix}" for suffix in FIT_SUFFIXES]
-    for path in paths[:-1]:
-        write_landmarks(path, landmarks, image_size)
-    write_text_atomically(paths[-1], fit_text(landmarks, {**facts, "image_size": image_size}))
-    return paths
+    if path.suffix.lower() != ".json":
+        return write_landmarks(path, landmarks, image_size)
+    return write_text_atomically(path, fit_text(landmarks, {**facts, "image_size": image_size}))
 
 
 def read_fit(path: Path) -> dict | None:

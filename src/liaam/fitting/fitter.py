@@ -1,11 +1,14 @@
 """Fitting a model to an image: the check of image and start, the search, and what follows a fit of low quality."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from inspect import signature
 
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
+from liaam.evaluation import changed_repr
 from liaam.fitting.detection import DOUBTFUL, Detection
 from liaam.fitting.level_image import MARGIN, NEAR
 from liaam.fitting.levels import LinearImage, Target
@@ -19,6 +22,7 @@ from liaam.fitting.search import Finder
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.starts import mapped_points, part_of_start, region_of, start_shape
 from liaam.model import AAM
+from liaam.model.aam import named_model
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
@@ -58,13 +62,29 @@ class Fitter(Prepared):
     restarts: bool = True
     rotations: str = "upright"
 
+    __repr__ = changed_repr
+
+    def __dir__(self) -> list[str]:
+        """List what is for users: fields and these methods; the other attributes are for the rest of liaam."""
+        return [*(each.name for each in fields(self)), "find", "find_all", "fit", "fit_all", "of"]
+
     @classmethod
-    def of(cls, model: AAM, method: str | Method = DEFAULT_METHOD, **settings) -> "Fitter":
-        """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name."""
+    def of(
+        cls, model: AAM | str, method: str | Method = DEFAULT_METHOD, *, known: Callable | None = None, **settings
+    ) -> "Fitter":
+        """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name.
+
+        ``model`` may be the name of one that comes with liaam. An unknown setting raises an error that also suggests
+        the parameters of the function ``known``, to which the settings were given.
+        """
         names = ("camera", "rotations", "restarts", "margin")
         own = {name: settings.pop(name) for name in names if name in settings}
-        check_options(settings, [*names, *(option.name for option in fields(SolverOptions))])
-        return cls(model, method, SolverOptions(**settings), **own)
+        options = [each.name for each in fields(SolverOptions)]
+        if not settings.keys() <= set(options):
+            parameters = () if known is None else signature(known).parameters.values()
+            more = [each.name for each in parameters if each.kind != each.VAR_KEYWORD]
+            check_options(settings, [*dict.fromkeys([*more, *names, *options])])
+        return cls(named_model(model), method, SolverOptions(**settings), **own)
 
     def __post_init__(self) -> None:
         self.finder  # noqa: B018 (raise errors now, not at the first image)

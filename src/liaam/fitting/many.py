@@ -22,28 +22,30 @@ from liaam.workers import all_cores, in_order, one_thread
 ERRORS = ("raise", "return")
 """What to do about an image that cannot be fitted."""
 
+Given = AAM | str
+No = Literal[False]
 Raise = Literal["raise"]
 Return = Literal["return"]
 
 
 @overload
 def fit_many(
-    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[False] = ..., errors: Raise = ..., **settings
+    model: Given, images: Iterable, init=..., method=..., *, every: No = ..., errors: Raise = ..., **settings
 ) -> list[FitResult]: ...
 @overload
 def fit_many(
-    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[False] = ..., errors: Return, **settings
+    model: Given, images: Iterable, init=..., method=..., *, every: No = ..., errors: Return, **settings
 ) -> list[FitResult | LiaamError]: ...
 @overload
 def fit_many(
-    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Raise = ..., **settings
+    model: Given, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Raise = ..., **settings
 ) -> list[list[FitResult]]: ...
 @overload
 def fit_many(
-    model: AAM, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Return, **settings
+    model: Given, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Return, **settings
 ) -> list[list[FitResult] | LiaamError]: ...
 def fit_many(
-    model: AAM,
+    model: AAM | str,
     images: Iterable,
     init=None,
     method: str | Method = DEFAULT_METHOD,
@@ -61,7 +63,7 @@ def fit_many(
 
     Parameters
     ----------
-    model : AAM
+    model : AAM or "face"
     images : iterable of (h, w, 3) uint8, uint16 or float arrays, or of paths
         Read as needed, so that a generator never has more than a few images in memory.
     init : start, or iterable of starts, optional
@@ -100,7 +102,7 @@ def fit_many(
     >>> results = fit_many(model, sorted(Path("faces").glob("*.png")))                    # doctest: +SKIP
     >>> shapes = [result.landmarks for result in results if result.status.ok]               # doctest: +SKIP
     """
-    fitter = Fitter.of(model, method, **settings)
+    fitter = Fitter.of(model, method, known=fit_many, **settings)
     return list(fit_each(fitter, images, init, every=every, workers=workers, progress=progress, errors=errors))
 
 

@@ -1,7 +1,7 @@
 """A model and a method, prepared for many images: fits of targets and their results."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -28,6 +28,9 @@ SLOW = 25
 REACH, MAPPED_TOLERANCE = 0.35, 1.0
 
 
+USUAL = SolverOptions()
+
+
 class Blurred(NamedTuple):
     """A fit at all levels but the sharpest: its target, levels, the shape that it reached, and its quality."""
 
@@ -43,7 +46,7 @@ class Prepared:
 
     model: AAM
     method: str | Method = DEFAULT_METHOD
-    options: SolverOptions = field(default_factory=SolverOptions)
+    options: SolverOptions = USUAL
 
     @cached_property
     def objectives(self) -> tuple[Objective, ...]:

@@ -69,8 +69,8 @@ _MESSAGES = {
         "was kept fixed."
     ),
     FitStatus.DOUBTFUL: (
-        "The fit converged, but its quality is low: right fits explain more of the image. Check the landmarks, and "
-        "start nearer to the object if they are wrong."
+        "The fit converged, but its quality is low: in training, fits that matched so badly were mostly wrong. Check "
+        "the landmarks, and start nearer to the object if they are wrong."
     ),
     FitStatus.MAX_ITERATIONS: (
         "The fit did not converge within its iterations; start nearer to the object or allow more iterations."
@@ -182,7 +182,7 @@ class FitResult:
         Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
         grow with it.
     evidence : (2,) float64
-        Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.uncertainty.evidence`).
+        Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.uncertainty.quality_features`).
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on left-out training images, with as many right fits as
         among those from starts near the object; for equal odds if an uncertain detection was the start. 0 if the fit
@@ -253,7 +253,7 @@ class FitResult:
         return not np.isnan(self.quality)
 
     @property
-    def deviations(self) -> np.ndarray:
+    def sd(self) -> np.ndarray:
         """Standard deviation of each landmark, (n,) float64, image pixels: from the mean variance of x and y.
 
         Meaningful only if ``status.ok``: a fit that failed may have small ones.
@@ -298,8 +298,8 @@ class FitResult:
         -------
         dict
             What ``liaam fit`` writes to its .json files: ``image`` (its name, if known), ``start``, ``status``,
-            ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``landmark_deviations_px``,
-            ``landmark_covariances_px2`` (xx, xy, yy) and others. Values that are unknown are None.
+            ``message``, ``quality``, ``landmarks`` (x, y in image pixels), ``sd`` and ``covariance`` (xx, xy, yy) of
+            each landmark, and others. Values that are unknown are None.
         """
         from liaam import __version__
 
@@ -307,9 +307,9 @@ class FitResult:
             "image": self.image.name if isinstance(self.image, Path) else None,
             "start": "given" if self.found is None else "searched",
             "starts_tried": self.n_starts,
-            "search_score": None if self.found is None else self.found.score,
+            "score": None if self.found is None else self.found.score,
             "n_found": self.n_found,
-            "search_doubtful": None if self.found is None else self.detection_doubtful,
+            "detection_doubtful": None if self.found is None else self.detection_doubtful,
             "method": self.method.name,
             "status": str(self.status),
             "message": self.message,
@@ -318,8 +318,8 @@ class FitResult:
             "iterations": self.n_iterations,
             "quality": round(self.quality, 4) if self.calibrated else None,
             "calibrated": self.calibrated,
-            "landmark_deviations_px": finite_list(np.round(self.deviations, 3)),
-            "landmark_covariances_px2": finite_list(np.round(self.landmark_covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
+            "sd": finite_list(np.round(self.sd, 3)),
+            "covariance": finite_list(np.round(self.landmark_covariances[:, (0, 0, 1), (0, 1, 1)], 6)),
             "liaam": __version__,
             "landmark_names": list(self.landmark_names),
             "landmarks": finite_list(self.landmarks),

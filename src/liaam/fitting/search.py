@@ -20,6 +20,7 @@ from liaam.fitting.responses import Bank, Peaks, strongest
 from liaam.fitting.solver import SolverOptions
 from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
 from liaam.model import AAM
+from liaam.model.aam import named_model
 from liaam.model.shape import Similarity, align, diagonal_of, rotation
 from liaam.photometry import Response
 from liaam.workers import in_threads
@@ -294,13 +295,13 @@ class _Search:
 
 
 def find(
-    model: AAM, image, *, limit: int | None = 1, least: float = 0.0, response: Response | None = None
+    model: AAM | str, image, *, limit: int | None = 1, least: float = 0.0, response: Response | None = None
 ) -> list[Detection]:
     """Find the model's object in an image. For many images make a :class:`Finder` once.
 
     Parameters
     ----------
-    model : AAM
+    model : AAM or "face"
     image : (h, w, 3) or (h, w) uint8, uint16 or float array, or path
     limit : int or None
         Largest number of objects; None for all, up to 20.
@@ -323,7 +324,7 @@ def find(
     MethodError
         For a model of an early version, without orientations.
     """
-    return Finder(model).find(image, limit=limit, least=least, response=response)
+    return Finder(named_model(model)).find(image, limit=limit, least=least, response=response)
 
 
 def search_sizes(shorter_side: int) -> np.ndarray:

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from threading import Lock
-from typing import Any
 
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.level_image import MARGIN
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
-from liaam.model import AAM, load_model
-from liaam.models import MODELS
+from liaam.model import AAM
+from liaam.model.aam import named_model
 from liaam.photometry import CameraModel
 
 FITTERS_KEPT = 4
@@ -20,13 +19,13 @@ _turn = Lock()
 
 def _kept_fitter(model: AAM | str, method: str | Method, camera: CameraModel | None, **settings) -> Fitter:
     """Return a fitter, of an earlier call if there is one; a model's are dropped with it."""
-    known: Any = load_model(model) if isinstance(model, str) and model in MODELS else model
+    known = named_model(model)
     kept = vars(known).setdefault("_fitters", {}) if isinstance(known, AAM) else {}
     key = method, id(camera), *sorted(settings.items())
     with _turn:
         fitter = kept.get(key)
     if fitter is None or fitter.camera is not camera:
-        fitter = Fitter.of(known, method, camera=camera, **settings)
+        fitter = Fitter.of(known, method, camera=camera, known=fit, **settings)
     with _turn:
         kept.pop(key, None)
         kept[key] = fitter  # the last used is dropped last

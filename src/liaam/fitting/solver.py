@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
+from liaam.evaluation import changed_repr
 from liaam.fitting.methods import Method
 from liaam.fitting.reference_loop import THRESHOLDS
 
@@ -66,6 +67,8 @@ class SolverOptions:
     observable: float = 25.0
     angle_start: str = "best"
     scoring: int | None = None
+
+    __repr__ = changed_repr
 
     def __post_init__(self) -> None:
         """Raise an error for invalid options."""

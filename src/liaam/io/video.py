@@ -88,7 +88,7 @@ class VideoReader:
     """
 
     def __init__(
-        self, source: AnyPath | int, start: int = 0, stop: int | None = None, skipping: Progress = lambda *_: None
+        self, source: AnyPath | int, start: int = 0, stop: int | None = None, skipping: Progress | None = None
     ):
         if start < 0 or (stop is not None and stop <= start):
             raise VideoError(f"frames {start} to {stop}: give a first frame of at least 0 and a later end")
@@ -153,7 +153,8 @@ class VideoReader:
             if self._closed or (self._stop is not None and index >= self._stop):
                 return
             if index < self._start:
-                self._skipping(index + 1, self._start, "skipping frames")
+                if self._skipping is not None:
+                    self._skipping(index + 1, self._start, "skipping frames")
             elif (image := picture()) is not None:
                 yield VideoFrame(index, time, image)
 
@@ -236,7 +237,7 @@ class _File(_Source):
 
     def __init__(self, path: AnyPath):
         self.path = existing_file(path, VideoError, "video")
-        av = pyav(f"{path} is a video")
+        av = pyav(f"{path}: videos need PyAV")
         self.errors, self.reformatter = av.error.FFmpegError, av.video.reformatter.VideoReformatter()
         # FFmpeg decodes some frames to open a file. Some decoders count what they pad frames with.
         options = {"max_pixels": str(2 * MAX_PIXELS)}
@@ -315,7 +316,7 @@ class _File(_Source):
 
 def is_video(path: Path) -> bool:
     """Return whether a file can be opened as a video."""
-    pyav(f"{path} is a video")
+    pyav(f"{path}: videos need PyAV")
     with suppress(VideoError), closing(_File(path)):
         return True
     return False
@@ -326,5 +327,4 @@ def pyav(what: str) -> Any:
     try:
         return importlib.import_module("av")  # optional
     except ImportError as error:
-        need = "PyAV, which reads and writes videos, is not installed"
-        raise VideoError(f"{what}, but {need}: {installing('video')}") from error
+        raise VideoError(f"{what}, which is not installed: {installing('video')}") from error

@@ -42,8 +42,8 @@ class VideoWriter:
         image : (h, w, 3) uint8
             Resized to the size of the first frame.
         time : float, optional
-            Seconds, such as :attr:`VideoFrame.time`, relative to the first frame that has a time. If left out or NaN,
-            the frame follows the previous one at the given rate. An ``.avi`` ignores times.
+            Seconds, such as :attr:`liaam.io.VideoFrame.time`, relative to the first frame that has a time. If left out
+            or NaN, the frame follows the previous one at the given rate. An ``.avi`` ignores times.
         """
         import av
 
@@ -126,7 +126,7 @@ def video_writer(path: AnyPath, rate: Fraction | float = DEFAULT_RATE) -> Iterat
     """
     path = Path(path)
     check_video_name(path)
-    av = pyav(f"{path} is a video")
+    av = pyav(f"{path}: videos need PyAV")
     rate = rate if isinstance(rate, Fraction) else Fraction(rate).limit_denominator(1001)
     with atomic_path(path, VideoError) as temporary, av.open(str(temporary), "w") as container:
         writer = VideoWriter(container, path, rate)

@@ -214,6 +214,11 @@ def load_model(path: str | os.PathLike) -> AAM:
     return _included(name) if name in MODELS else _read(path)
 
 
+def named_model(model: AAM | str) -> AAM:
+    """Return a model, also by the name of one that comes with liaam; anything else is returned as it is."""
+    return _included(model) if isinstance(model, str) and model in MODELS else model  # type: ignore[return-value]
+
+
 @cache
 def _included(name: str) -> AAM:
     return _read(model_file(name))

@@ -147,8 +147,8 @@ class ShapeModel:
         Second moments of the leave-out residuals of each landmark, square pixels of the reference frame: the error of
         a perfect fit to an unseen shape.
     freedom : float
-        Degrees of freedom of the shapes' Student distribution (:func:`liaam.fitting.steps.next_scale`); infinite for a
-        normal distribution.
+        Degrees of freedom of the shapes' Student distribution
+        (:func:`liaam.fitting.reference_loop.next_prior_scale`); infinite for a normal distribution.
     """
 
     mean: np.ndarray

@@ -19,8 +19,8 @@ class Included:
 MODELS = {
     FACE: Included(
         "faces of heads turned by up to 40°, neutral or smiling, in any light",
-        "median errors of strangers, % of the distance between the eyes: 1.7 under hard flashes, 3.7 frontal, 4.5 in "
-        "spot light, 5.3 smiling, 5.5 turned by 30° (5 % are lost), 3.5 in photographs of any kind (16 % are lost)",
+        "median errors for unknown persons, % of the distance between the eyes: 1.7 under hard flashes, 3.7 frontal, "
+        "4.5 in spot light, 5.3 smiling, 5.5 turned by 30° (5 % are lost), 3.5 in photographs of any kind (16 % lost)",
     )
 }
 """The models by name. Their credit and terms are in the files (:attr:`liaam.model.AAM.credit`)."""

@@ -168,7 +168,7 @@ def _chosen(folder: Path) -> list[Path]:
 def _of_file(path: Path, complain: Callable[[str], object], reading: Reading) -> Iterator[Specimen]:
     fit = read_fit(path) if path.suffix.lower() == ".json" else None
     if fit:  # other .json files hold landmarks only
-        fitted = _specimen(path, path.stem, fit, fit.get("landmark_covariances_px2"))
+        fitted = _specimen(path, path.stem, fit, fit.get("covariance"))
         yield _corrected(path, fit, fitted, complain)
     elif is_table(path):
         for row in read_rows(path):

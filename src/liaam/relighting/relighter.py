@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -75,10 +75,10 @@ class Relighter:
     picture: np.ndarray
     appearance: ShadowFree
     frame_shading: Shading
-    region: Region = NO_REGION
-    log_flat: np.ndarray = field(default_factory=NOTHING.copy)
-    log_own: np.ndarray = field(default_factory=NOTHING.copy)
-    surroundings: Surroundings = NO_SURROUNDINGS
+    region: Region
+    log_flat: np.ndarray
+    log_own: np.ndarray
+    surroundings: Surroundings
 
     __repr__ = short_repr
 
@@ -116,7 +116,8 @@ class Relighter:
         if not len(seen_triangles(image, shape, model)):
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
-            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading)
+            nothing = (NO_REGION, NOTHING, NOTHING, NO_SURROUNDINGS)
+            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading, *nothing)
         appearance, shading = find_shading(model, image, shape, response)
         shading = shading if steadied is None else steadied(shading)
         rest = _removed(model, image, shape, response, shading)
@@ -267,7 +268,7 @@ def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respons
 
 
 def relight(
-    model: AAM,
+    model: AAM | str,
     image,
     light: Light | None = None,
     *,
@@ -284,8 +285,8 @@ def relight(
 
     Parameters
     ----------
-    model : AAM
-        Trained on colour images.
+    model : AAM or "face"
+        Trained on colour images, or the name of a model that comes with liaam.
     image : (h, w, 3) uint8, uint16 or float array, or path
     light : (3,) float, Lamp, or sequence of Lamp, optional
         Direction to a distant lamp (x to the right, y down, z to the viewer), or lamps. By default the light of the
@@ -323,9 +324,9 @@ def relight(
     if light is not None and like is not None:
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
-    check_colour(model)
     check_ambient(ambient)
-    fitter, other = Fitter.of(model, method, **settings), None
+    fitter, other = Fitter.of(model, method, known=relight, **settings), None
+    check_colour(fitter.model)
     if like is not None:
         other, result = separated(fitter, like, like_init, "like")
         _warn(result, "like")

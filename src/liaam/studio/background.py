@@ -243,5 +243,5 @@ def proposal_of(result: FitResult) -> dict[str, Any]:
         "ok": result.status.ok,
         "found": found,
         "doubtful": not found or not result.status.ok,
-        "uncertainty": round(float(result.deviations.mean()) / size, 5) if has_covariances else None,
+        "uncertainty": round(float(result.sd.mean()) / size, 5) if has_covariances else None,
     }

@@ -91,7 +91,7 @@ class Fit:
             "seconds": {"search": round(self.search_seconds, 4), "fit": round(self.fit_seconds, 4)},
             "shape": numbers(result.landmarks, 3),
             "covariances": numbers(result.landmark_covariances, 4),
-            "deviations": numbers(result.deviations, 3),
+            "deviations": numbers(result.sd, 3),
             "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
             "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},

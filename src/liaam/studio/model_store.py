@@ -30,7 +30,7 @@ class ModelInUse:
     number: int  # incremented with every published model
     facts: dict[str, Any]
     """``source`` ("studio", "file" or "guest"), ``trained`` (ISO 8601 or None) and ``pictures`` (revision by name). A
-    model of the studio also has ``order`` (:attr:`Templates.order`), a guest its ``name``."""
+    model of the studio also has ``order`` (:attr:`liaam.studio.template.Templates.order`), a guest its ``name``."""
 
     @property
     def key(self) -> str:
@@ -84,7 +84,7 @@ class Versions:
         self._all.append(version)
 
     def held_out(self, order: str) -> list[str]:
-        """Return the held-out pictures of the newest model with an :attr:`Templates.order` of its points."""
+        """Return the held-out pictures of the newest model with an order of its points (see ``Templates``)."""
         return next((list(version["errors"]) for version in reversed(self._all) if version["order"] == order), [])
 
     def as_json(self, order: str) -> list[dict[str, Any]]:

@@ -257,7 +257,7 @@ class Project:
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
         """Return the names and paths of the usable pictures without points to which a model, by key, was not fitted.
 
-        Pictures with the proposal of another model, in the order of :func:`teaching_order`, take turns with the others.
+        Pictures with the proposal of another model, in ``review.teaching_order``, take turns with the others.
         """
         with self._lock:
             self._rescan()

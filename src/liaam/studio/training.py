@@ -46,7 +46,7 @@ class Job:
     done: list[Annotated]
     contours: tuple[Contour, ...]
     names: tuple[str, ...]
-    order: str  # :attr:`Templates.order` of the points
+    order: str  # :attr:`liaam.studio.template.Templates.order` of the points
     model: Path
     name: str
     held_out: tuple[str, ...] = ()  # pictures on which a model that is trained without them is measured

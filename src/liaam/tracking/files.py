@@ -90,7 +90,7 @@ class TrackRows:
     """
 
     def __init__(self, n_points: int) -> None:
-        names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "var_x{}", "cov_xy{}", "var_y{}")
+        names = ("x{}", "y{}", "raw_x{}", "raw_y{}", "xx{}", "xy{}", "yy{}")
         columns = [name.format(number) for number in range(1, n_points + 1) for name in names]
         facts = ["frame", "time", "status", "fit_status", "quality", "theta_deg"]
         self.header = ",".join([*facts, "roll_deg", "size", "centre_x", "centre_y", *columns]) + "\n"

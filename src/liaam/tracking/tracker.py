@@ -13,12 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
+from liaam.evaluation import changed_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.io import VideoReader
 from liaam.model import AAM
+from liaam.model.aam import named_model
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
 from liaam.tracking import kalman
@@ -61,6 +63,8 @@ class TrackingOptions:
     patience: int = 8
     longest_wait: int = 32
     review: int = 48
+
+    __repr__ = changed_repr
 
     def __post_init__(self) -> None:
         """Raise if an option is out of range."""
@@ -129,7 +133,7 @@ class Tracker:
     model: AAM
     method: str | Method = DEFAULT_METHOD
     camera: CameraModel | None = None
-    options: TrackingOptions = field(default_factory=TrackingOptions)
+    options: TrackingOptions = TrackingOptions()
     init: object = None
     name: str = ""
     result: FitResult | None = field(default=None, init=False, repr=False)
@@ -322,7 +326,7 @@ class Tracker:
 
 
 def track_video(
-    model: AAM,
+    model: AAM | str,
     video: str | os.PathLike[str] | int,
     *,
     init=None,
@@ -336,7 +340,7 @@ def track_video(
 
     Parameters
     ----------
-    model : AAM
+    model : AAM or "face"
     video : path-like or int
         A file, a folder of frames as images, or a camera number.
     init : shape, box, or point and size, optional
@@ -363,7 +367,7 @@ def track_video(
     >>> for frame in track_video(model, "talk.mp4"):  # doctest: +SKIP
     ...     print(frame.index, frame.status, frame.landmarks.mean(axis=0))
     """
-    tracker = Tracker(model, method, camera, options or TrackingOptions(), init)
+    tracker = Tracker(named_model(model), method, camera, options or TrackingOptions(), init)
     with VideoReader(video, start, stop) as frames:
         tracker.name = frames.name
         for frame in frames:
