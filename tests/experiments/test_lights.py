@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from experiments.lights import DAPPLE, LIGHTS, SHADOW, cast_shadow, dapples, hard_light, smooth_light
-from experiments.subjects import get_subject
 from liaam.photometry import linear_to_srgb, srgb_to_linear
 
 CHANGING = tuple(name for name in LIGHTS if name != "none")
@@ -24,9 +23,8 @@ def linear(image):
 
 
 @pytest.mark.parametrize("name", LIGHTS)
-def test_what_is_drawn_depends_on_the_generator_only(name):
-    stored, shape = get_subject(None).pairs[0]
-    image = np.rint(255 * stored).astype(np.uint8)
+def test_what_is_drawn_depends_on_the_generator_only(plain, name):
+    image, shape = plain
     kept = image.copy()
     first, again, other = (LIGHTS[name](image, shape, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert first.dtype == np.uint8

@@ -53,7 +53,7 @@ def offset_of(pairs) -> float:
     return sideways_offset(read_entries(pairs)[0], order, model.views[SURROUNDINGS].warp, CameraModel(), 0.5)
 
 
-@pytest.mark.parametrize("offset", [-0.6, 0.4, 1.0])
+@pytest.mark.parametrize("offset", [-0.6, 1.0])
 def test_an_offset_in_image_pixels_is_found(frontal, offset):
     assert offset_of(shifted(frontal, offset)) == pytest.approx(offset, rel=0.15)
 
