@@ -26,7 +26,7 @@ from liaam.io.landmarks import Notes, Reading, parse_landmark_data
 from liaam.io.landmarks.base import chain_edges, contour_of, edges_of
 
 SOME = settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 NAN = math.nan
 
