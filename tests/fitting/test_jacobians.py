@@ -125,7 +125,7 @@ def test_columns_of_the_angles(model, lit_scene, method, engine, rng):
     )
 
 
-@every_method
+@pytest.mark.parametrize("method", METHODS)
 def test_columns_of_lambda(model, lit_scene, method, engine, rng):
     setting = Setting(model, lit_scene, method, engine, rng)
     seen = setting.evaluate()
