@@ -495,6 +495,7 @@ BAD = [
     ("a.csv", 'x,y\n1,"2,5"\n', "'2,5' in line 2 is not a number"),
     ("a.csv", 'x,y\n1,"2\n' + "2" * 200_000, "is not a CSV table"),
     ("a.txt", "Read me, please.\n", "no columns x and y, or rows of x and y"),
+    ("a.nts", "1 1L 3 0 DIM=3\na\n1 2 3\n", "it holds 3 columns of 3 dimensions"),
     ("a.doc", "1 2\n", "has the extension '.doc', not that of a landmark format: use .pts (300-W points)"),
     ("a", "1 2\n", "has the extension ''"),
 ]
@@ -509,6 +510,7 @@ ONE_RECORD = [
     ),
     ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[1, 2, 3]]}]}, "edges of the skeleton are left out"),
     ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[-1, 1]]}]}, "edges of the skeleton are left out"),
+    ("a.json", {**COCO, "images": [{"id": 7}, *COCO["images"][1:]]}, "lacks parts or has others"),
 ]
 
 
