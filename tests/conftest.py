@@ -46,8 +46,8 @@ SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / 
 SCENE_SIZE = (240, 180)
 
 # The same examples in every run, and no limit on the time of one: the first loads what it needs, and the machine may be
-# busy (so too_slow is no fault in tests either).
-settings.register_profile("liaam", derandomize=True, deadline=None)
+# busy (so too_slow is no fault in tests either). The fuzzer tries thousands more.
+settings.register_profile("liaam", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("liaam")
 
 

@@ -48,10 +48,6 @@ LINK = re.compile(r"\]\(([^()\s]+)\)")
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
-def name_of(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
 def text_of(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
@@ -72,28 +68,27 @@ def headings(text: str) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in found}
 
 
-@pytest.mark.parametrize("path", PAGES, ids=name_of)
-def test_links_between_files_hold(path):
-    for link in LINK.findall(BLOCK.sub("", text_of(path))):
+def test_links_between_files_hold():
+    links = ((path, link) for path in PAGES for link in LINK.findall(BLOCK.sub("", text_of(path))))
+    for path, link in links:
         if "://" in link or link.startswith("mailto:"):
             continue
         name, _, anchor = link.partition("#")
         target = (path.parent / name).resolve() if name else path
-        assert target.exists(), f"{link} does not exist"
+        assert target.exists(), f"{path}: {link} does not exist"
         if anchor and target.suffix == ".md":
-            assert anchor in anchors(target), f"{link}: there is no such heading"
+            assert anchor in anchors(target), f"{path}: {link}: there is no such heading"
 
 
-@pytest.mark.parametrize("path", PAGES, ids=name_of)
-def test_python_in_pages_names_what_exists(path):
-    for code in blocks(path, "python"):
-        for node in ast.walk(ast.parse(code)):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("liaam"):
-                module = import_module(str(node.module))
-                for alias in node.names:
-                    assert hasattr(module, alias.name), f"{node.module} has no {alias.name}"
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "liaam":
-                assert hasattr(import_module("liaam"), node.attr) or import_module(f"liaam.{node.attr}"), node.attr
+def test_python_in_pages_names_what_exists():
+    codes = ((path, code) for path in PAGES for code in blocks(path, "python"))
+    for path, node in ((path, node) for path, code in codes for node in ast.walk(ast.parse(code))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("liaam"):
+            module = import_module(str(node.module))
+            for alias in node.names:
+                assert hasattr(module, alias.name), f"{path}: {node.module} has no {alias.name}"
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "liaam":
+            assert hasattr(liaam, node.attr), f"{path}: liaam has no {node.attr}"
 
 
 def options_of(words: list[str]) -> set[str]:
@@ -106,10 +101,9 @@ def options_of(words: list[str]) -> set[str]:
     return {name for parameter in command.params for name in parameter.opts} | {"--help"}
 
 
-@pytest.mark.parametrize("path", PAGES, ids=name_of)
-def test_commands_in_pages_have_these_options(path):
-    lines = [line for code in blocks(path, "sh") for line in code.replace("\\\n", " ").splitlines()]
-    for line in lines:
+def test_commands_in_pages_have_these_options():
+    codes = ((path, code.replace("\\\n", " ")) for path in PAGES for code in blocks(path, "sh"))
+    for path, line in ((path, line) for path, code in codes for line in code.splitlines()):
         for part in re.split(r"&&|\|", line):
             words = shlex.split(part, comments=True)
             if words[:1] != ["liaam"] or words == ["liaam"]:
@@ -117,7 +111,7 @@ def test_commands_in_pages_have_these_options(path):
             known = options_of(words[1:])
             for word in words[1:]:
                 if re.match(r"-{1,2}[a-z]", word):
-                    assert word.partition("=")[0] in known, f"{line}: there is no {word}"
+                    assert word.partition("=")[0] in known, f"{path}: {line}: there is no {word}"
 
 
 def words_of(path: Path) -> set[str]:
@@ -159,21 +153,19 @@ def public_classes() -> list[type]:
     return [each for each in found if isinstance(each, type) and is_dataclass(each)]
 
 
-@pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
-def test_data_types_describe_their_fields_in_help_and_print_no_arrays(kind):
-    text = inspect.getdoc(kind) or ""
-    for each in fields(kind):
-        described = re.search(rf"^(\w+, )*{each.name}(, \w+)* : ", text, re.MULTILINE)
+def test_data_types_describe_their_fields_in_help_and_print_no_arrays():
+    for kind, each in ((owner, each) for owner in public_classes() for each in fields(owner)):
+        described = re.search(rf"^(\w+, )*{each.name}(, \w+)* : ", inspect.getdoc(kind) or "", re.MULTILINE)
         assert described or each.name.startswith("_"), f"{kind.__name__}.{each.name}"
         if each.type in ("np.ndarray", np.ndarray) and kind is not liaam.Registration:  # its matrix is small
             assert not hasattr(kind.__repr__, "__wrapped__"), f"{kind.__name__} prints {each.name}"
 
 
-@pytest.mark.parametrize("kind", public_classes(), ids=lambda kind: kind.__name__)
-def test_data_types_refer_to_names_that_readers_can_look_up(kind):
-    texts = [inspect.getdoc(kind), *(inspect.getdoc(each) for name, each in vars(kind).items() if name[0] != "_")]
-    for name in re.findall(r":data:`(.*?)`", "\n".join(text or "" for text in texts)):
-        assert name.startswith("liaam.") and pkgutil.resolve_name(name) is not None, name
+def test_data_types_refer_to_names_that_readers_can_look_up():
+    for kind in public_classes():
+        texts = [inspect.getdoc(kind), *(inspect.getdoc(each) for name, each in vars(kind).items() if name[0] != "_")]
+        for name in re.findall(r":data:`(.*?)`", "\n".join(text or "" for text in texts)):
+            assert name.startswith("liaam.") and pkgutil.resolve_name(name) is not None, f"{kind.__name__}: {name}"
 
 
 def test_values_in_docstrings_are_those_of_the_code():

@@ -33,7 +33,7 @@ SIZE = (160, 120)
 def world(tmp_path_factory):
     """A small model, and a folder of landmarked pictures."""
     folder = tmp_path_factory.mktemp("faults")
-    scenes = make_set(5, Head(5), size=SIZE, seed=2)
+    scenes = make_set(5, Head(5), size=SIZE)
     train_on(scenes, diagonal=40.0, response="srgb").save(folder / "face.liaam")
     (folder / "pictures").mkdir()
     for i, scene in enumerate(scenes):
@@ -304,7 +304,7 @@ def whole_journal(world, half_done, folder):
 def test_a_journal_with_damaged_bytes_gives_no_wrong_row(world, half_done, known_rows, tmp_path, rng, kind):
     content = whole_journal(world, half_done, tmp_path / "whole")
     seen = set()
-    for _ in range(60):
+    for _ in range(24):
         data = bytearray(content)
         at = int(rng.integers(len(data)))
         if kind == "flip":

@@ -50,7 +50,7 @@ FAULTS = {
 def world(tmp_path_factory):
     """A small model, and a folder of pictures of which some are none."""
     folder = tmp_path_factory.mktemp("batch")
-    scenes = make_set(N_PICTURES, Head(5), size=SIZE, seed=2)
+    scenes = make_set(N_PICTURES, Head(5), size=SIZE)
     train_on(scenes[:4], diagonal=50.0, response="srgb").save(folder / "face.liaam")
     pictures = folder / "images"
     (pictures / "more").mkdir(parents=True)
@@ -738,9 +738,8 @@ def journal_of(world, output):
         "UPDATE pictures SET begun = NULL WHERE row IS NULL",
     ],
 )
-@pytest.mark.parametrize("suffix", [".csv", ".jsonl", ".parquet"])
-def test_a_journal_with_a_damaged_cell_says_how_to_go_on(world, tmp_path, change, suffix):
-    output = tmp_path / f"r{suffix}"
+def test_a_journal_with_a_damaged_cell_says_how_to_go_on(world, tmp_path, change):
+    output = tmp_path / "r.parquet"
     damage(world, output, change)
     pictures = [world.pictures / "face2.png", world.pictures / "face4.png"]
     with pytest.raises(LiaamError, match=r"is damaged.*remove .*\.parts and start again"):

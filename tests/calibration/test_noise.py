@@ -99,17 +99,16 @@ def jpeg(image: np.ndarray, quality: int) -> np.ndarray:
 def test_pairs_and_flats_tell_the_deviation_to_5_percent(name, source):
     """Measured over 200 seeds: 1 % at most on average (root mean square), 3 % at worst."""
     camera = CAMERAS[name]
-    for seed in range(2):
-        estimate = CONTROLLED[source](camera, seed)
-        assert estimate.observable
-        assert off(estimate.noise, truth(camera)) < 0.05
+    estimate = CONTROLLED[source](camera, 0)
+    assert estimate.observable
+    assert off(estimate.noise, truth(camera)) < 0.05
 
 
 @pytest.mark.parametrize("name", CAMERAS)
 def test_one_picture_tells_the_deviation_to_25_percent(name):
     """Measured over 200 seeds: 2 to 5 % on average (root mean square), 19 % at worst."""
     camera = CAMERAS[name]
-    for seed in range(5):
+    for seed in range(3):
         estimate = from_one(camera, seed)
         assert off(estimate.noise, truth(camera)) < 0.25
 

@@ -492,7 +492,7 @@ def test_folders_without_permission_are_one_line(portraits, tmp_path):
     (tmp_path / "locked" / "x.png").write_bytes(b"x")
     (tmp_path / "locked").chmod(0)
     try:
-        for command in (["show", "locked/x.png"], ["check", "locked/sub"], ["lamps", ".", "-o", "locked/x.lamps"]):
+        for command in (["check", "locked/sub"], ["lamps", ".", "-o", "locked/x.lamps"]):
             done = subprocess.run(
                 [sys.executable, "-c", WITHOUT_POWERS, *command],
                 cwd=tmp_path,

@@ -110,9 +110,7 @@ def test_wien_and_planck_agree_in_warm_light():
 
 
 def test_the_reflectance_does_not_depend_on_the_light():
-    scenes = [small_scene(light) for light in LIGHTS[:3]]
-    for scene in scenes[1:]:
-        np.testing.assert_array_equal(scene.reflectance, scenes[0].reflectance)
+    np.testing.assert_array_equal(small_scene().reflectance, small_scene(lateral("left")).reflectance)
 
 
 def test_white_light_shows_reflectance_times_shading():
@@ -182,8 +180,7 @@ def test_yaw_and_pitch_move_the_tip_of_the_nose_most():
     ("pose", "expression"),
     [
         (Pose(yaw=0.15, roll=-0.1, scale=0.95), Expression()),
-        (Pose(pitch=-0.1, x=7.3), Expression(brow_raise=0.6)),
-        (Pose(), Expression(smile=0.7, mouth_open=0.3)),
+        (Pose(pitch=-0.1, x=7.3), Expression(smile=0.7, mouth_open=0.3)),
     ],
 )
 def test_landmarks_stay_on_the_same_points_of_the_skin(pose, expression):
@@ -274,13 +271,12 @@ def test_bits_set_type_and_range(bits, dtype, top, rng):
 
 
 def test_the_automatic_exposure_spares_the_face():
-    for lights in (DIFFUSE, lateral("left"), lateral("right", temperature_K=3000)):
-        for seed in (1, 6):
-            scene = render(Head(seed), lights=lights, size=SMALL)
-            face = scene.image[scene.mask]
-            assert (face.max(axis=-1) > 250).mean() < 0.02
-            assert (face.min(axis=-1) < 8).mean() < 0.03
-            assert np.percentile(scene.linear[scene.mask].max(-1), 98) == pytest.approx(0.8, abs=0.02)
+    warm = render(Head(6), lights=lateral("right", temperature_K=3000), size=SMALL)
+    for scene in (small_scene(), small_scene(lateral("left")), warm):
+        face = scene.image[scene.mask]
+        assert (face.max(axis=-1) > 250).mean() < 0.02
+        assert (face.min(axis=-1) < 8).mean() < 0.03
+        assert np.percentile(scene.linear[scene.mask].max(-1), 98) == pytest.approx(0.8, abs=0.02)
 
 
 def test_a_fixed_exposure_scales_the_linear_image():
@@ -292,7 +288,7 @@ def test_a_fixed_exposure_scales_the_linear_image():
 
 
 def test_the_same_seeds_give_the_same_picture():
-    first, second = (render(Head(1), lights=lateral(), seed=3, size=SMALL) for _ in range(2))
+    first, second = small_scene(lateral()), render(Head(1), lights=lateral(), size=SMALL)
     np.testing.assert_array_equal(first.image, second.image)
 
 
@@ -309,7 +305,7 @@ def test_seeds_change_the_noise_and_identities_the_person():
 
 
 def test_a_longer_set_begins_with_the_shorter():
-    short, long = make_set(2, Head(1), size=SMALL, seed=4), make_set(3, Head(1), size=SMALL, seed=4)
+    short, long = make_set(1, Head(1), size=SMALL, seed=4), make_set(2, Head(1), size=SMALL, seed=4)
     for a, b in zip(short, long, strict=False):
         np.testing.assert_array_equal(a.image, b.image)
     shapes = np.stack([s.landmarks for s in long])
@@ -352,9 +348,8 @@ def test_a_lamp_alone_leaves_black_shadows_and_no_nan():
         assert scene.linear.min() == 0
 
 
-@pytest.mark.parametrize("supersample", [1, 3])
-def test_supersampling_does_not_move_the_picture(supersample):
-    plain, other = small_scene(), render(Head(1), size=SMALL, supersample=supersample)
+def test_supersampling_does_not_move_the_picture():
+    plain, other = small_scene(), render(Head(1), size=SMALL, supersample=1)
     np.testing.assert_array_equal(plain.landmarks, other.landmarks)
     a, b = (np.log(s.reflectance[s.mask]).ravel() for s in (plain, other))
     assert np.corrcoef(a, b)[0, 1] > 0.93
@@ -365,23 +360,15 @@ def test_supersampling_does_not_move_the_picture(supersample):
     [
         (lambda: Head(-1), "Head.seed is -1"),
         (lambda: Head(1, hair="punk"), "'short', 'long' or None"),
-        (lambda: Head(1, skin=2.0), "Head.skin is 2.0: give a number from 0 to 1"),
         (lambda: Pose(yaw=2.0), "Pose.yaw is 2.0: give a number from -0.6 to 0.6"),
-        (lambda: Pose(scale=float("nan")), "Pose.scale is nan"),
         (lambda: Expression(smile=1.5), "Expression.smile is 1.5: give a number from -1 to 1"),
-        (lambda: Expression(mouth_open=-0.5), "from 0 to 1"),
         (lambda: PointLight((0, 0, 0)), "three numbers, not all zero"),
         (lambda: PointLight(temperature_K=100), "give 1500 to 20000 kelvin"),
-        (lambda: PointLight(softness=2), "give 0 .hard. to 1 radian"),
-        (lambda: Ambient(strength=-1), "at least 0"),
         (lambda: lateral("top"), "'left' or 'right'"),
         (lambda: Camera(peaks_nm=(600, 500, 200)), "from 380 to 720 nm"),
-        (lambda: Camera(widths_nm=(-1, 0, 0)), "from 0 to 100 nm"),
         (lambda: Camera(bits=12), "8, 16 or None"),
         (lambda: Camera(response="log"), "'srgb', 'linear' or an exponent"),
         (lambda: Camera(read_noise=-1), "Camera.read_noise is -1"),
-        (lambda: Camera(exposure=0), "positive gain"),
-        (lambda: Camera(white_K=0), "kelvin"),
         (lambda: Camera().theta("laser"), "'wien' or 'planck'"),
         (lambda: render(Head(1), lights=()), "at least one PointLight or Ambient"),
         (lambda: render(Head(1), size=(10, 10)), "integers from 32"),

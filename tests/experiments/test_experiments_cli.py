@@ -5,14 +5,14 @@ import pytest
 from experiments import simulated
 from experiments.cli import EXPERIMENTS
 from liaam.io import Landmarks, write_image, write_landmarks
-from scenes import make_set
+from scenes import Head, make_set
 
 
 @pytest.fixture(scope="module")
 def person(tmp_path_factory):
     """Six landmarked pictures of one head."""
     folder = tmp_path_factory.mktemp("person")
-    for i, scene in enumerate(make_set(6, size=(160, 120))):
+    for i, scene in enumerate(make_set(6, Head(5), size=(160, 120))):
         write_image(folder / f"p{i}.png", scene.image)
         write_landmarks(folder / f"p{i}.pts", Landmarks(scene.landmarks))
     return folder

@@ -113,8 +113,7 @@ def test_writes_all_files_and_the_summary_it_gives(tmp_path, calls):
     assert told[-1][:2] == (6, 6)
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, calls, jobs):
+def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, calls):
     folder, counts = calls
     experiment = counting(partial(work, folder))
     run_experiment(experiment, tmp_path / "whole")
@@ -122,14 +121,14 @@ def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, calls, jobs):
         path.unlink()
     out = tmp_path / "parts"
     with pytest.raises(KeyboardInterrupt, match=r"3 of 6 tasks are kept in .*goes on from there"):
-        run_experiment(experiment, out, jobs, stop_after(3))
+        run_experiment(experiment, out, 2, stop_after(3))
     assert not multiprocessing.active_children()
     done = {json.loads(line)["key"] for line in (out / experiment.journal).read_text().splitlines()}
     assert len(done) == 3
     before = counts()
     with (out / experiment.journal).open("a") as journal:  # a kill in the middle of a write
         journal.write('{"key": "task 5", "rows": [{"meth')
-    run_experiment(experiment, out, jobs)
+    run_experiment(experiment, out)
     assert all(counts()[i] == before[i] for i in range(6) if f"task {i}" in done)
     assert sorted(path.name for path in out.iterdir()) == FILES
     for name in FILES:
@@ -163,11 +162,10 @@ def test_a_worker_that_dies_is_an_error_with_a_remedy(tmp_path):
     assert not (tmp_path / "results.csv").exists()
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_fault_ends_the_run_or_leaves_the_task_out(tmp_path, jobs):
+def test_a_fault_ends_the_run_or_leaves_the_task_out(tmp_path):
     with pytest.raises(LiaamError, match="no such thing"):
-        run_experiment(counting(complain), tmp_path, jobs)
-    summary = run_experiment(replace(counting(complain, 3), skips_faults=True, left_out=("x: grey",)), tmp_path, jobs)
+        run_experiment(counting(complain), tmp_path)
+    summary = run_experiment(replace(counting(complain, 3), skips_faults=True, left_out=("x: grey",)), tmp_path, 2)
     assert summary["left_out"] == ["x: grey", "task 1: no such thing", "task 2: no such thing"]
     assert "## Left out\n\n- x: grey" in (tmp_path / "report.md").read_text()
 

@@ -25,7 +25,7 @@ from scenes import DIFFUSE, Head, make_set
 def folder(tmp_path_factory):
     """Give a folder of seven small portraits; one has an odd size."""
     path = tmp_path_factory.mktemp("person")
-    for i, scene in enumerate(make_set(7, head=Head(5), size=(120, 90))):
+    for i, scene in enumerate(make_set(7, Head(5), size=(160, 120))):
         image = scene.image[:-1, :-1] if i == 0 else scene.image
         write_image(path / f"{i}.png", image)
         write_landmarks(path / f"{i}.pts", scene.landmarks)
@@ -46,11 +46,11 @@ def test_halving_keeps_landmarks_on_their_pixels():
 
 def test_folder_gives_pictures_spread_over_it(folder):
     subject = folder_subject(folder, n_images=3)
-    assert [image.shape for image in subject.images] == [(59, 44, 3), (60, 45, 3), (60, 45, 3)]
+    assert [image.shape for image in subject.images] == [(79, 59, 3), (80, 60, 3), (80, 60, 3)]
     assert all(image.dtype == np.float32 and 0 <= image.min() <= image.max() <= 1 for image in subject.images)
     assert subject_facts(folder, 3)["pictures"] == ["0", "3", "6"]
     whole = folder_subject(folder, n_images=3, halve=False)
-    assert whole.images[1].shape == (120, 90, 3)
+    assert whole.images[1].shape == (160, 120, 3)
     assert np.allclose(2 * subject.shapes[1] + 0.5, whole.shapes[1])
     block = srgb_to_linear(whole.images[1][40:42, 30:32]).mean(axis=(0, 1))
     assert np.allclose(srgb_to_linear(subject.images[1][20, 15]), block, atol=2e-3)

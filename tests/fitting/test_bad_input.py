@@ -69,15 +69,14 @@ def test_a_grey_picture_fits_with_grey(model, same_light_scene, shape):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-@pytest.mark.parametrize("level", [0.0, 1.0], ids=["black", "white"])
-def test_black_and_white_pictures_give_a_status(model, start, method, dtype, level):
-    top = 1.0 if dtype == np.float32 else np.iinfo(dtype).max
-    result = Fitter(model, method).fit(np.full((240, 180, 3), level * top, dtype), start)
-    assert not result.status.ok
-    unusable = FitStatus.TOO_DARK if level == 0 else FitStatus.SATURATED
-    assert result.status == (unusable if method in COLOUR else FitStatus.NO_TEXTURE)
-    assert np.isfinite(result.landmarks).all()
+def test_black_and_white_pictures_give_a_status(model, start, method):
+    fitter = Fitter(model, method)
+    for dtype, top in ((np.uint8, 255), (np.uint16, 65535), (np.float32, 1.0)):
+        for value, unusable in ((0, FitStatus.TOO_DARK), (top, FitStatus.SATURATED)):
+            result = fitter.fit(np.full((240, 180, 3), value, dtype), start)
+            assert not result.status.ok
+            assert result.status == (unusable if method in COLOUR else FitStatus.NO_TEXTURE)
+            assert np.isfinite(result.landmarks).all()
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused(model, lit_scene, start):
@@ -186,21 +185,16 @@ def test_an_unknown_method_is_refused_before_the_first_picture(model):
 
 
 @pytest.mark.parametrize("method", COLOUR)
-def test_a_model_of_grey_pictures_compares_no_colours(scenes, method):
-    pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes[:3]]
-    model = train(pairs, diagonal=40.0, camera=CameraModel(response="linear"))
-    assert not model.is_colour
+def test_a_model_of_grey_pictures_compares_no_colours(grey_model, method):
+    assert not grey_model.is_colour
     with pytest.raises(MethodError, match="trained on grey images; use method 'soft-li' or 'grey'"):
-        Fitter(model, method)
+        Fitter(grey_model, method)
 
 
-def test_a_grey_model_fits_grey_pictures(scenes, same_light_scene):
-    pairs = [(scene.image.mean(axis=2), scene.landmarks) for scene in scenes]
-    options = {"variance": 1.0, "prior": "sample", "methods": ["grey"]}
-    model = train(pairs, diagonal=80.0, camera=CameraModel(response="linear"), **options)
+def test_a_grey_model_fits_grey_pictures(grey_model, same_light_scene):
     truth = same_light_scene.landmarks
-    result = Fitter(model, "grey").fit(same_light_scene.image.mean(axis=2), disturb(truth))
-    assert model_pixels(model, result.landmarks, truth) < 0.5
+    result = Fitter(grey_model, "grey").fit(same_light_scene.image.mean(axis=2), disturb(truth))
+    assert model_pixels(grey_model, result.landmarks, truth) < 0.5
 
 
 def test_a_model_of_fixed_shape_still_moves(scenes, same_light_scene):

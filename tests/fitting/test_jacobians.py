@@ -27,6 +27,8 @@ WEIGHED = (
     "li+l1",
 )
 ALL = (*METHODS, *WEIGHED, FREE_SOFT)
+UNLIKE = ("grey", "grey-norm+huber", "rgb", "chroma+noise", "li-pcs", "igo+geman-mcclure", "soft-li", FREE_SOFT)
+"""Methods whose images are encoded or projected in different ways: all gradients in the image that there are."""
 ANGLED = tuple(method for method in ALL if get_method(method).free_angles != "none")
 
 
@@ -91,7 +93,7 @@ class Setting:
         return np.floor(self.image.from_model(self.objective.warp.points(p)))
 
 
-@every_method
+@pytest.mark.parametrize("method", UNLIKE, ids=name_of)
 def test_columns_of_the_warp_parameters(model, lit_scene, method, engine, rng):
     setting = Setting(model, lit_scene, method, engine, rng)
     seen, warp = setting.evaluate(), setting.objective.warp
@@ -123,7 +125,7 @@ def test_columns_of_the_angles(model, lit_scene, method, engine, rng):
     )
 
 
-@every_method
+@pytest.mark.parametrize("method", METHODS)
 def test_columns_of_lambda(model, lit_scene, method, engine, rng):
     setting = Setting(model, lit_scene, method, engine, rng)
     seen = setting.evaluate()

@@ -22,14 +22,15 @@ def test_a_method_of_ones_own_passes_through():
     assert get_method(own) is own
 
 
-@pytest.mark.parametrize("name", METHODS)
-def test_every_row_of_the_table_is_consistent(name):
-    method = METHODS[name]
-    assert method.name == name
-    channels = 6 if method.encoding == "soft" else 3
-    assert method.image_metric(2.0).shape == (method.n_rows, channels)
-    assert method.model_metric(2.0).shape == (method.n_rows, CHANNELS[method.appearance])
-    assert (method.angle_directions.shape[1] > 0) == (method.free_angles != "none")
+def test_every_row_of_the_table_is_consistent():
+    for name, method in METHODS.items():
+        assert method.name == name
+        channels = 6 if method.encoding == "soft" else 3
+        assert method.image_metric(2.0).shape == (method.n_rows, channels), name
+        assert method.model_metric(2.0).shape == (method.n_rows, CHANNELS[method.appearance]), name
+        assert (method.angle_directions.shape[1] > 0) == (method.free_angles != "none"), name
+        assert method.weighs_noise == (method.weights != "model"), name
+        assert method.expects == (method.step in ("scored", "expected")), name
 
 
 @pytest.mark.parametrize("metric", ["invariant", "chromaticity"])
@@ -133,13 +134,6 @@ def test_weights_by_rows_are_for_soft_directions():
 def test_the_models_errors_are_not_counted_twice(name):
     with pytest.raises(MethodError, match="already include the model's errors; leave out 'learnt'"):
         get_method(name)
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_what_a_row_needs_follows_from_what_it_does(name):
-    method = METHODS[name]
-    assert method.weighs_noise == (method.weights != "model")
-    assert method.expects == (method.step in ("scored", "expected"))
 
 
 def test_methods_that_compare_logarithms_end_with_steps_by_the_expected_gradient():

@@ -12,7 +12,7 @@ from liaam.fitting.restarts import APART, fit_again, other_starts
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker
-from setups import disturb, model_pixels, train_on
+from setups import MOVING_FRAMES, disturb, model_pixels, moving_scene, train_on
 
 FAR = ((0.7, (0.12, -0.04)), (1.2, (-0.15, 0.1)))
 """Scales and shifts of starts from which single fits are lost."""
@@ -152,8 +152,8 @@ def test_models_of_few_modes_are_bent_as_far_as_they_go(scenes, lit_scene, n_mod
 # A box is a hint, a shape is a start.
 
 
-def test_a_box_beside_the_object_is_searched_around(head_model, moving):
-    scene = moving[3]
+def test_a_box_beside_the_object_is_searched_around(head_model):
+    scene = moving_scene(3 / MOVING_FRAMES)
     image = np.pad(scene.image, ((30, 30), (60, 60), (0, 0)), mode="edge")
     truth = scene.landmarks + np.array([60, 30])
     low, high = truth.min(axis=0), truth.max(axis=0)
@@ -168,8 +168,8 @@ def test_a_box_beside_the_object_is_searched_around(head_model, moving):
     assert once.n_starts == 1 and not once.status.ok
 
 
-def test_a_box_at_the_border_is_searched_in_the_picture(head_model, moving):
-    image = moving[0].image
+def test_a_box_at_the_border_is_searched_in_the_picture(head_model):
+    image = moving_scene(0.0).image
     height, width = image.shape[:2]
     for box in ((-30, -30, 50, 50), (width - 50, height - 50, width + 30, height + 30), (5, 5, 9, 12)):
         result = Fitter(head_model).fit(image, box)

@@ -1,6 +1,7 @@
 """Images: what is read is what is stored, and every bad file has a message a person can act on."""
 
 import io
+import itertools
 import os
 import struct
 import subprocess
@@ -293,8 +294,10 @@ ORIENTED = {  # where the stored pixels [[0, 1, 2], [3, 4, 5]] go under each EXI
 }
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
-@pytest.mark.parametrize("kind", ["png8", "png16", "tiff8", "tiff16", "tiff32f", "jpeg"])
+@pytest.mark.parametrize(
+    ("kind", "orientation"),
+    [("png8", 6), ("png16", 5), ("tiff16", 6), ("tiff32f", 7), *itertools.product(("tiff8", "jpeg"), range(1, 9))],
+)
 def test_orientation_is_applied_once(tmp_path: Path, kind: str, orientation: int) -> None:
     stored = np.arange(6).reshape(2, 3)
     exif = Image.Exif()
@@ -374,7 +377,7 @@ def test_unreadable_file(tmp_path: Path) -> None:
     + [(s, np.uint16) for s in (".png", ".tiff", ".ppm")]
     + [(".tiff", np.float32)],
 )
-@pytest.mark.parametrize("kept", [0.02, 0.5, 0.9])
+@pytest.mark.parametrize("kept", [0.02, 0.9])
 def test_truncated_files_are_noticed(tmp_path: Path, rng, suffix: str, dtype: type, kept: float) -> None:
     path = tmp_path / f"a{suffix}"
     write_image(path, colour(rng, dtype, (40, 50, 3)))

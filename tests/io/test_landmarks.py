@@ -26,7 +26,7 @@ from liaam.io.landmarks import Notes, Reading, parse_landmark_data
 from liaam.io.landmarks.base import chain_edges, contour_of, edges_of
 
 SOME = settings(
-    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 NAN = math.nan
 
@@ -408,14 +408,11 @@ def test_text_of_every_encoding(tmp_path: Path) -> None:
 BAD = [
     ("a.pts", "n_points: 3\n{\n1 1\n2 2\n}", "promises 3 points but 2 are there"),
     ("a.pts", "n_points: 1\n{\n1 1\n2 2\n}", "promises 1 points but 2 are there"),
-    ("a.pts", "n_points: 99999999999999999\n{\n1 1\n}", "promises 99999999999999999 points but 1 are there"),
     ("a.pts", "n_points: many\n{\n1 1\n}", "'many' is not a number of points"),
-    ("a.pts", "n_points: -1\n{\n1 1\n}", "'-1' is not a number of points"),
     ("a.pts", "n_points: 1\n{\n1 1\n", "no '}' after its points"),
     ("a.pts", "1 1\n", "no '{' before its points"),
     ("a.pts", "{\n1 1 1\n}", "point 1 holds 3 values ('1 1 1')"),
     ("a.pts", "{\n1 1\n1\n}", "point 2 holds 1 values"),
-    ("a.pts", "{\n1 one\n}", "'one' in point 1 is not a number"),
     ("a.pts", "{\n1,5 2\n}", "decimal points, as in 12.5"),
     ("a.pts", "{\n1 1_000\n}", "'1_000' in point 1 is not a number"),
     ("a.pts", "{\n1 inf\n}", "'inf' in point 1 is not a number"),
@@ -423,15 +420,11 @@ BAD = [
     ("a.pts", "n_points: 0\n{\n}", "n > 0"),
     ("a.pts", "n_points: 999999999999999999\n{\n1 1\n}", "promises 999999999999999999 points but 1 are there"),
     ("a.pts", "n_points: 1000000000000000000\n{\n1 1\n}", "'1000000000000000000' is not a number of points"),
-    ("a.pts", "{\n1 " + "x" * 40 + "\n}", f"'{'x' * 40}' in point 1 is not a number"),
     ("a.pts", "{\n1 " + "x" * 41 + "\n}", f"'{'x' * 37}...' in point 1 is not a number"),
-    ("a.pts", "{\n1 2\n3 nan\n}", "point 2 has only one of x and y"),
     ("a.pts", "", "is empty (0 bytes)"),
     ("a.pts", " \n\n", "only blank lines"),
-    ("a.pts", b"{\n\x00\x01\n}", "is not a text file"),
     ("a.pts", bytes(range(256)), "is not a text file"),
     ("a.pts", b"{\n1 1\n}\x01\xff", "is not a text file"),
-    ("a.pts", b"\xfe\xff\x00", "is not a text file"),
     ("a.pts", b"\xff\xfe\x00", "is not a text file"),
     ("a.asf", "# nothing\n", "holds comments only"),
     ("a.asf", ASF.replace("3\n0", "three\n0"), "'three' is not a number of points"),
@@ -442,17 +435,13 @@ BAD = [
         ASF.replace("2 0.0 0.0 0.0\n0 0 0.00", "2\n0 0 0.00").replace("0.50 0.5 1 0 2", "0.50 0.5 1 0"),
         "but 2 are",
     ),
-    ("a.asf", ASF.replace("3\n0", "4\n0"), "promises 4 points but 3 are there"),
     ("a.asf", ASF.replace("3\n0", "88888888888\n0"), "promises 88888888888 points but 3 are there"),
     ("a.asf", ASF.replace("0.5 1 0 2", "0.5 1 0 3"), "names point 3, but has points 0 to 2"),
-    ("a.asf", ASF.replace("0.5 1 0 2", "0.5 0 0 2"), "no point number 1"),
     ("a.asf", ASF.replace("0.25", "left"), "'left' in point 0 is not a number"),
     ("a.asf", ASF[:60], "promises 3 points but"),
-    ("a.tem", "3\n1 1\n2 2\n", "promises 3 points but 2 are there"),
     ("a.tem", "777777777777777\n1 1\n", "promises 777777777777777 points but 1 are there"),
     ("a.tem", "2.5\n1 1\n", "'2.5' is not a number of points"),
     ("a.tem", "2\n1 1\n2 2\n1\n0\n3\n0 1", "ends within its line templates"),
-    ("a.tem", "2\n1 1\n2 2\n999999999999999\n0\n2\n0 1", "ends within its line templates"),
     ("a.tem", "2\n1 1\n2 2\n1\n0\n999999999999\n0 1", "ends within its line templates"),
     ("a.tem", "2\n1 1\n2 2\n1\n0\n2\n0 5", "names landmark 5 (counting from 0), but there are 2"),
     ("a.ljson", '{"version": 2, "landm', "is not complete JSON"),
@@ -472,11 +461,8 @@ BAD = [
     ("a.ljson", ljson([[1, 2]], connectivity=[[0, 0.5]]), "lacks the parts of a menpo"),
     ("a.ljson", ljson([]), "n > 0"),
     ("a.ljson", ljson([[1, 2], ["x" * 50, 2]]), f"'{'x' * 37}...' in point 2 is not a number: correct it"),
-    ("a.ljson", {"version": 3, "groups": 7}, "lacks the parts of a menpo"),
     ("a.ljson", {**ljson([[1, 2]]), "labels": [{"label": "a", "mask": [0.5]}]}, "lacks the parts of a menpo"),
-    ("a.ljson", {**ljson([[1, 2]]), "labels": [{"label": "a"}]}, "lacks the parts of a menpo"),
     ("a.ljson", {"version": 2, "landmarks": 5}, "lacks the parts of a menpo"),
-    ("a.ljson", {"version": 2, "landmarks": None}, "lacks the parts of a menpo"),
     ("a.ljson", "[" + "1," * 90 + "x", "is not complete JSON (Expecting value: line 1 column 182 (char 181))"),
     ("a.xml", DLIB[:-40], "is not complete XML"),
     ("a.xml", "<dataset><images/></dataset>", "no landmarks in it (dlib imglab)"),
@@ -503,17 +489,13 @@ BAD = [
     ),
     ("a.csv", "a,b\n1,2\n", "no columns x and y"),
     ("a.csv", "x,y\n", "no landmarks in it (table)"),
-    ("a.csv", "x,y\n1,2\n3\n", "line 3 has 1 cells but the header 2"),
     ("a.csv", "x,y\n1,2\n\n\n3,4,5\n", "line 5 has 3 cells but the header 2"),
-    ("a.csv", "x,name\n1,2\n", "no columns x and y"),
-    ("a.csv", "name,y\n1,2\n", "no columns x and y"),
     ("a.csv", 'x,y,name\n1,2,"a\nb"\n1,\n', "line 4 has 2 cells but the header 3"),
     ("a.csv", "x,y\n,2\n", "line 2 has only one of x and y: give both"),
     ("a.csv", 'x,y\n1,"2,5"\n', "'2,5' in line 2 is not a number"),
-    ("a.csv", "x,y\n1,\n", "line 2 has only one of x and y"),
-    ("a.csv", "x,y\n1,two\n", "'two' in line 2 is not a number"),
     ("a.csv", 'x,y\n1,"2\n' + "2" * 200_000, "is not a CSV table"),
     ("a.txt", "Read me, please.\n", "no columns x and y, or rows of x and y"),
+    ("a.nts", "1 1L 3 0 DIM=3\na\n1 2 3\n", "it holds 3 columns of 3 dimensions"),
     ("a.doc", "1 2\n", "has the extension '.doc', not that of a landmark format: use .pts (300-W points)"),
     ("a", "1 2\n", "has the extension ''"),
 ]
@@ -528,6 +510,7 @@ ONE_RECORD = [
     ),
     ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[1, 2, 3]]}]}, "edges of the skeleton are left out"),
     ("a.json", {**COCO, "categories": [{"id": 1, "skeleton": [[-1, 1]]}]}, "edges of the skeleton are left out"),
+    ("a.json", {**COCO, "images": [{"id": 7}, *COCO["images"][1:]]}, "lacks parts or has others"),
 ]
 
 

@@ -20,7 +20,7 @@ from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
 from liaam.relighting import Relighter
 from liaam.training import left_out, train
-from scenes import DIFFUSE, Head, Pose, lateral, random_expression, random_pose, render
+from scenes import DIFFUSE, Head, Pose, lateral, make_set, random_expression, random_pose, render
 from setups import disturb
 
 SIZE = (160, 120)
@@ -267,7 +267,7 @@ def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monk
     monkeypatch.setattr(left_out, "_without", spied(left_out._without, known, -1))
     monkeypatch.setattr(Copies, "relit", spied(Copies.relit, shown, -1))
     monkeypatch.setattr(left_out, "calibrate", lambda _model, pictures, _methods: deque(pictures, 0) or {})
-    data = [photographed(head, head, {"day": DIFFUSE})[0] for head in (4, 5, 6)]
+    data = [sample(f"head{i}-day", s.image, s.landmarks) for i, s in enumerate(make_set(3, Head(5), size=SIZE))]
     model = train(data, lamps=lamps, diagonal=40.0, blurs=(1.0,), copies=4)
     assert not model.calibrated
     lit_by = Copies(lamps, np.array([4, 4, 4])).lit_by
@@ -311,7 +311,7 @@ def test_an_offset_of_landmarks_stays_on_the_same_side_of_a_mirrored_object():
 @pytest.fixture(scope="module")
 def trained(lamps):
     """Models of one head in daylight, without and with the lamps of two others."""
-    shown = [photographed(5, seed, {"day": DIFFUSE})[0] for seed in range(8)]
+    shown = [(scene.image, scene.landmarks) for scene in make_set(8, Head(5), size=SIZE)]
     options = {"diagonal": 60.0, "leave_out": False, "methods": ["li"]}
     return [train(shown, lamps=own, copies=n, **options) for own, n in ((None, 0), (lamps, 3))]
 

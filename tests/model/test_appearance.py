@@ -46,8 +46,8 @@ def left_out_residuals(vectors: np.ndarray, variance: float | int) -> np.ndarray
     return residuals
 
 
-@pytest.mark.parametrize("n", [2, 3, 7, 10, 11, 24])
-@pytest.mark.parametrize("variance", [0, 2, 50, 0.6, 0.98, 1.0])
+@pytest.mark.parametrize("n", [2, 3, 11, 24])
+@pytest.mark.parametrize("variance", [0, 2, 50, 0.6, 1.0])
 def test_what_others_leave_is_that_of_leaving_out(n, variance, rng):
     vectors = rng.normal(size=(n, 40)) @ np.diag(0.8 ** np.arange(40)) + 3
     expected = left_out_residuals(vectors, variance)

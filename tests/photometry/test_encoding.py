@@ -57,15 +57,15 @@ def test_dark_and_saturated_channels_cost_the_log_its_trust(value, channel):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -5.0, 1e30])
 @pytest.mark.parametrize("encoding", ENCODINGS)
-@pytest.mark.parametrize("blur", [0.0, 1.0])
-def test_strange_floats_stay_finite(bad, encoding, blur):
+def test_strange_floats_stay_finite(bad, encoding):
     image = np.full((16, 16, 3), 0.5, np.float32)
     image[3, 5, 1] = bad
-    encoded = encode(image, encoding, blur=blur)
-    assert np.isfinite(encoded).all()
-    if encoding == "log" or not np.isfinite(bad):
-        assert encoded[3, 5, -1] == 0
-    assert encoded[..., -1].sum() >= 255
+    for blur in (0.0, 1.0):
+        encoded = encode(image, encoding, blur=blur)
+        assert np.isfinite(encoded).all()
+        if encoding == "log" or not np.isfinite(bad):
+            assert encoded[3, 5, -1] == 0
+        assert encoded[..., -1].sum() >= 255
 
 
 def test_soft_gradients_are_those_of_log_brightness_normalised_softly(rng):

@@ -24,17 +24,26 @@ CONTOURS = (Contour(tuple(range(13))), Contour(tuple(range(21, 29)), closed=True
 @pytest.fixture(scope="session")
 def portraits() -> list[Scene]:
     """Give eight pictures of one person."""
-    return make_set(8, Head(7), seed=3, size=(320, 240))
+    return portraits_of(8)
+
+
+def portraits_of(n: int) -> list[Scene]:
+    return make_set(n, Head(7), seed=3, size=(320, 240))
 
 
 @pytest.fixture(scope="session")
-def pictures(portraits, tmp_path_factory) -> Path:
-    """Give a folder of eight pictures, p1.png to p8.png, with a landmark file, .ljson, for each."""
+def pictures(tmp_path_factory) -> Callable[[int], Path]:
+    """Give a folder of at least so many pictures, p1.png and so on, with a landmark file, .ljson, for each."""
     folder = tmp_path_factory.mktemp("portraits")
-    for i, scene in enumerate(portraits, 1):
-        write_image(folder / f"p{i}.png", scene.image)
-        write_landmarks(folder / f"p{i}.ljson", Landmarks(scene.landmarks, CONTOURS))
-    return folder
+
+    def get(n: int) -> Path:
+        if n and not (folder / f"p{n}.png").exists():
+            for i, scene in enumerate(portraits_of(n), 1):
+                write_image(folder / f"p{i}.png", scene.image)
+                write_landmarks(folder / f"p{i}.ljson", Landmarks(scene.landmarks, CONTOURS))
+        return folder
+
+    return get
 
 
 @pytest.fixture
@@ -45,9 +54,9 @@ def folder(pictures, tmp_path) -> Callable[..., Path]:
         made = tmp_path / "parent" / "project"
         made.mkdir(parents=True)
         for i in range(1, n + 1):
-            shutil.copy(pictures / f"p{i}.png", made)
+            shutil.copy(pictures(n) / f"p{i}.png", made)
             if i <= done:
-                shutil.copy(pictures / f"p{i}.ljson", made)
+                shutil.copy(pictures(n) / f"p{i}.ljson", made)
         return made
 
     return make

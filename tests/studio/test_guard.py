@@ -207,6 +207,7 @@ def test_whence_a_request_comes_is_asked_before_its_token():
         ("me.local:8765", {"host": "Me.Local"}, True),
         ("you.local:8765", {"host": "Me.Local"}, False),
         ("192.168.1.5:8765", {"host": "0.0.0.0"}, True),
+        ("192.168.1.5:8765", {"host": "192.168.1.5"}, True),
         ("[fe80::1]:8765", {"host": "::"}, True),
         ("evil.example:8765", {"host": "0.0.0.0"}, False),
         ("evil.example:8765", {"host": "::"}, False),

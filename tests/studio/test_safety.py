@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.studio.safety import is_own_host
-from liaam.studio.settings import Settings
 
 TEMPLATE = {"names": ["a", "b", "c"]}
 MARKS = {"points": [[1, 2], [30, 2], [15, 20]], "invisible": [], "revision": None}
@@ -95,21 +93,20 @@ def test_the_address_gives_a_cookie_and_hides_the_token(running):
         assert stranger.get("/api/project").status_code == 200
 
 
-@pytest.mark.parametrize(
-    "path", ["/", "/?token=wrong", "/?token=", "/style.css", "/api/project", "/api/events", "/nowhere"]
-)
-def test_without_the_token_nothing_is_given(running, path):
-    for headers in (
-        {},
-        {"authorization": "Bearer wrong"},
-        {"authorization": f"Basic {running.studio.settings.token}"},
-        {"cookie": f"liaam-studio-{running.port}=wrong"},
-        {"cookie": f"liaam-studio-1={running.studio.settings.token}"},
-        {"authorization": "Bearer caf\u00e9".encode("latin-1")},
-    ):
-        answer = httpx.get(running.url + path, headers=headers, trust_env=False)
-        assert answer.status_code == 401
-        assert "token" in answer.json()["error"]
+def test_without_the_token_nothing_is_given(running):
+    with httpx.Client(base_url=running.url, trust_env=False) as stranger:
+        for path in ("/", "/?token=wrong", "/?token=", "/style.css", "/api/project", "/api/events", "/nowhere"):
+            answer = stranger.get(path)
+            assert answer.status_code == 401, path
+            assert "token" in answer.json()["error"]
+        for headers in (
+            {"authorization": "Bearer wrong"},
+            {"authorization": f"Basic {running.studio.settings.token}"},
+            {"cookie": f"liaam-studio-{running.port}=wrong"},
+            {"cookie": f"liaam-studio-1={running.studio.settings.token}"},
+            {"authorization": "Bearer caf\u00e9".encode("latin-1")},
+        ):
+            assert stranger.get("/api/project", headers=headers).status_code == 401, headers
 
 
 def test_the_token_in_the_address_serves_the_page_only(running):
@@ -126,20 +123,16 @@ def test_a_browser_without_the_token_gets_a_page(running):
     assert "liaam studio" in answer.text
 
 
-@pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}",
-             "127.0.0.1.evil.example:{port}", "127.0.0.1:{port}.evil.example", "[::1]", "", "127.0.0.1:{port}:{port}"],
-)  # fmt: skip
-def test_other_names_are_refused(running, host):
-    answer = running.client.get("/api/project", headers={"host": host.format(port=running.port)})
-    assert answer.status_code == 421
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1:{port}", "localhost:{port}", "LocalHost:{port}", "[::1]:{port}"])
-def test_own_names_are_taken(running, host):
-    host = host.format(port=running.port)
-    headers = {"host": host, "origin": f"http://{host}", "sec-fetch-site": "same-origin"}
-    assert running.client.get("/api/project", headers=headers).status_code == 200
+def test_own_names_are_taken_and_others_refused(running):
+    port = running.port
+    for host in (f"127.0.0.1:{port}", f"localhost:{port}", f"LocalHost:{port}", f"[::1]:{port}"):
+        headers = {"host": host, "origin": f"http://{host}", "sec-fetch-site": "same-origin"}
+        assert running.client.get("/api/project", headers=headers).status_code == 200, host
+    for host in (
+        "evil.example", f"evil.example:{port}", "127.0.0.1", "127.0.0.1:1", f"localhost.evil.example:{port}",
+        f"127.0.0.1.evil.example:{port}", f"127.0.0.1:{port}.evil.example", "[::1]", "", f"127.0.0.1:{port}:{port}",
+    ):  # fmt: skip
+        assert running.client.get("/api/project", headers={"host": host}).status_code == 421, host
 
 
 def test_two_hosts_are_refused(running):
@@ -147,21 +140,18 @@ def test_two_hosts_are_refused(running):
     assert status_of(answer) in (400, 421)
 
 
-@pytest.mark.parametrize(
-    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", "http://127.0.0.1",
-               "file://", "http://localhost:{port}.evil.example", "http://127.0.0.1:{port}/"],
-)  # fmt: skip
-def test_foreign_origins_are_refused(running, origin):
-    headers = {"origin": origin.format(port=running.port)}
-    for method, path in (("GET", "/api/project"), ("POST", "/api/training"), ("PUT", "/api/template"), ("GET", "/")):
-        assert running.client.request(method, path, headers=headers).status_code == 403
-
-
-@pytest.mark.parametrize("site", ["cross-site", "same-site", "nonsense"])
-def test_requests_of_other_sites_are_refused(running, site):
-    assert running.client.get("/", headers={"sec-fetch-site": site}).status_code == 403
+def test_foreign_origins_and_requests_of_other_sites_are_refused(running):
+    port = running.port
+    for origin in (
+        "http://evil.example", "null", f"https://127.0.0.1:{port}", "http://127.0.0.1:1", "http://127.0.0.1",
+        "file://", f"http://localhost:{port}.evil.example", f"http://127.0.0.1:{port}/",
+    ):  # fmt: skip
+        for method, path in (("GET", "/"), ("POST", "/api/training"), ("PUT", "/api/template")):
+            assert running.client.request(method, path, headers={"origin": origin}).status_code == 403, origin
     token = {"token": running.studio.settings.token}
-    assert running.client.get("/", params=token, headers={"sec-fetch-site": site}).status_code == 403
+    for site in ("cross-site", "same-site", "nonsense"):
+        for params in ({}, token):
+            assert running.client.get("/", params=params, headers={"sec-fetch-site": site}).status_code == 403, site
 
 
 def test_every_response_says_how_to_treat_it(running):
@@ -185,38 +175,29 @@ def test_every_response_says_how_to_treat_it(running):
     assert running.client.get("/api/pictures/p1.png/image").headers["cache-control"] == "private, no-cache"
 
 
-def test_an_address_is_asked_for_by_number_where_all_are_listened_on():
-    everywhere = Settings(host="0.0.0.0", port=80)
-    assert is_own_host("192.168.1.5", everywhere) and is_own_host("localhost:80", everywhere)
-    assert not is_own_host("evil.example", everywhere)
-    assert not is_own_host("192.168.1.5", Settings(port=80))
-    assert is_own_host("192.168.1.5:8765", Settings(host="192.168.1.5"))
-
-
 # Where they may reach
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["..%2Fsecret.png", "../secret.png", "%2e%2e%2fsecret.png", "..%5Csecret.png", "%2e%2e/secret.png", "..", "%00",
-     "p1.png%00", "....//secret.png", "%252e%252e%252fsecret.png", "/etc/passwd", "%2Fetc%2Fpasswd", "p1.png/",
-     "..%c0%afsecret.png", "%ff%fe", "x" * 5000, ".liaam-studio", ".liaam-studio%2Fstudio.db"],
+OUTSIDE = (
+    "..%2Fsecret.png", "../secret.png", "%2e%2e%2fsecret.png", "..%5Csecret.png", "%2e%2e/secret.png", "..", "%00",
+    "p1.png%00", "....//secret.png", "%252e%252e%252fsecret.png", "/etc/passwd", "%2Fetc%2Fpasswd", "p1.png/",
+    "..%c0%afsecret.png", "%ff%fe", "x" * 5000, ".liaam-studio", ".liaam-studio%2Fstudio.db",
 )  # fmt: skip
-def test_paths_do_not_leave_the_folder(running, home, name):
-    before = snapshot(home.parent)
+
+
+def test_paths_do_not_leave_the_folder(running, home):
     running.client.put("/api/template", json=TEMPLATE)
-    kinds = ("image", "chroma", "landmarks")
-    targets = [*(f"/api/pictures/{name}/{what}" for what in kinds), f"/{name}", f"/static/{name}", f"/js/{name}"]
-    answers = [raw(running, request(running, target)) for target in targets]
+    before = snapshot(home.parent)
     put, body = "Content-Type: application/json", json.dumps(MARKS).encode()
-    answers.append(raw(running, request(running, f"/api/pictures/{name}/landmarks", "PUT", put, body=body)))
-    for answer in answers:
-        assert status_of(answer) in (400, 404, 405, 307), answer[:200]
-        assert b"a secret" not in answer and b"root:" not in answer
-    after = snapshot(home.parent)
-    database = "project/.liaam-studio/studio.db"
-    assert after.pop(database) != before.pop(database)
-    assert after == before
+    for name in OUTSIDE:
+        kinds = ("image", "chroma", "landmarks")
+        targets = [*(f"/api/pictures/{name}/{what}" for what in kinds), f"/{name}", f"/static/{name}", f"/js/{name}"]
+        answers = [raw(running, request(running, target)) for target in targets]
+        answers.append(raw(running, request(running, f"/api/pictures/{name}/landmarks", "PUT", put, body=body)))
+        for answer in answers:
+            assert status_of(answer) in (400, 404, 405, 307), (name, answer[:200])
+            assert b"a secret" not in answer and b"root:" not in answer
+    assert snapshot(home.parent) == before
     assert is_up(running)
 
 
@@ -255,11 +236,10 @@ def chunks(n: int, size: int = 10_000):
         yield b"x" * size
 
 
-@pytest.mark.parametrize("path", ["/api/template", "/api/pictures/p1.png/landmarks"])
-def test_large_json_is_refused(running, path):
+def test_large_json_is_refused(running):
     headers = {"content-type": "application/json"}
     for content in (b"[" + b"1," * 20_000 + b"1]", chunks(5)):  # with its length, and without
-        answer = running.client.put(path, content=content, headers=headers)
+        answer = running.client.put("/api/template", content=content, headers=headers)
         assert answer.status_code == 413
         assert "20,000 bytes" in answer.json()["error"]
     assert is_up(running)
@@ -301,14 +281,13 @@ def test_a_bomb_behind_a_small_header_is_refused(running):
     assert is_up(running)
 
 
-@pytest.mark.parametrize(
-    "body", [b"[" * 9000, b'{"a":' * 3000, b"{", b"", b"\xff\xfe", b"NaN", b"1" * 5000, b"[1e999]x"]
-)
-def test_bad_json_is_refused(running, body):
-    for method, path in (("PUT", "/api/template"), ("PUT", "/api/pictures/p1.png/landmarks"), ("POST", "/api/fits")):
-        answer = running.client.request(method, path, content=body, headers={"content-type": "application/json"})
-        assert answer.status_code == 400
-        assert answer.json()["error"]
+def test_bad_json_is_refused(running):
+    targets = (("PUT", "/api/template"), ("PUT", "/api/pictures/p1.png/landmarks"), ("POST", "/api/fits"))
+    for body in (b"[" * 9000, b'{"a":' * 3000, b"{", b"", b"\xff\xfe", b"NaN", b"1" * 5000, b"[1e999]x"):
+        for method, path in targets:
+            answer = running.client.request(method, path, content=body, headers={"content-type": "application/json"})
+            assert answer.status_code == 400, body[:9]
+            assert answer.json()["error"]
     assert is_up(running)
 
 
@@ -419,14 +398,14 @@ def test_a_body_that_nobody_reads_is_not_waited_for_for_ever(home, serve):
 
 
 def test_requests_that_stay_half_sent_keep_nobody_waiting(home, serve):
-    running = serve(home, header_seconds=4.0, body_seconds=4.0, drain_seconds=0.2)
+    running = serve(home, header_seconds=3.0, body_seconds=3.0, drain_seconds=0.2)
     half = (b"GET / HTTP/1.1\r\n", upload_line(running, 100_000) + b"x", upload_line(running, 70_000) + b"x" * 60_000)
     connections = [socket.create_connection(("127.0.0.1", running.port), 60) for _ in range(120)]
     for i, connection in enumerate(connections):
         connection.sendall(half[i % 3])
     begun = time.monotonic()
     assert is_up(running)
-    assert time.monotonic() - begun < 4.0
+    assert time.monotonic() - begun < 3.0
     for connection in connections:
         connection.settimeout(60)
         while connection.recv(65536):

@@ -192,11 +192,9 @@ def test_a_database_that_leads_out_is_not_used(small, tmp_path):
     assert outside.read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    "name", ["../x.png", "..", ".", "", "/etc/passwd", "p1.png/", "p1.ljson", "P1.PNG\0", "a" * 5000]
-)
-def test_names_that_are_not_of_the_listing_are_no_pictures(small, name):
-    assert refused(small.source, name).status == 404
+def test_names_that_are_not_of_the_listing_are_no_pictures(small):
+    for name in ("../x.png", "..", ".", "", "/etc/passwd", "p1.png/", "p1.ljson", "P1.PNG\0", "a" * 5000):
+        assert refused(small.source, name).status == 404, name
 
 
 def test_names_that_no_answer_can_hold_are_passed_over(small):

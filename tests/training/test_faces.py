@@ -9,11 +9,11 @@ from liaam.model.shape import scaled_mean
 from liaam.photometry import CameraModel
 from liaam.training import train
 from liaam.training.entries import read_entries
-from scenes import DIFFUSE, Head, make_set
+from scenes import Head, make_set
 
 
 def heads(n: int, points=lambda shape: shape) -> list[Sample]:
-    scenes = [scene for i in range(n) for scene in make_set(1, Head(40 + i), DIFFUSE, seed=i, size=(160, 120))]
+    scenes = make_set(n, Head(5), size=(160, 120))
     return [Sample(f"head {i}", s.image, Landmarks(points(s.landmarks))) for i, s in enumerate(scenes)]
 
 
