@@ -84,7 +84,7 @@ _HOMES = {
 }
 """The names of each module that are also names of the package. They and the modules load on first use."""
 
-_SUBMODULES = _HOMES.keys() - {"datasets.label_faults", "tables"}
+_SUBMODULES = sorted(_HOMES.keys() - {"datasets.label_faults", "tables"})
 
 _NAMES = sorted(chain.from_iterable(_HOMES.values()))
 
