@@ -423,6 +423,7 @@ BAD = [
     ("a.pts", "{\n1 " + "x" * 41 + "\n}", f"'{'x' * 37}...' in point 1 is not a number"),
     ("a.pts", "", "is empty (0 bytes)"),
     ("a.pts", " \n\n", "only blank lines"),
+    ("a.pts", b"{\n\x00\x01\n}", "is not a text file"),
     ("a.pts", bytes(range(256)), "is not a text file"),
     ("a.pts", b"{\n1 1\n}\x01\xff", "is not a text file"),
     ("a.pts", b"\xff\xfe\x00", "is not a text file"),
