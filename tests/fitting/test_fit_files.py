@@ -8,7 +8,7 @@ import pytest
 
 from liaam.errors import LandmarkError
 from liaam.fitting.files import FIT_SUFFIXES, corrected_file, fit_text, points_of_fit, read_fit, write_fit
-from liaam.io import Landmarks, read_landmarks, write_landmarks
+from liaam.io import Contour, Landmarks, read_landmarks, write_landmarks
 
 POINTS = np.array([[1.5, 2.0], [3.25, -4.0]])
 
@@ -25,6 +25,20 @@ def test_a_fit_is_written_in_each_format(tmp_path):
     assert content == {"status": "converged", "cost": 0.5, "image_size": [40, 30], "landmarks": POINTS.tolist()}
     assert paths[3].read_text().startswith('{\n "status": "converged",\n "cost": 0.5,\n "image_size": [\n  40,')
     assert paths[3].read_text().endswith("}\n")
+
+
+def test_a_fit_is_read_as_landmarks(tmp_path):
+    points = np.array([*POINTS, [np.nan, np.nan]])
+    given = Landmarks(points, (Contour((0, 2, 1), closed=True),), ("a", "b", "c"))
+    path = tmp_path / "anna.json"
+    write_fit(path, given, {"status": "converged", "landmark_names": given.names}, SIZE)
+    read = read_landmarks(path)
+    np.testing.assert_array_equal(read.points, points)
+    assert (read.contours, read.names) == (given.contours, given.names)
+    for damaged in ({"landmarks": [[1]]}, {"landmarks": 3}, {"contours": [[["0"], True]]}, {"landmark_names": [1, 2]}):
+        path.write_text(json.dumps({**json.loads(fit_text(given, {"status": "", "landmark_names": ()})), **damaged}))
+        with pytest.raises(LandmarkError, match=r"anna\.json"):
+            read_landmarks(path)
 
 
 def test_facts_of_every_kind_become_json():

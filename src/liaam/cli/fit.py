@@ -21,6 +21,8 @@ from liaam.morphometry.schemes import in_scheme
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
 
+OF_LANDMARKS = ("landmark_names", "sd", "covariance")  # Facts of a fit of which another scheme has none
+
 
 class FitCommand(TyperCommand):
     """The command with the table of methods at the end of its help."""
@@ -202,7 +204,7 @@ def fit_file(
             facts = result.to_dict() | {"image": image.name, "scale": scale}
             if outputs.scheme is not None:
                 points, contours, names = in_scheme(points, names, outputs.scheme), (), ()
-                facts = {key: value for key, value in facts.items() if not key.startswith("landmark_")}
+                facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
             landmarks = Landmarks(points, contours, names, image_name=image.name, scale=scale)
             path = outputs.folder / (outputs.stem or name)
             for suffix in outputs.suffixes:

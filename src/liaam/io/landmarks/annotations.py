@@ -160,6 +160,19 @@ def _marked(image: str, marks: list[Any]) -> Landmarks:
     return replace(own, points=own.points / 100, placing=Placing(sizes.pop(), fractions=True))
 
 
+def parse_fit(source: Source) -> list[Landmarks]:
+    """Parse the ``.json`` file that ``liaam fit`` writes."""
+    fit = source.json
+    points: Any = [
+        tuple(rd.parse_number(value, f"landmark {i}") for value in pair) for i, pair in enumerate(fit["landmarks"], 1)
+    ]
+    lines = Contour.all_of(fit.get("contours") or ())
+    if not all(type(index) is int for line in lines for index in line.indices):
+        raise TypeError("an index is no whole number")
+    names, scale = tuple(map(str, fit.get("landmark_names") or ())), fit.get("scale")
+    return [Landmarks(points, lines, names, scale=None if scale is None else rd.parse_number(scale, "the scale"))]
+
+
 def parse_ljson(source: Source) -> list[Landmarks]:
     """Parse ``.ljson`` of versions 1 to 3: points are [y, x]; ``null`` for a missing one.
 
