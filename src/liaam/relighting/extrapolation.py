@@ -25,7 +25,6 @@ ROUNDS = 3  # Number of passes over rows and columns; three leave no visible str
 ACROSS = 12.0  # Scale of the division between object and background
 EVEN = 0.5  # Scale within which it is evened out
 BACKGROUND = 8.0  # Distance beyond the mesh from which an image is background
-BELOW = 0.5  # Below the mesh, and by this fraction of its width wider, is no background, but a neck or a stem
 BORDER = 1.0  # Down to this depth inside the mesh, another colour is background, because the fit is not exact
 # Without the differences of colour, light of the object shines on walls.
 ANOTHER_COLOUR = 0.5  # Difference of log-chromaticity from the object's mean from which a pixel is rather background
@@ -59,8 +58,7 @@ class Surroundings:
         own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
         seen, away, known = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), distance(~inside)[..., None], inside[..., None]
         elsewhere, (rows, columns) = (away > BACKGROUND * reach).astype(np.float32), _extent(inside)
-        wider = round(BELOW * (columns.stop - columns.start))
-        elsewhere[rows.stop - 1 :, max(columns.start - wider, 0) : columns.stop + wider] = 0.0
+        elsewhere[rows.stop - 1 :, columns] = 0.0  # below it is no background, but a neck or a stem
         spread = averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))
         near, far = np.dsplit(np.square(spread), 2)
         nearer = np.where(known, np.float32(1.0), near / np.maximum(near + far, 1e-12))
