@@ -68,6 +68,17 @@ def fine(log: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
     return (log - mean)[inside]
 
 
+def test_a_toned_photograph_keeps_its_tone(head):
+    """In black and white, nothing tells the colour of the light from the tone of the paper."""
+    model, pair = head
+    tone = np.float32([0.06, 0.0, -0.05])
+    grey = log_light(pair.lit.image, "srgb").mean(axis=2, keepdims=True)
+    relighter = Relighter.of(Fitter(model), eight_bits(grey + tone, "srgb"), Fitter(model).fit(pair.lit.image))
+    shading = relighter.shading()[~np.isnan(relighter.certainty())]
+    assert np.abs(shading).mean() > 0.1
+    np.testing.assert_allclose(shading, np.repeat(shading[:, :1], 3, axis=1), atol=1e-4)
+
+
 def test_detail_is_kept(taken_apart):
     inside = mesh_mask(taken_apart.model, taken_apart.picture, taken_apart.shape)
     before, after = (log_light(each, "srgb").mean(axis=2) for each in (taken_apart.picture, taken_apart.flat()))
@@ -414,6 +425,7 @@ def test_gloss_that_the_object_surrounds_belongs_to_it_and_is_not_darkened():
     shine = np.exp(-(np.square(x - 77) + np.square(y - 56)) / 12.0)[..., None].astype(np.float32)
     colour = np.array((0.4, -0.1, -0.3), np.float32)
     own = -2.0 + 0.7 * shine + (1.0 - 0.6 * shine) * colour
+    own[100:] += 0.5 * colour  # or it would be black and white
     own[:42] = own[:, :20] = own[:, 140:] = (-3.0, -1.0, -2.0)  # the background
     around = Surroundings.of(inside, own, 4.0)
     region = Region((slice(0, 160),) * 2, (160, 160), (160, 160), np.zeros((1, 2)))

@@ -1,4 +1,4 @@
-"""Highlights: those that the camera clipped, and those that relighting would clip."""
+"""What has no known light: highlights that the camera clipped or relighting would clip, and a tone."""
 
 import math
 from functools import reduce
@@ -12,18 +12,22 @@ from liaam.relighting.painting import Region, averages, mean_of, smoothstep
 CLIPPED = math.log(0.95)  # Logarithm of light from which a channel counts as clipped
 BRIGHT = math.log(0.6)  # That from which brightened pixels approach white gradually, instead of being clipped
 COLOUR_REACH = 2.0  # Radius within which the colour around clipped highlights is averaged, in reaches
+TONED = 0.05  # Standard deviation of log-chromaticities of an object in black and white, which has one tone
 POWER = 4.0  # Power of light that weighs it: gloss has the lamp's colour, and is nearly as bright where not clipped
 FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than that
 
 
 def spared(own: np.ndarray, light: np.ndarray, around: Surroundings, region: Region) -> tuple[np.ndarray, np.ndarray]:
-    """Spare highlights, whose light is not known.
+    """Spare highlights, whose light is not known, and the tone of a picture in black and white.
 
     ``own`` (bh, bw, 3) are the logarithms of the image's light, and ``light`` (lh, lw, 3) will be removed. Return new
     ones of both. Gloss, and what is around highlights that are clipped in all channels, is not darkened, and its colour
     not changed. Where single channels are clipped, they are continued beyond white in the colour of the object around
     them: a change of light then moves all channels alike, and leaves no grey patch.
     """
+    small = region.reduced(own)
+    if np.var(small - mean_of(small)[..., None], axis=(0, 1), where=around.inside[..., None]).sum() < TONED**2:
+        light = np.repeat(mean_of(light)[..., None], 3, axis=2)
     unknown, some = around.gloss, reduce(cv2.max, cv2.split(own)) >= CLIPPED
     if some.any():
         every = (reduce(cv2.min, cv2.split(own)) >= CLIPPED).astype(np.float32)
@@ -32,7 +36,6 @@ def spared(own: np.ndarray, light: np.ndarray, around: Surroundings, region: Reg
     light = light + unknown * (np.minimum(mean_of(light)[..., None], 0.0) - light)
     if not some.any():
         return light, own
-    small = region.reduced(own)
     bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
     known = bright * around.belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
     colour = averages(small - mean_of(small)[..., None], known, COLOUR_REACH * region.reach, FALLBACK)
