@@ -914,6 +914,24 @@ test("brightness, contrast and gamma of zero change nothing, and 1 stands for a 
   assert.equal(shownValue(0.9, { brightness: 2, contrast: 2, gamma: 2 }), 1);
 });
 
+test("waiting for the state of pictures does not end with an answer from before", async () => {
+  const [state, answers] = [new State(), []];
+  state._fetch = () => new Promise((resolve) => {
+    answers.push((placed) => {
+      state.project = { pictures: [{ name: "a.png", state: "new", placed }] };
+      resolve();
+    });
+  });
+  state.refresh();
+  const waiting = state.settled(); // after a change, which the request under way may have missed
+  const end = waiting.then(() => state.project.pictures[0].placed);
+  for (let placed = 0; placed < 3; placed++) {
+    answers[placed]?.(placed);
+    await new Promise((resolve) => { setTimeout(resolve); });
+  }
+  assert.ok((await end) >= 1);
+});
+
 test("the loupe stays inside the canvas and off the finger", () => {
   for (const type of ["mouse", "touch"]) {
     for (const at of [

@@ -81,8 +81,9 @@ export class State extends EventTarget {
 
   /** Fetch the project until the states of all pictures are known. */
   async settled() {
+    await this._refreshing?.catch(() => {}); // it may have begun before the last change
     do await this.refresh().catch(() => {});
-    while (this._again || this.project.pictures.some(({ state }) => state === "reading"));
+    while (this.project.pictures.some(({ state }) => state === "reading"));
   }
 
   select(name) {
