@@ -244,9 +244,8 @@ def short_repr(self: Any) -> str:
 
 def changed_repr(self: Any) -> str:
     """Return a dataclass as text, with the fields that differ from their defaults: the ``__repr__`` of options."""
-    values = {each.name: (getattr(self, each.name), each) for each in fields(self)}
-    shown = [f"{name}={value!r}" for name, (value, each) in values.items() if each.repr and value != each.default]
-    return f"{type(self).__name__}({', '.join(shown)})"
+    changed = (each.name for each in fields(self) if each.repr and getattr(self, each.name) != each.default)
+    return f"{type(self).__name__}({', '.join(f'{name}={getattr(self, name)!r}' for name in changed)})"
 
 
 def _short(value: object) -> str:

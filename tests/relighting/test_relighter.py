@@ -68,6 +68,16 @@ def fine(log: np.ndarray, inside: np.ndarray, scale: float) -> np.ndarray:
     return (log - mean)[inside]
 
 
+def test_an_object_between_pixels_is_left_as_it_is(head, taken_apart):
+    model, pair = head
+    fitter, points = Fitter(model), taken_apart.shape
+    tiny = 0.6 * (points - points.mean(axis=0)) / np.ptp(points) + 60.5
+    relighter = Relighter.of(fitter, pair.lit.image, replace(fitter.fit(pair.lit.image), landmarks=tiny))
+    assert relighter.certain == 0.0
+    np.testing.assert_array_equal(relighter.flat(), relighter.picture)
+    np.testing.assert_array_equal(relighter.under((1, 0, 1)), relighter.picture)
+
+
 def test_a_toned_photograph_keeps_its_tone(head):
     """In black and white, nothing tells the colour of the light from the tone of the paper."""
     model, pair = head
@@ -434,7 +444,7 @@ def test_gloss_that_the_object_surrounds_belongs_to_it_and_is_not_darkened():
     assert not around.gloss[inside].any()
     assert not around.gloss[:42].any()
     for removed, kept in ((0.4, 0.0), (-0.4, -0.4)):
-        light, _ = spared(own, np.full(own.shape, removed, np.float32) + 0.1 * colour, around, region)
+        light, _ = spared(own, own, np.full(own.shape, removed, np.float32) + 0.1 * colour, around, region)
         np.testing.assert_allclose(light[56, 77], kept, atol=0.03)
         np.testing.assert_allclose(light[90, 80], removed + 0.1 * colour, atol=1e-6)
 
@@ -497,7 +507,7 @@ def test_clipped_channels_continue_in_the_colour_around_them():
         np.ones((120, 120, 1)),
     )
     around = Surroundings(belongs[..., 0] > 0, belongs, 0.0 * belongs, belongs, own, 1.0)
-    light, whole = spared(own, np.full(own.shape, 0.5, np.float32), around, region)
+    light, whole = spared(own, own, np.full(own.shape, 0.5, np.float32), around, region)
     assert region.small == (120, 120)
     hue, expected = whole - whole.mean(axis=2, keepdims=True), skin - skin.mean()
     assert np.abs(hue - expected).max() < 0.1

@@ -10,6 +10,7 @@ from liaam.errors import LandmarkError
 from liaam.io.atomic import write_text_atomically
 from liaam.io.files import json_object
 from liaam.io.landmarks import LandmarkFile, Landmarks, write_landmarks
+from liaam.io.landmarks.annotations import is_fit
 from liaam.io.landmarks.reading import read_text
 
 FIT_SUFFIXES = (".pts", ".csv", ".tps", ".json")
@@ -33,7 +34,7 @@ def write_fit(path: Path, landmarks: Landmarks, facts: dict, image_size: tuple[i
 def read_fit(path: Path) -> dict | None:
     """Read the .json file of a fit; None if there is none, or if it is something else."""
     content = json_object(read_text(path)) if path.is_file() else None
-    return content if content is not None and {"landmarks", "status"} <= content.keys() else None
+    return content if content is not None and is_fit(content) else None
 
 
 def corrected_file(path: Path, fit: dict) -> Path | None:

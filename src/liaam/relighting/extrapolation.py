@@ -59,8 +59,7 @@ class Surroundings:
         seen, away, known = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), distance(~inside)[..., None], inside[..., None]
         elsewhere, (rows, columns) = (away > BACKGROUND * reach).astype(np.float32), _extent(inside)
         elsewhere[rows.stop - 1 :, columns] = 0.0  # below it is no background, but a neck or a stem
-        spread = averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))
-        near, far = np.dsplit(np.square(spread), 2)
+        near, far = np.dsplit(np.square(averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))), 2)
         nearer = np.where(known, np.float32(1.0), near / np.maximum(near + far, 1e-12))
         alike, bright = _alike(inside, own, reach)
         solid = np.pad((bright <= A_LITTLE) & (nearer >= 0.5), ((1, 1), (1, 1), (0, 0))).astype(np.uint8)

@@ -17,28 +17,31 @@ POWER = 4.0  # Power of light that weighs it: gloss has the lamp's colour, and i
 FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than that
 
 
-def spared(own: np.ndarray, light: np.ndarray, around: Surroundings, region: Region) -> tuple[np.ndarray, np.ndarray]:
+def spared(
+    own: np.ndarray, small: np.ndarray, light: np.ndarray, around: Surroundings, region: Region
+) -> tuple[np.ndarray, np.ndarray]:
     """Spare highlights, whose light is not known, and the tone of a picture in black and white.
 
-    ``own`` (bh, bw, 3) are the logarithms of the image's light, and ``light`` (lh, lw, 3) will be removed. Return new
-    ones of both. Gloss, and what is around highlights that are clipped in all channels, is not darkened, and its colour
-    not changed. Where single channels are clipped, they are continued beyond white in the colour of the object around
-    them: a change of light then moves all channels alike, and leaves no grey patch.
+    ``own`` (bh, bw, 3) are the logarithms of the image's light, ``small`` (lh, lw, 3) the same reduced, and ``light``
+    (lh, lw, 3) will be removed. Return new ones of the last and the first. Gloss, and what is around highlights that
+    are clipped in all channels, is not darkened, and its colour not changed. Where single channels are clipped, they
+    continue beyond white in the colour of the object around them: then all channels change alike, without grey patches.
     """
-    small = region.reduced(own)
-    if np.var(small - mean_of(small)[..., None], axis=(0, 1), where=around.inside[..., None]).sum() < TONED**2:
+    colours = small - mean_of(small)[..., None]
+    if np.var(colours, axis=(0, 1), where=around.inside[..., None]).sum() < TONED**2:
         light = np.repeat(mean_of(light)[..., None], 3, axis=2)
-    unknown, some = around.gloss, reduce(cv2.max, cv2.split(own)) >= CLIPPED
-    if some.any():
+    some = reduce(cv2.max, cv2.split(own)) >= CLIPPED
+    unknown, clipped = around.gloss, some.any()
+    if clipped:
         every = (reduce(cv2.min, cv2.split(own)) >= CLIPPED).astype(np.float32)
         gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
         unknown = np.maximum(smoothstep(4.0 * gone), unknown)
     light = light + unknown * (np.minimum(mean_of(light)[..., None], 0.0) - light)
-    if not some.any():
+    if not clipped:
         return light, own
     bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
     known = bright * around.belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
-    colour = averages(small - mean_of(small)[..., None], known, COLOUR_REACH * region.reach, FALLBACK)
+    colour = averages(colours, known, COLOUR_REACH * region.reach, FALLBACK)
     whole, at = own.copy(), np.nonzero(some)
     colour, seen = region.enlarged(colour)[at], own[at]
     over = seen >= CLIPPED

@@ -34,8 +34,8 @@ Light = Sequence[float] | Lamp | Sequence[Lamp]
 Steadied = Callable[[Shading], Shading]
 
 NOTHING = np.zeros((0, 0, 3), np.float32)
-NO_REGION = Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0)))
 NO_SURROUNDINGS = Surroundings(np.zeros((0, 0), bool), NOTHING, NOTHING, NOTHING, NOTHING, 0.0)
+UNSEEN = (Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0))), NOTHING, NOTHING, NO_SURROUNDINGS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +116,7 @@ class Relighter:
         if not len(seen_triangles(image, shape, model)):
             known = model.levels[-1].appearances["log"]
             shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
-            nothing = (NO_REGION, NOTHING, NOTHING, NO_SURROUNDINGS)
-            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading, *nothing)
+            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading, *UNSEEN)
         appearance, shading = find_shading(model, image, shape, response)
         shading = shading if steadied is None else steadied(shading)
         rest = _removed(model, image, shape, response, shading)
@@ -260,10 +259,11 @@ def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Respons
     region = Region.of(shape, box_of(reached, margin, image.shape))
     painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, shading.log)
     if not inside.any():
-        return ()
+        return UNSEEN
     own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
-    surroundings = Surroundings.of(inside, region.reduced(own) - lit, region.reach)
-    light, whole = spared(own, surroundings.spread(painted, lit), surroundings, region)
+    small = region.reduced(own)
+    surroundings = Surroundings.of(inside, small - lit, region.reach)
+    light, whole = spared(own, small, surroundings.spread(painted, lit), surroundings, region)
     return region, below_white(whole - region.enlarged(light), whole), own, surroundings
 
 

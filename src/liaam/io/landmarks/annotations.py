@@ -5,7 +5,7 @@ says otherwise. Annotators clicked on whole pixels, so there is no shift of half
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from itertools import chain, count
@@ -160,6 +160,11 @@ def _marked(image: str, marks: list[Any]) -> Landmarks:
     return replace(own, points=own.points / 100, placing=Placing(sizes.pop(), fractions=True))
 
 
+def is_fit(content: Mapping[str, Any]) -> bool:
+    """Return whether a ``.json`` file of this content is one that ``liaam fit`` writes."""
+    return {"landmarks", "status"} <= content.keys()
+
+
 def parse_fit(source: Source) -> list[Landmarks]:
     """Parse the ``.json`` file that ``liaam fit`` writes."""
     fit = source.json
@@ -167,8 +172,7 @@ def parse_fit(source: Source) -> list[Landmarks]:
         tuple(rd.parse_number(value, f"landmark {i}") for value in pair) for i, pair in enumerate(fit["landmarks"], 1)
     ]
     lines = Contour.all_of(fit.get("contours") or ())
-    if not all(type(index) is int for line in lines for index in line.indices):
-        raise TypeError("an index is no whole number")
+    _check_indices(index for line in lines for index in line.indices)
     names, scale = tuple(map(str, fit.get("landmark_names") or ())), fit.get("scale")
     return [Landmarks(points, lines, names, scale=None if scale is None else rd.parse_number(scale, "the scale"))]
 
@@ -185,13 +189,17 @@ def parse_ljson(source: Source) -> list[Landmarks]:
     edges = [(start, end) for start, end in group["landmarks"].get("connectivity") or ()]
     masks = [(str(label["label"]), list(label["mask"])) for label in group.get("labels") or ()]
     pairs = [(x, y) for y, x in group["landmarks"]["points"]]
-    if not all(type(index) is int for index in chain(*edges, *(mask for _, mask in masks))):
-        raise TypeError("an index is no whole number")
+    _check_indices(chain(*edges, *(mask for _, mask in masks)))
     points: Any = [tuple(rd.parse_number(value, f"point {i}") for value in pair) for i, pair in enumerate(pairs, 1)]
     masks, invisible = _without_invisible(masks, len(points))
     scale = None if group.get("scale") is None else rd.parse_number(group["scale"], "the scale")
     names = _names_of_masks(masks, len(points))
     return [Landmarks(points, chain_edges(edges), names, None, tuple(invisible), scale)]
+
+
+def _check_indices(given: Iterable[Any]) -> None:
+    if not all(type(index) is int for index in given):
+        raise TypeError("an index is no whole number")
 
 
 def _group(content: Any, wanted: str | None) -> Any:

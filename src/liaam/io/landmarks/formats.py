@@ -69,7 +69,7 @@ _TOLD: dict[str, Callable[[Source], object]] = {
     "CVAT for images": lambda file: file.xml.tag == "annotations",
     "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
     "COCO keypoints": lambda file: {"images", "annotations"} & file.object.keys(),
-    "fit by liaam": lambda file: {"landmarks", "status"} <= file.object.keys(),
+    "fit by liaam": lambda file: an.is_fit(file.object),
     "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
     "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
     "table of one row an image": lambda file: len(tables.pairs_of(file.rows[0][1])) > 1,
