@@ -1,7 +1,8 @@
-"""Helpers shared by tests: training, scenes, disturbed starts, model pixels, fit problems, persons, open files."""
+"""Helpers shared by tests: training, scenes, disturbed starts, fit problems, persons, open files, growth of times."""
 
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
@@ -131,3 +132,18 @@ def open_files(folder: Path) -> list[Path]:
         with suppress(OSError):  # closed meanwhile, such as this listing itself
             found.append(link.readlink())
     return [file for file in found if file.is_relative_to(folder)]
+
+
+def growth(work: Callable[[int], object], small: int, times: int = 8) -> float:
+    """Time of this process for work of ``times`` the small size, divided by that for the small size.
+
+    About ``times`` if time is proportional to size, and its square if each part is compared with all others. Both are
+    the least of three alternating runs, so that a busy machine hardly matters.
+    """
+    least = [np.inf, np.inf]
+    for _ in range(3):
+        for i, size in enumerate((small, times * small)):
+            begun = time.process_time()
+            work(size)
+            least[i] = min(least[i], time.process_time() - begun)
+    return least[1] / least[0]
