@@ -10,7 +10,7 @@ from liaam.evaluation import root_mean_square
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import CameraModel
-from liaam.photometry.encoding import DARK, SATURATED
+from liaam.photometry.encoding import usable_range
 from liaam.photometry.response import from_linear, to_linear
 from liaam.relighting import paint
 from liaam.relighting.painting import REACH, log_light
@@ -93,7 +93,7 @@ def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) 
         return sample_appearance(picture, flat.landmarks, model.warp, encoding, "linear", model.levels[-1].blur)[0]
 
     truth, share = sampled(flat.linear), sampled(np.repeat(covered[..., None].astype(np.float32), 3, axis=2), "value")
-    low, high = np.log(to_linear(np.array([DARK, SATURATED]), model.response))
+    low, high = np.log(to_linear(np.array(usable_range(model.response)), model.response))
     counts = (truth > low).all(axis=1) & (truth < high).all(axis=1) & (share.min(axis=1) > 0.999)
     return root_mean_square((sampled(made) - truth)[counts])
 
@@ -101,7 +101,8 @@ def flat_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) 
 def told(model: AAM, flat: Scene) -> np.ndarray:
     """Mask of pixels where the true flat-lit image is neither dark nor clipped in any channel, (h, w) bool."""
     stored = from_linear(np.clip(flat.linear, 0, 1), model.response)
-    return np.asarray(((stored > DARK) & (stored < SATURATED)).all(axis=2))
+    low, high = usable_range(model.response)
+    return np.asarray(((stored > low) & (stored < high)).all(axis=2))
 
 
 def pixel_error(model: AAM, log_rgb: np.ndarray, shape: np.ndarray, flat: Scene) -> float:

@@ -23,7 +23,7 @@ from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity
 from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_corners
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
-from liaam.photometry.encoding import refuse_grey, stored_values
+from liaam.photometry.encoding import refuse_grey, value_luminance
 
 __all__ = [
     "Registration",
@@ -249,9 +249,8 @@ def _levels(
     wanted = np.ones(size, dtype=bool)
     if mask is not None:
         wanted = cv2.resize(mask.astype(np.float32), size[::-1], interpolation=cv2.INTER_AREA) > 0.999
-    luminance = stored_values(a) @ LUMINANCE[0].astype(np.float32)
-    luminance = cv2.resize(luminance, size[::-1], interpolation=cv2.INTER_AREA)
-    noise = float(noise_deviation(a) * np.linalg.norm(LUMINANCE) * np.sqrt(np.prod(size) / (height * width)))
+    luminance = cv2.resize(value_luminance(a, response), size[::-1], interpolation=cv2.INTER_AREA)
+    noise = float(noise_deviation(a, response) * np.linalg.norm(LUMINANCE) * np.sqrt(np.prod(size) / (height * width)))
     levels = []
     for patch, (blur, stride) in zip(patches, LEVELS, strict=True):
         kept = (patch.channels[..., -1] > 0) & wanted

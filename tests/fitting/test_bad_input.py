@@ -91,7 +91,7 @@ def test_a_picture_of_one_colour_has_no_texture(model, start, method):
 
 
 def test_an_underexposed_picture_is_too_dark_for_the_log(model, lit_scene, start):
-    result = Fitter(model, "li").fit(lit_scene.image * 0.02, start)
+    result = Fitter(model, "li").fit(lit_scene.image * 0.002, start)
     assert result.status == FitStatus.TOO_DARK
 
 

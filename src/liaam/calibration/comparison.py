@@ -9,7 +9,7 @@ import numpy as np
 from liaam.calibration.scatter import block_labels, observe
 from liaam.errors import ImageError
 from liaam.photometry.camera import CameraModel, NoiseModel
-from liaam.photometry.encoding import DARK, as_colour, refuse_grey
+from liaam.photometry.encoding import as_colour, refuse_grey
 from liaam.photometry.invariant import LUMINANCE, invariant
 
 
@@ -58,7 +58,7 @@ def averaged(
     camera: CameraModel | None = None,
     *,
     block: int = 1,
-    dark: float = DARK,
+    dark: float | None = None,
     mask: np.ndarray | None = None,
     names: Sequence[str] | None = None,
 ) -> Averaged:
@@ -71,8 +71,9 @@ def averaged(
     camera : CameraModel, optional
     block : int
         Side of a block, pixels; averaging reduces noise and rounding errors, 1 disables it.
-    dark : float
-        Stored value, in [0, 1], below which a block is unusable, in any channel.
+    dark : float, optional
+        Stored value, in [0, 1], below which a block is unusable, in any channel; by default the least with a usable
+        logarithm, 7.5/255 of sRGB.
     mask : (h, w) bool, optional
         Selected pixels.
     names : sequence of str, optional

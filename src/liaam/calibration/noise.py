@@ -15,7 +15,7 @@ import numpy as np
 from liaam.calibration.estimate import jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import NoiseModel
-from liaam.photometry.encoding import DARK, SATURATED, as_colour, stored_values
+from liaam.photometry.encoding import as_colour, stored_values, usable_range
 from liaam.photometry.response import Response, log_slope, to_linear
 
 SIDE = 8  # Side of a block, pixels
@@ -213,7 +213,8 @@ def _blocks(first: np.ndarray, second: np.ndarray | None, response: Response) ->
         other_stored, other_linear, other_finite = _values(second, response)
         level = stored = (stored + other_stored) / 2
         usable &= other_finite
-    usable &= ((level >= DARK) & (level <= SATURATED)).all(axis=2)
+    low, high = usable_range(response, first.dtype.str)
+    usable &= ((level >= low) & (level <= high)).all(axis=2)
     if second is not None:
         before, after = (light.mean(axis=2)[usable] for light in (linear, other_linear))
         flicker = float(np.median(after / np.maximum(before, 1e-6))) if usable.any() else 1.0

@@ -14,7 +14,7 @@ import numpy as np
 from liaam.calibration.estimate import WIDEST_ERROR, AngleEstimate, in_normal_units, jackknife
 from liaam.errors import CameraError
 from liaam.photometry.camera import CameraModel
-from liaam.photometry.encoding import DARK, SATURATED, as_colour, refuse_grey, stored_values
+from liaam.photometry.encoding import as_colour, refuse_grey, stored_values, usable_range
 from liaam.photometry.invariant import temperature_direction
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope, to_linear
@@ -118,16 +118,18 @@ def observe(
     camera: CameraModel,
     *,
     full: int = 0,
-    dark: float = DARK,
+    dark: float | None = None,
 ) -> Surfaces:
     """Measure the mean light of n labelled regions (h, w) in each image; each is a separate cluster.
 
     Labels are -1 outside regions. Regions with fewer than half of ``full`` pixels, and those whose mean stored value is
-    below ``dark`` in any channel, are unusable.
+    below ``dark`` in any channel, are unusable; by default this is the least value with a usable logarithm.
     """
     seen = []
     for picture, region in zip(pictures, regions, strict=True):
         deviation, labels = _deviation_of(picture, camera), region.ravel()
+        least, most = usable_range(camera.response, picture.dtype.str)
+        least = least if dark is None else dark
         used = labels >= 0
         if picture.dtype.kind == "f":
             used &= np.isfinite(picture).all(axis=2).ravel()
@@ -144,9 +146,9 @@ def observe(
         )
         # Threshold the mean: a threshold on noisy pixels would bias the rest.
         slack = 2.0 * deviation
-        clipped = np.bincount(labels, weights=(stored >= SATURATED).any(axis=1), minlength=n) > 0.02 * count
+        clipped = np.bincount(labels, weights=(stored >= most).any(axis=1), minlength=n) > 0.02 * count
         usable = (count > 0.5 * full) & ~clipped & (light > 0).all(axis=1)
-        usable &= (level >= dark + slack).all(axis=1) & (level <= SATURATED - slack).all(axis=1)
+        usable &= (level >= least + slack).all(axis=1) & (level <= most - slack).all(axis=1)
         light = np.where(usable[:, None], light, 1.0)
         variance = noise / np.maximum(count, 1)[:, None] / np.square(light)
         relative = np.where(usable[:, None], variance, 1.0)
@@ -179,7 +181,8 @@ def _block_size(pictures: Sequence[np.ndarray], camera: CameraModel) -> int:
     for picture in pictures:
         values = stored_values(picture[:: max(1, height // 200), :: max(1, width // 200)], np.float64)
         level = float(np.percentile(values.min(axis=-1), 30))
-        light, variance = _light_and_variance(np.array([max(level, DARK)]), camera, _deviation_of(picture, camera))
+        level = max(level, usable_range(camera.response, picture.dtype.str)[0])
+        light, variance = _light_and_variance(np.array([level]), camera, _deviation_of(picture, camera))
         noisiest = max(noisiest, float(np.sqrt(variance[0]) / max(float(light[0]), 1e-6)))
     most = max(1, min(height, width) // 24)
     least = min(max(3, int(np.ceil(np.sqrt(height * width / MOST_BLOCKS)))), most)

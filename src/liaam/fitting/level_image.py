@@ -10,7 +10,7 @@ from liaam import _core
 from liaam.fitting.methods import Method
 from liaam.model.sampling import Light, Patch, make_patch
 from liaam.model.shape import Similarity, corners_of
-from liaam.photometry import NoiseModel, Response, from_linear, log_slope, noise_deviation
+from liaam.photometry import NoiseModel, Response, linear_to_srgb, log_slope, noise_deviation
 
 MARGIN = 0.4  # around the start that a fit may use, as a fraction of the object's diagonal
 NEAR = 0.1  # the same for levels that start from a coarser level's solution
@@ -82,28 +82,28 @@ class LevelImage:
         of_patch = from_model.scale * blur
         left = 1.0 / np.sqrt(correlated_pixels(of_patch)), from_model.scale * slope_left(of_patch)
         picture = image.image if isinstance(image, Light) else image
-        noise = noise_around(picture, shape) if noise is None else noise
+        noise = noise_around(picture, shape, response) if noise is None else noise
         # Averaging over blocks reduces it.
-        table = (noise_table(noise, response) * patch.from_image.scale).astype(np.float32)
+        table = (noise_table(noise) * patch.from_image.scale).astype(np.float32)
         return cls(patch, from_model, table, *left, blur, correlated)
 
 
-def noise_table(noise: NoiseModel | float, response: Response) -> np.ndarray:
+def noise_table(noise: NoiseModel | float) -> np.ndarray:
     """Return the standard deviation of the logarithm due to noise, at evenly spaced logarithms over ``LOG_RANGE``.
 
-    ``noise`` is the standard deviation in stored values of [0, 1], or the camera's noise model in linear light.
+    ``noise`` is the standard deviation in sRGB-encoded values of [0, 1], or the camera's noise model in linear light.
     """
     if isinstance(noise, NoiseModel):
         linear = np.exp(np.linspace(*LOG_RANGE, LOG_STEPS))
         return np.sqrt(noise.variance(linear)) / np.maximum(linear, 1e-6)
-    return noise * _slopes_of_logs(response)
+    return noise * _slopes_of_logs()
 
 
-@lru_cache(maxsize=16)
-def _slopes_of_logs(response: Response) -> np.ndarray:
-    """Return the derivative of the logarithm by the stored value, at the logarithms of :func:`noise_table`."""
-    stored = from_linear(np.exp(np.linspace(*LOG_RANGE, LOG_STEPS)), response)
-    return log_slope(np.maximum(stored, 1e-3), response)
+@lru_cache(maxsize=1)
+def _slopes_of_logs() -> np.ndarray:
+    """Return the derivative of the logarithm by the sRGB-encoded value, at the logarithms of :func:`noise_table`."""
+    encoded = linear_to_srgb(np.exp(np.linspace(*LOG_RANGE, LOG_STEPS)))
+    return log_slope(np.maximum(encoded, 1e-3))
 
 
 def correlated_pixels(blur: float) -> float:
@@ -119,9 +119,9 @@ def slope_left(blur: float) -> float:
     return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
 
 
-def noise_around(image: np.ndarray, shape: np.ndarray) -> float:
-    """Measure the standard deviation of the noise around a shape, in stored values of [0, 1]."""
+def noise_around(image: np.ndarray, shape: np.ndarray, response: Response) -> float:
+    """Measure the standard deviation of the noise around a shape, in sRGB-encoded values of [0, 1]."""
     low, high = (corner.astype(int) for corner in corners_of(shape))
     low = np.maximum(low, 0)
     high = np.maximum(high + 2, low + 8)
-    return noise_deviation(image[low[1] : high[1], low[0] : high[0]])
+    return noise_deviation(image[low[1] : high[1], low[0] : high[0]], response)

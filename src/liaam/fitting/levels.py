@@ -122,7 +122,7 @@ class Target(NamedTuple):
         """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
         if self.noise is not None or not method.weighs_noise:
             return self
-        return self._replace(noise=noise_around(self.image, self.start))
+        return self._replace(noise=noise_around(self.image, self.start, self.linear.response))
 
 
 class Levels:
@@ -187,7 +187,7 @@ class Levels:
             "point_precision": np.ascontiguousarray(np.zeros((0, 0)) if target.pull is None else target.pull),
             "margin": float(target.margin),
             "theta_2": float(objective.theta_model if target.theta is None else target.theta),
-            "log_noise": NO_NOISE if noise is None else noise_table(noise, response).astype(np.float32),
+            "log_noise": NO_NOISE if noise is None else noise_table(noise).astype(np.float32),
             "first_log": LOG_RANGE[0],
             "last_log": LOG_RANGE[1],
         }

@@ -124,7 +124,7 @@ class Prepared:
         spread = covariance(stage, self.objectives[-1], self.options.shape_prior / solution.prior_scale, target.pull)
         spread = spread if known is None else known.variance_factor * spread
         seen, unit = quality_features(stage), stage.objective.noise_variance(solution)
-        status = status_of(target.image, history, stage, self.model, self.shapes)
+        status = status_of(target.linear, history, stage, self.model, self.shapes)
         quality = np.nan if known is None else 0.0 if status.lost else known.quality(seen)
         # A fit that explains nothing is doubtful, also without calibration.
         explains = seen[0] > 0.0 if known is not None else explains_more_than_noise(stage)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from liaam.fitting.levels import FittedLevel, is_sane
+from liaam.fitting.levels import FittedLevel, LinearImage, is_sane
 from liaam.fitting.result import FitStatus, Iteration
 from liaam.model import AAM
 from liaam.model.mesh import folded_share
@@ -18,9 +18,9 @@ SHAPE_LIMIT = 5.0
 
 
 def status_of(
-    image: np.ndarray, history: tuple[Iteration, ...], stage: FittedLevel, model: AAM, shapes: ShapeModel
+    linear: LinearImage, history: tuple[Iteration, ...], stage: FittedLevel, model: AAM, shapes: ShapeModel
 ) -> FitStatus:
-    """Return the status of a fit to an image (h, w, 3) from its steps and its last level.
+    """Return the status of a fit to an image from its steps and its last level.
 
     ``shapes`` is the shape model of the fit's method.
     """
@@ -29,7 +29,7 @@ def status_of(
     # Else most pixels are inside the image, and enough of these usable.
     if not usable.mean() >= 0.5 and np.isfinite(shape).all():
         points = stage.pose(objective.warp.points(solution.p))
-        inside = within(points, image)
+        inside = within(points, linear.image)
         if sane and inside.mean() < 0.5:
             return FitStatus.LEFT_IMAGE
         # Few usable pixels are a better reason than the size that a fit to them happens to reach. Pixels beyond the
@@ -37,7 +37,7 @@ def status_of(
         on_patch, (height, width) = stage.to_patch(points), stage.patch_size
         inside &= np.asarray(((on_patch >= 0) & (on_patch <= (width - 1, height - 1))).all(axis=1))
         if inside.any() and usable[inside].mean() < USABLE_LIMIT:
-            return _why_unusable(image, points[inside])
+            return _why_unusable(linear, points[inside])
     if not sane or folded_share(shape, model.triangles) > FOLD_LIMIT or _largest_mode(shape, shapes) > SHAPE_LIMIT:
         return FitStatus.DIVERGED
     if solution.flat:
@@ -55,12 +55,12 @@ def _largest_mode(shape: np.ndarray, shape_model: ShapeModel) -> float:
     return float((np.abs(shape_model.parameters(upright)[:-4]) / allowed).max(initial=0.0))
 
 
-def _why_unusable(image: np.ndarray, points: np.ndarray) -> FitStatus:
+def _why_unusable(linear: LinearImage, points: np.ndarray) -> FitStatus:
     """Return whether most unusable pixels are without values, dark or saturated."""
     x, y = np.rint(points).astype(int).T
-    pixels = image[y, x]
+    pixels = linear.image[y, x]
     valid = np.isfinite(pixels).all(axis=1)
-    dark, clipped = exposure_faults(pixels[valid]) if valid.any() else (0.0, 0.0)
+    dark, clipped = exposure_faults(pixels[valid], linear.response) if valid.any() else (0.0, 0.0)
     if 1.0 - valid.mean() >= max(dark, clipped) * valid.mean():
         return FitStatus.NO_TEXTURE
     return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED

@@ -11,7 +11,7 @@ import numpy as np
 from liaam.errors import CameraError, LiaamError
 from liaam.io import write_text_atomically
 from liaam.io.files import existing_file, json_object, read_bytes, writable
-from liaam.photometry.encoding import DARK, SATURATED, stored_values
+from liaam.photometry.encoding import stored_values, usable_range
 from liaam.photometry.invariant import THETA_DEFAULT
 from liaam.photometry.response import Response, describe_response, from_linear, parse_response, to_linear
 
@@ -123,8 +123,9 @@ class CameraModel:
             return image
         stored = stored_values(image)
         light = to_linear(np.minimum(stored, 1.0), self.response) / self.falloff(*image.shape[:2])[..., None]
-        flat = np.clip(from_linear(light, self.response), DARK, SATURATED).astype(np.float32)
-        flat = np.where((stored < DARK) | (stored > SATURATED), stored, flat)
+        low, high = usable_range(self.response)
+        flat = np.clip(from_linear(light, self.response), low, high).astype(np.float32)
+        flat = np.where((stored < low) | (stored > high), stored, flat)
         return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat
 
     def suited_to(self, *, raw: bool, response: str | None = None) -> "CameraModel":

@@ -14,7 +14,7 @@ from liaam import _core
 from liaam.errors import ImageError, LiaamError, MethodError
 from liaam.photometry.features import Encoder
 from liaam.photometry.invariant import LUMINANCE
-from liaam.photometry.response import Response, linear_to_srgb, to_linear
+from liaam.photometry.response import Response, from_linear, linear_to_srgb, log_slope, srgb_to_linear, to_linear
 
 ENCODINGS = ("value", "log", "orientation", "soft")
 """Names of the encodings.
@@ -46,9 +46,12 @@ LOG_FLOOR = 0.004  # added to linear brightness before the logarithm, to suppres
 # orientation has no such limit, and is undefined in flat regions.
 FLAT = 1e-4
 
-# Stored values, both between two 8-bit values: below the first a logarithm is unusable because of noise and JPEG
-# rounding, and above the second a channel counts as clipped.
+# Light that sRGB stores as these values, both between two 8-bit values: below the first a logarithm is unusable because
+# of noise and JPEG rounding, and above the second a channel counts as clipped. See `usable_range`.
 DARK, SATURATED = 7.5 / 255, 250.5 / 255
+# Largest change of the logarithm of light by one step of an integer type at which it can be measured: that of 8-bit
+# sRGB at DARK. Linear light in 8 bits reaches it at the same stored value, which is much brighter.
+COARSEST = 1 / 7.5
 UNUSABLE = 1e-3  # weight of an unusable pixel in a blur; usable pixels have about 1
 BRIGHTEST = 1e6  # upper bound of stored values and linear light of float images
 ALL = 0.999  # fraction of a block's pixels above which the whole block counts as usable
@@ -152,13 +155,36 @@ def stored_values(image: np.ndarray, dtype: type = np.float32) -> np.ndarray:
     return values
 
 
-def exposure_faults(pixels: np.ndarray) -> tuple[float, float]:
-    """Fractions of pixels (n, 3) that are dark, and that are clipped, in any channel.
+@lru_cache(maxsize=64)
+def usable_range(response: Response, dtype: str | None = None) -> tuple[float, float]:
+    """Return the lowest and the highest stored value, in [0, 1], between which a logarithm of light is usable.
 
-    A pixel can count in both, and NaN counts as dark.
+    Both are limits of light relative to the light of white, so that an image has the same usable pixels whatever its
+    response and its number of bits. Measurements of single images name their integer type too: the lowest value is then
+    higher where a step of that type changes the light by more than :data:`COARSEST`.
+    """
+    low, high = DARK, SATURATED
+    if response != "srgb":
+        white = to_linear(np.array(1.0), response)
+        low, high = from_linear(white * srgb_to_linear(np.array([DARK, SATURATED])), response).tolist()
+    if dtype is None or np.dtype(dtype).kind != "u":
+        return low, high
+    top = np.iinfo(dtype).max
+    coarse = np.flatnonzero(log_slope(np.arange(1, top + 1) / top, response) / top > COARSEST)
+    if not coarse.size:
+        return low, high
+    coarsest = coarse[-1] + 1  # the first value is 1
+    return max(low, (coarsest + 0.5) / top), high
+
+
+def exposure_faults(pixels: np.ndarray, response: Response = "srgb") -> tuple[float, float]:
+    """Fractions of pixels (n, 3), stored values, that are dark, and that are clipped, in any channel.
+
+    A pixel can count in both, and NaN counts as dark. For the limits see :func:`usable_range`.
     """
     values = stored_values(pixels, np.float64)
-    return float((values < DARK).any(axis=1).mean()), float((values > SATURATED).any(axis=1).mean())
+    low, high = usable_range(response)
+    return float((values < low).any(axis=1).mean()), float((values > high).any(axis=1).mean())
 
 
 def encode(
@@ -199,9 +225,9 @@ def encode(
     -------
     ((h - y) // reduce, (w - x) // reduce, c + 1) float32
         Encoded channels, always finite, and the weight of the pixel in {0, 1}. Pixels with NaN have weight 0; for
-        ``log`` also those with a dark or saturated channel. For ``soft`` the six channels are the gradient's two
-        components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and the weight of these three (0 to 1). The
-        gradient is usable in dark and saturated pixels too.
+        ``log`` also those with a dark or saturated channel (:func:`usable_range`). For ``soft`` the six channels are
+        the gradient's two components g / sqrt(|g|^2 + SOFTNESS^2), log R, log G, log B, and the weight of these three
+        (0 to 1). The gradient is usable in dark and saturated pixels too.
 
     Raises
     ------
@@ -270,7 +296,8 @@ def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -
     stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, BRIGHTEST), np.float32(0.0))
     usable = finite
     if encoding in LOGARITHMIC:
-        usable = finite & np.asarray(((stored >= DARK) & (stored <= SATURATED)).all(axis=-1))
+        low, high = usable_range(response)
+        usable = finite & np.asarray(((stored >= low) & (stored <= high)).all(axis=-1))
     # A curve may map highlights of float images beyond the range of single precision.
     linear = np.minimum(to_linear(stored, response), BRIGHTEST).astype(np.float32, copy=False)
     light = np.concatenate([linear, usable[..., None]], axis=2, dtype=np.float32)
@@ -330,8 +357,8 @@ def light_table(dtype: str, encoding: Encoding, response: Response) -> np.ndarra
     """
     top = np.iinfo(dtype).max
     values, table = np.arange(top + 1), np.ones((3, top + 1, 4), np.float32)
-    low, high = (np.ceil(DARK * top), np.floor(SATURATED * top)) if encoding in LOGARITHMIC else (0, top)
-    table[..., 3] = (low <= values) & (values <= high)
+    low, high = usable_range(response) if encoding in LOGARITHMIC else (0.0, 1.0)
+    table[..., 3] = (low * top <= values) & (values <= high * top)
     table[range(3), :, range(3)] = _table(dtype, "linear", response)
     return table
 
@@ -339,7 +366,7 @@ def light_table(dtype: str, encoding: Encoding, response: Response) -> np.ndarra
 @lru_cache(maxsize=16)
 def log_floor(response: Response) -> float:
     """Lower bound of linear light that keeps logarithms finite, below every usable pixel."""
-    return 0.5 * float(to_linear(np.array(DARK), response))
+    return 0.5 * float(to_linear(np.array(usable_range(response)[0]), response))
 
 
 def value_luminance(image: np.ndarray, response: Response = "srgb") -> np.ndarray:

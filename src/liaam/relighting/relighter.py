@@ -15,7 +15,7 @@ from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.picture import load_picture
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
-from liaam.photometry import Response
+from liaam.photometry import Response, to_linear
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
 from liaam.relighting.appearance import ShadowFree, check_colour, check_method
@@ -226,8 +226,8 @@ class Relighter:
     @cached_property
     def _grain(self) -> np.ndarray:
         """The part of ``log_own`` that may be noise, (bh, bw, 3) float32."""
-        stored, noise = stored_values(self.picture[self.region.box]), noise_deviation(self.picture)
-        deviation = noise_of_log(stored, self.response, noise)
+        light = to_linear(stored_values(self.picture[self.region.box]), self.response)
+        deviation = noise_of_log(light, noise_deviation(self.picture, self.response))
         fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
         return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
 

@@ -33,7 +33,7 @@ from liaam.evaluation import short_repr
 from liaam.lamps.bank import HALF, in_field, sample_field
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of, mirror_order
-from liaam.photometry import Response, from_linear
+from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_direction
 from liaam.photometry.noise import noise_deviation
 from liaam.photometry.response import log_slope
@@ -167,9 +167,9 @@ def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(exponent, -500.0, 500.0))))
 
 
-def noise_of_log(stored: np.ndarray, response: Response, deviation: float) -> np.ndarray:
-    """Return the standard deviation of logarithms of light from that of stored values in [0, 1] (any shape)."""
-    return deviation * log_slope(np.maximum(stored, 0.5 / 255), response)
+def noise_of_log(light: np.ndarray, deviation: float) -> np.ndarray:
+    """Return the standard deviation of logarithms of light (any shape) from that of its sRGB-encoded values."""
+    return deviation * log_slope(np.maximum(linear_to_srgb(light), 0.5 / 255))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,8 +190,8 @@ class Shading:
 def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> tuple[ShadowFree, Shading]:
     """Estimate the appearance and the light of an image (h, w, 3) with fitted landmarks (n, 2)."""
     log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
-    noise = noise_deviation(image) / max(1.0, align(model.shape_model.mean, shape).scale)
-    noise = np.square(noise_of_log(from_linear(np.exp(log), response), response, noise)).astype(np.float32)
+    noise = noise_deviation(image, response) / max(1.0, align(model.shape_model.mean, shape).scale)
+    noise = np.square(noise_of_log(np.exp(log), noise)).astype(np.float32)
     appearance, covariance, level = appearance_in_light(model, log, usable, noise)
     modes, _ = light_on_frame(model)
     lit = np.tensordot(appearance.light.astype(np.float32), modes, axes=1) + level

@@ -87,7 +87,7 @@ def _look(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> tuple[
     points = warp.interpolate(entry.points)
     outside, exposure = describe_outside(entry.points, image.shape, points), ""
     x, y = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
-    dark, clipped = exposure_faults(image[y, x])
+    dark, clipped = exposure_faults(image[y, x], response)
     usable = max(0.0, 1.0 - dark - clipped)
     if usable < LEAST_USABLE:
         what = f"almost completely {'black' if dark >= clipped else 'saturated'}"
