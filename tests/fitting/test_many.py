@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from dataclasses import fields
 from itertools import count, islice
 from pathlib import Path
@@ -285,7 +286,15 @@ def test_blas_and_opencv_are_held_to_one_thread_and_let_go(model, lit_scene, mon
     assert limits() == before
 
 
-def test_the_last_to_let_go_restores_the_threads():
+@pytest.fixture
+def own_threads() -> Iterator[None]:
+    """Let a test set OpenCV's threads, which are those of all later tests, too."""
+    before = cv2.getNumThreads()
+    yield
+    cv2.setNumThreads(before)
+
+
+def test_the_last_to_let_go_restores_the_threads(own_threads):
     cv2.setNumThreads(3)
     before = limits()
     first, second, third = one_thread(), one_blas_thread(), one_thread()
