@@ -1,12 +1,15 @@
 """Fixtures shared by all tests: seeds from test names, a simulated world with known truth, and real data."""
 
-import fcntl
 import hashlib
 import os
-import pickle
+import random
+import sqlite3
 import sys
 import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
@@ -39,6 +42,7 @@ from scenes import (
     random_pose,
     render,
 )
+from scenes.chart import CONTOURS
 from setups import MOVING_FRAMES, between, moving_scene, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,6 +53,28 @@ SCENE_SIZE = (240, 180)
 # busy (so too_slow is no fault in tests either). The fuzzer tries thousands more.
 settings.register_profile("liaam", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("liaam")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--shuffle", type=int, metavar="SEED", help="run the files, and the tests of each, in random order"
+    )
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Shuffle files, and the tests of each; the same in all processes, which have to agree on the order."""
+    seed = config.getoption("shuffle")
+    if seed is None:
+        return
+    tests_of = defaultdict(list)
+    for item in items:
+        tests_of[item.path].append(item)
+    order, shuffled = random.Random(seed), list(tests_of.values())
+    order.shuffle(shuffled)
+    for tests in shuffled:
+        order.shuffle(tests)
+    items[:] = [item for tests in shuffled for item in tests]
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -81,17 +107,46 @@ def shared_folder(tmp_path_factory) -> Path:
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
 
+@contextmanager
+def one_at_a_time(path: Path) -> Iterator[None]:
+    """Let one process at a time work on a file, on every system.
+
+    A database holds the lock, because the system lets go of it when its process is killed, which a lock made of a file
+    would not survive. Nothing is written to it.
+    """
+    with closing(sqlite3.connect(path.with_name(f"{path.name}.lock"), timeout=600, isolation_level=None)) as lock:
+        lock.execute("BEGIN EXCLUSIVE")
+        yield
+
+
+def save_scene(path: Path, scene: Scene) -> None:
+    """Write a scene as one record, without its contours, which all scenes share; the file is whole when it is there."""
+    values = {f.name: np.asarray(getattr(scene, f.name)) for f in fields(scene) if f.name != "contours"}
+    record = np.zeros((), [(name, value.dtype, value.shape) for name, value in values.items()])
+    for name, value in values.items():
+        record[name] = value
+    new = path.with_suffix(".half.npy")
+    np.save(new, record, allow_pickle=False)
+    new.replace(path)
+
+
+def load_scene(path: Path) -> Scene:
+    record = np.load(path, allow_pickle=False)
+    values = {name: record[name].copy() for name in record.dtype.names if name != "theta"}
+    return Scene(**values, theta=float(record["theta"]), contours=CONTOURS)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def rendered_once(shared_folder) -> Iterator[None]:
     """Render each picture of a set, a clip or a person once for all tests and workers: many are of the same head."""
 
     def once(*arguments, **options) -> Scene:
-        path = shared_folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.scene"
+        path = shared_folder / f"{hashlib.sha256(repr((arguments, options)).encode()).hexdigest()}.npy"
         if not path.exists():
-            new = path.with_suffix(f".{os.getpid()}")
-            new.write_bytes(pickle.dumps(render(*arguments, **options)))
-            new.rename(path)
-        return pickle.loads(path.read_bytes())
+            with one_at_a_time(path):
+                if not path.exists():
+                    save_scene(path, render(*arguments, **options))
+        return load_scene(path)
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (sys.modules["scenes.render"], setups):
@@ -159,8 +214,7 @@ def trained_once(shared_folder) -> Callable[[str, Callable[[], AAM]], AAM]:
 
     def model_of(name: str, make: Callable[[], AAM]) -> AAM:
         path = shared_folder / f"{name}.liaam"
-        with open(path.with_suffix(".lock"), "w") as lock:  # noqa: PTH123 (held while training)
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with one_at_a_time(path):
             if not path.exists():
                 make().save(path)
         return load_model(path)

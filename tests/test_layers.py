@@ -77,7 +77,7 @@ UNITS = sorted(module for module in FILES if module != "liaam")
 
 
 def test_the_map_for_contributors_is_this_one():
-    text = (SOURCE.parents[1] / "CONTRIBUTING.md").read_text()
+    text = (SOURCE.parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
     assert "```\n" + "\n".join(map(", ".join, LAYERS)) + "\n```" in text
 
 

@@ -5,7 +5,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import count, islice
 
 import pytest
@@ -28,7 +28,8 @@ def trace(frame, event, argument):
         return None
     if sys.argv[1] in frame.f_locals and not reached.is_set():
         reached.set()
-        time.sleep(0.5)
+        seen.wait(60)
+        time.sleep(0.5)  # while the other thread starts the process, were it not to wait
     return trace
 
 def import_opencv():
@@ -36,10 +37,11 @@ def import_opencv():
     import cv2
 
 if __name__ == "__main__":
-    reached = threading.Event()
+    reached, seen = threading.Event(), threading.Event()
     threading.Thread(target=import_opencv).start()
-    assert reached.wait(20)
+    assert reached.wait(60)
     assert any(entry.endswith("cv2") for entry in sys.path)
+    seen.set()
     process = fresh_interpreters().Process(target=print, args=("alive",))
     process.start()
     process.join()
@@ -64,29 +66,35 @@ def test_no_more_is_taken_than_there_is_room_for():
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals of POSIX")
-def test_an_interrupt_waits_for_the_work_at_hand_and_leaves_the_rest():
+def test_an_interrupt_waits_for_the_work_at_hand_and_leaves_the_rest(monkeypatch):
     """What the work writes to is closed after it: nothing may be under way then."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
-    under_way, sent, ended, main = threading.Event(), threading.Event(), [], threading.main_thread().ident or 0
+    under_way, dropped, ended, main = threading.Event(), threading.Event(), [], threading.main_thread().ident or 0
+    close = ThreadPoolExecutor.shutdown
 
     def work(number):
         under_way.set()
-        sent.wait(60)
-        time.sleep(0.3)
-        ended.append((number, threading.get_ident()))
+        dropped.wait(60)
+        time.sleep(0.1)  # long enough for somebody who does not wait for it
+        ended.append((number, threading.current_thread()))
 
     def interrupt():
         under_way.wait(60)
-        time.sleep(0.1)  # a signal that comes just before somebody waits is heard after
         signal.pthread_kill(main, signal.SIGINT)
-        sent.set()
 
+    def shutdown(pool, wait=True, *, cancel_futures=False):
+        """First what is not begun is dropped, if it is, and only then the work at hand goes on."""
+        close(pool, False, cancel_futures=cancel_futures)
+        dropped.set()
+        close(pool, wait)
+
+    monkeypatch.setattr(ThreadPoolExecutor, "shutdown", shutdown)
     threading.Thread(target=interrupt).start()
     try:
         with pytest.raises(KeyboardInterrupt):
             list(in_order(work, range(3), 1))
     finally:
         signal.signal(signal.SIGINT, before)
-    assert [number for number, _ in ended] == [0] and ended[0][1] != main
-    time.sleep(0.7)
-    assert len(ended) == 1
+    ((number, thread),) = ended
+    assert number == 0
+    assert thread.ident != main and not thread.is_alive()  # so that nothing more can come

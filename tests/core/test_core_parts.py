@@ -36,7 +36,7 @@ def symmetric(rng: np.random.Generator, eigenvalues: np.ndarray) -> np.ndarray:
 
 
 def test_thresholds_are_the_same():
-    header = (ROOT / "src/core/thresholds.hpp").read_text()
+    header = (ROOT / "src/core/thresholds.hpp").read_text(encoding="utf-8")
     found = dict(re.findall(r"constexpr \w+ k(\w+) = ([^;]+);", header))
     names = {re.sub(r"(?<!^)(?=[A-Z])", "_", name).upper(): eval(value) for name, value in found.items()}
     assert names == THRESHOLDS

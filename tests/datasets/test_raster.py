@@ -85,7 +85,10 @@ def test_no_pixel_between_triangles_is_missed(rng):
 
 def test_points_are_mapped_as_by_a_product(rng):
     points, frame = rng.normal(size=(9, 3)), rng.normal(size=(3, 4))
-    np.testing.assert_allclose(transform(points, frame), points @ frame[:, :3].T + frame[:, 3], atol=1e-14)
+    # Sums of four numbers, in another order: three roundings of products and three of sums, on either side.
+    rounding = 12 * np.finfo(float).eps * (np.abs(points) @ np.abs(frame[:, :3]).T + np.abs(frame[:, 3])).max()
+    expected = points @ frame[:, :3].T + frame[:, 3]
+    np.testing.assert_allclose(transform(points, frame), expected, rtol=0, atol=rounding)
 
 
 def test_light_is_interpolated_between_four_comparisons():

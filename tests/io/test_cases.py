@@ -218,7 +218,7 @@ def test_heic_names_the_extra(cases: Path) -> None:
 
 
 def test_the_documentation_lists_the_formats() -> None:
-    text = (Path(__file__).parents[2] / "docs/reference/formats.md").read_text()
+    text = (Path(__file__).parents[2] / "docs/reference/formats.md").read_text(encoding="utf-8")
     table = text.partition("<!-- formats")[2].partition("<!-- end of formats")[0].splitlines()
     assert [line for line in table if line.startswith("| ")][1:] == [row_of(form) for form in FORMATS]
 

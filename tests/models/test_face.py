@@ -182,7 +182,7 @@ def test_what_makes_it_agrees_with_it(face):
 
 
 def test_its_data_and_terms_are_told(face):
-    text = (ROOT / "LICENSE-DATA").read_text()
+    text = (ROOT / "LICENSE-DATA").read_text(encoding="utf-8")
     for doi in ("5047666.v5", "4220517.v1", "4055130.v1"):
         assert doi in text and doi in face.credit
     assert len(list((ROOT / "src/liaam/datasets/pictures/face").glob("*.jpg"))) <= 12

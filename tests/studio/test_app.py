@@ -473,7 +473,7 @@ def test_other_machines_are_let_in_with_a_warning_only(tmp_path, monkeypatch):
     serving._welcome(settings, True, said.append)
     assert said[0].startswith("warning: other machines can reach")
     assert said[1] == "liaam studio: http://192.168.1.5:9000/?token=T"
-    assert opened.wait(10)
+    assert opened.wait(60)
     assert serve_until_interrupted.__defaults__[1] == "127.0.0.1"
 
 

@@ -221,7 +221,7 @@ class TestFit:
 
         fits._recent = Slow(maxlen=2)
         fits.forget_former(ModelInUse(head_model, 1, {}))
-        threads[0].join(5)
+        threads[0].join(60)
         assert [model.number for model in fits._recent] == [1, 2]
 
     def test_large_pictures_wait_for_each_other(self, folder, head_model):

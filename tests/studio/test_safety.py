@@ -1,6 +1,7 @@
 """Bar of the studio: what comes from elsewhere, or is malformed, is refused; the server stays up; nothing leaks out."""
 
 import json
+import select
 import socket
 import struct
 import time
@@ -42,7 +43,7 @@ def home(tmp_path):
 
 @pytest.fixture
 def running(home, serve):
-    return serve(home, json_bytes=20_000, upload_bytes=200_000, pixels=1_000_000, drain_seconds=2.0)
+    return serve(home, json_bytes=20_000, upload_bytes=200_000, pixels=1_000_000, drain_seconds=60.0)
 
 
 def is_up(running) -> bool:
@@ -253,7 +254,8 @@ def test_large_uploads_are_refused(running):
     assert is_up(running)
 
 
-def test_a_length_that_is_a_lie_keeps_nobody_waiting(running):
+def test_a_length_that_is_a_lie_keeps_nobody_waiting(home, serve):
+    running = serve(home, drain_seconds=0.2)
     lie = request(running, "/api/template", "PUT", "Content-Type: application/json")
     answer = raw(running, lie.replace(b"Content-Length: 0", b"Content-Length: 99999999999999999999999999") + b"{}")
     assert status_of(answer) in (400, 413)
@@ -369,18 +371,17 @@ def test_half_a_header_is_not_waited_for_for_ever(home, serve, sent):
 
 
 def test_half_a_second_request_is_not_waited_for_for_ever(home, serve):
-    running = serve(home, header_seconds=0.3)
+    running = serve(home, header_seconds=1.0)  # long enough for the first on a busy machine
     first = request(running, "/api/project").replace(b"Connection: close\r\n", b"")
     assert ends(running, first + b"GET / HT").count(b"HTTP/1.1 200") == 1
 
 
 def test_drips_do_not_make_a_header_last(home, serve):
-    running, dripped = serve(home, header_seconds=0.3), 0
+    running = serve(home, header_seconds=0.3)
     with socket.create_connection(("127.0.0.1", running.port), 60) as connection, pytest.raises(OSError):
-        for dripped in range(600):  # noqa: B007
+        for _ in range(1200):  # for a minute
             connection.sendall(b"X")
             time.sleep(0.05)
-    assert dripped < 400
 
 
 @pytest.mark.parametrize("target", ["/api/uploads?name=x.png", "/api/fits"])
@@ -392,35 +393,46 @@ def test_half_a_body_is_not_waited_for_for_ever(home, serve, target):
 
 
 def test_a_body_that_nobody_reads_is_not_waited_for_for_ever(home, serve):
-    running = serve(home, header_seconds=0.3)
+    running = serve(home, header_seconds=1.0)
     lines = request(running, "/api/project").replace(b"Connection: close\r\n", b"")
     assert status_of(ends(running, lines.replace(b"Content-Length: 0", b"Content-Length: 50") + b"x")) == 200
 
 
-def test_requests_that_stay_half_sent_keep_nobody_waiting(home, serve):
-    running = serve(home, header_seconds=3.0, body_seconds=3.0, drain_seconds=0.2)
+def half_sent(running) -> list[socket.socket]:
+    """Connections that send the first lines of a request, or of an upload, or most of one; a third of them each."""
     half = (b"GET / HTTP/1.1\r\n", upload_line(running, 100_000) + b"x", upload_line(running, 70_000) + b"x" * 60_000)
     connections = [socket.create_connection(("127.0.0.1", running.port), 60) for _ in range(120)]
     for i, connection in enumerate(connections):
         connection.sendall(half[i % 3])
-    begun = time.monotonic()
+    return connections
+
+
+def test_requests_that_stay_half_sent_keep_nobody_waiting(home, serve):
+    running = serve(home, header_seconds=600.0, body_seconds=600.0, drain_seconds=0.2)
+    connections = half_sent(running)
     assert is_up(running)
-    assert time.monotonic() - begun < 3.0
+    assert not select.select(connections[::3], [], [], 0)[0]  # while they are still waited for
     for connection in connections:
+        connection.close()
+    wait_until(lambda: upload(running).status_code == 201)
+
+
+def test_requests_that_stay_half_sent_are_hung_up_on(home, serve):
+    running = serve(home, header_seconds=1.0, body_seconds=1.0, drain_seconds=0.2)
+    for connection in half_sent(running):
         connection.settimeout(60)
         while connection.recv(65536):
             pass
         connection.close()
-    time.sleep(1.0)  # the client's own idle connection ends at the same time, and must not be used while it does
     assert upload(running).status_code == 201
 
 
 def test_an_event_stream_lasts(home, serve):
-    running = serve(home, header_seconds=0.2, body_seconds=0.2, heartbeat_seconds=0.1)
+    running = serve(home, header_seconds=0.5, body_seconds=0.5, heartbeat_seconds=0.1)
     with running.client.stream("GET", "/api/events") as stream:
-        lines, begun = stream.iter_lines(), time.monotonic()
-        while time.monotonic() - begun < 0.8:
-            next(lines)
+        beats = (line for line in stream.iter_lines() if line.startswith(":"))
+        for _ in range(10):  # for twice as long as a header or a body is waited for
+            next(beats)
 
 
 # Nonsense

@@ -123,7 +123,14 @@ class Guard:
         is_upload = scope["path"].endswith((UPLOADS, GUEST, FILES, RECORDINGS))  # of any set of landmarks
         limit = self.settings.upload_bytes if is_upload else self.settings.json_bytes
         too_large = Refusal(413, f"the request is larger than {limit:,} bytes: send less")
-        declared, parts = headers.get("content-length", ""), []
+        declared, parts, is_whole = headers.get("content-length", ""), [], False
+
+        async def next_part() -> Message:
+            nonlocal is_whole
+            message = await receive()
+            is_whole = not message.get("more_body", False)
+            return message
+
         with ExitStack() as stack:
             try:
                 if declared.isdecimal() and int(declared[:20]) > limit:
@@ -132,7 +139,7 @@ class Guard:
                 # Nobody waits for the body of a request that needs none.
                 if scope["method"] not in ("GET", "HEAD"):
                     with anyio.fail_after(self.settings.body_seconds):
-                        async for part in Request(scope, receive).stream():
+                        async for part in Request(scope, next_part).stream():
                             limit -= len(part)
                             if limit < 0:
                                 raise too_large
@@ -147,12 +154,8 @@ class Guard:
                 return
             except Refusal as refusal:
                 stack.close()
-                left = self.settings.upload_bytes  # a client that is cut off would not read the answer
-                with anyio.move_on_after(self.settings.drain_seconds), suppress(ClientDisconnect):
-                    async for part in Request(scope, receive).stream():
-                        left -= len(part)
-                        if left <= 0:
-                            break
+                if not is_whole:  # a client that is cut off would not read the answer
+                    await self._drain(scope, receive)
                 await _answer_of(refusal, close=True)(scope, receive, send)
                 return
             messages = iter([{"type": "http.request", "body": b"".join(parts)}])
@@ -161,6 +164,15 @@ class Guard:
                 return next(messages, None) or await receive()
 
             await self.app(scope, again, send)
+
+    async def _drain(self, scope: Scope, receive: Receive) -> None:
+        """Read and discard the rest of a body, as much as an upload may have, and only for a while."""
+        left = self.settings.upload_bytes
+        with anyio.move_on_after(self.settings.drain_seconds), suppress(ClientDisconnect):
+            async for part in Request(scope, receive).stream():
+                left -= len(part)
+                if left <= 0:
+                    break
 
 
 RETRY_AFTER = 2  # seconds until a client should retry a request to a busy studio
