@@ -68,7 +68,8 @@ class FilterLearner:
         most = np.array(values.shape[::-1])
         left, top = np.clip(np.floor(ends.min(axis=0)) - 2, 0, most - 1).astype(int)
         right, bottom = np.clip(np.ceil(ends.max(axis=0)) + 3, 1, most).astype(int)
-        values, affine = values[top:bottom, left:right], affine - np.array([[0, 0, left], [0, 0, top]])
+        if most.max() >= 32_767:
+            values, affine = values[top:bottom, left:right], affine - np.array([[0, 0, left], [0, 0, top]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         seen = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         field = soft_directions(seen, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
