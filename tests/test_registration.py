@@ -13,7 +13,7 @@ from liaam.io import read_image
 from liaam.model.shape import align
 from liaam.model.warp import apply_homography
 from liaam.photometry import THETA_DEFAULT
-from liaam.registration import OPTIONS, _levels, register
+from liaam.registration import OPTIONS, _levels, register, warp_picture
 from scenes import Camera, narrow_band_camera, photograph, poster, uneven_light
 
 SIZE = (160, 200)
@@ -293,3 +293,23 @@ def test_small_pictures_are_aligned_or_refused(size):
     if found.status.ok:
         np.testing.assert_allclose(found.homography[:2, 2], [1, 0], atol=0.1)
     assert found.status.ok == (min(size) > 8)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_pictures_longer_than_opencv_can_warp_are_warped_by_parts(rng, axis):
+    """What lies far beyond the end of a picture makes no difference, and a horizon in it is no error."""
+    homography = np.array([[1.2, 0.01, -3.0], [0.02, 0.9, 4.0], [1e-5, 2e-6, 1.0]])
+    picture, size = rng.integers(0, 256, (30, 33_000, 3), dtype=np.uint8), (40, 31_000)
+    swap = np.eye(3)[[1, 0, 2]] if axis == 0 else np.eye(3)
+
+    def warped(part, to_part, wanted):
+        if axis:
+            return warp_picture(part, to_part, wanted)
+        turned = warp_picture(np.ascontiguousarray(part.swapaxes(0, 1)), swap @ to_part @ swap, wanted[::-1])
+        return turned.swapaxes(0, 1)
+
+    whole, cut = (warped(each, homography, size)[:, :20_000] for each in (picture, picture[:, :32_000]))
+    assert np.abs(whole.astype(int) - cut).max() <= 8  # positions are rounded to 1/32 pixel
+    assert whole.any()
+    with_horizon = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1 / 20_000, 0.0, -1.0]])
+    assert warped(picture, with_horizon, (40, 40_000)).shape == (40, 40_000, 3)

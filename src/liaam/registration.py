@@ -56,6 +56,8 @@ LEAST_CORRELATION = 0.2
 # Scoring corrects an interpolation bias. Samples between pixels are smoother, which moves minima of the cost towards
 # the middle between pixels, by up to 0.4 pixels if noise or one image's texture dominates (measured on real objects).
 OPTIONS = SolverOptions(max_iterations=60, scoring=20)
+LARGEST_SIDE = 32_766  # Of pictures that OpenCV warps; longer ones are warped by parts
+LEAST_SIDE = 8  # Of parts: smaller ones that still see too much of a picture are at its horizon, and remain black
 # Message of each status: what happened, and what to do
 MESSAGES = {
     FitStatus.CONVERGED: "The registration converged.",
@@ -140,12 +142,9 @@ class Registration:
         mask : (h', w') bool
             True inside the second image.
         """
-        height, width = self.size
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        picture = cv2.warpPerspective(second, self.homography, (width, height), flags=flags)
         covered = np.ones(second.shape[:2], np.float32)
-        mask = cv2.warpPerspective(covered, self.homography, (width, height), flags=flags) > 0.999
-        return picture, np.asarray(mask)
+        mask = warp_picture(covered, self.homography, self.size) > 0.999
+        return warp_picture(second, self.homography, self.size), np.asarray(mask)
 
 
 def register(
@@ -230,6 +229,55 @@ def register(
         raise ImageError("the start maps a corner of the first image behind the image plane; give another start")
     stages = solve_levels(levels, Target(LinearImage(b, response), handles), options)
     return _judged(stages, handles, to_a, size, b.shape[:2])
+
+
+def warp_picture(picture: np.ndarray, homography: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Sample a picture (h, w, ...) where a homography maps the pixels of an image of a size (height, width).
+
+    The result has the picture's type, and is 0 beyond its border.
+    """
+    height, width = size
+    if max(height, width, *picture.shape[:2]) <= LARGEST_SIDE:
+        return cv2.warpPerspective(picture, homography, (width, height), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    found = np.zeros((height, width, *picture.shape[2:]), picture.dtype)
+    _warp_parts(picture, homography, found)
+    return found
+
+
+def _warp_parts(picture: np.ndarray, homography: np.ndarray, found: np.ndarray) -> None:
+    """Fill ``found`` part by part, each from a part of the picture, so that no side is too long for OpenCV."""
+    height, width = found.shape[:2]
+    box = _seen_box(homography, (height, width), picture.shape[:2])
+    if box is not None and max(height, width, *(each.stop - each.start for each in box)) <= LARGEST_SIDE:
+        part = picture[box]
+        if part.size:
+            shift = np.array([[1.0, 0.0, -box[1].start], [0.0, 1.0, -box[0].start], [0.0, 0.0, 1.0]])
+            found[:] = warp_picture(part, shift @ homography, (height, width)).reshape(found.shape)
+        return
+    if max(height, width) <= LEAST_SIDE:
+        return
+    middle = max(height, width) // 2
+    down = height >= width
+    first, second = (found[:middle], found[middle:]) if down else (found[:, :middle], found[:, middle:])
+    there = np.eye(3)
+    there[int(down), 2] = middle
+    _warp_parts(picture, homography, first)
+    _warp_parts(picture, homography @ there, second)
+
+
+def _seen_box(homography: np.ndarray, size: tuple[int, ...], limits: tuple[int, ...]) -> tuple[slice, slice] | None:
+    """Return the rows and columns of a picture that an image sees; None if it reaches to the horizon.
+
+    ``size`` and ``limits`` are the height and width of the image and of the picture.
+    """
+    corners = np.pad(picture_corners(size[0], size[1]), ((0, 0), (0, 1)), constant_values=1.0) @ homography.T
+    depth = corners[:, 2:]
+    if not ((depth > 0).all() or (depth < 0).all()):
+        return None
+    points, most = corners[:, :2] / depth, np.array(limits[::-1])
+    left, top = np.clip(np.floor(points.min(axis=0)) - 1, 0, most).astype(int).tolist()
+    right, bottom = np.clip(np.ceil(points.max(axis=0)) + 2, 0, most).astype(int).tolist()
+    return slice(top, bottom), slice(left, right)
 
 
 def _levels(

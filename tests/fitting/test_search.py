@@ -9,18 +9,19 @@ import pytest
 
 import liaam
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.fitting import Detection, Finder, FitStatus, Fitter, find, search
+from liaam.fitting import Detection, Finder, FitStatus, Fitter, find, responses, search
 from liaam.fitting.levels import LinearImage
 from liaam.fitting.responses import SPECTRA_KEPT, Bank
 from liaam.fitting.search import (
     DOUBTFUL,
     LARGEST,
     LEAST_PIXELS,
+    MOST_PIXELS,
     SMALLEST,
     STEP,
     search_sizes,
 )
-from liaam.fitting.templates import Field, Template
+from liaam.fitting.templates import TEMPLATE, Field, Template
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
 from liaam.workers import one_thread
@@ -122,7 +123,9 @@ def test_small_objects_are_sought_where_no_large_one_is_sure(finder, monkeypatch
     shorter, field, sizes = min(picture.shape[:2]), search.Grey.field, []
     monkeypatch.setattr(search.Grey, "field", lambda self, size, small: sizes.append(size) or field(self, size, small))
     (found,) = finder.find(picture)
-    assert sorted(sizes) == [size for size in search.search_sizes(shorter) if small_are_sought or size >= 0.3 * shorter]
+    assert sorted(sizes) == [
+        size for size in search.search_sizes(picture.shape[:2], TEMPLATE) if small_are_sought or size >= 0.3 * shorter
+    ]
     monkeypatch.setattr(search, "LARGE", 0.0)
     (of_all,) = finder.find(picture)
     np.testing.assert_array_equal(found.landmarks, of_all.landmarks)
@@ -382,11 +385,83 @@ def without_orientations(model: AAM) -> AAM:
 
 
 def test_sizes_cover_the_range():
-    sizes = search_sizes(480)
+    sizes = search_sizes((480, 640), TEMPLATE)
     assert sizes[0] == pytest.approx(SMALLEST * 480)
     assert LARGEST * 480 / STEP < sizes[-1] <= LARGEST * 480 * 1.001
-    assert search_sizes(40)[0] == LEAST_PIXELS
-    np.testing.assert_allclose(search_sizes(8), [8 * LARGEST])
+    assert search_sizes((40, 40), TEMPLATE)[0] == LEAST_PIXELS
+    np.testing.assert_allclose(search_sizes((8, 8), TEMPLATE), [8 * LARGEST])
+
+
+# Images that are many times as long as high.
+
+
+def field_pixels(size, sizes) -> float:
+    """Pixels of all fields, without what surrounds them."""
+    return sum(np.prod(np.maximum(np.array(size) * TEMPLATE / each, 8)) for each in sizes)
+
+
+@pytest.mark.parametrize("ratio", [1, 3, 10, 18])
+@pytest.mark.parametrize("shorter", [16, 100, 300, 3000])
+def test_panoramas_are_searched_at_the_sizes_of_a_square(shorter, ratio):
+    np.testing.assert_array_equal(
+        search_sizes((shorter, ratio * shorter), TEMPLATE), search_sizes((shorter, shorter), TEMPLATE)
+    )
+
+
+@pytest.mark.parametrize("size", [(8, 200_000), (64, 40_000), (200_000, 8), (100, 5_000_000), (8, 60_000_000)])
+def test_the_fields_of_a_strip_are_bounded(size):
+    """In a longer strip fewer sizes are searched, of which the largest objects are the last to be left out."""
+    sizes = search_sizes(size, TEMPLATE)
+    assert len(sizes) >= 1
+    assert field_pixels(size, sizes) <= MOST_PIXELS
+    assert sizes[-1] > LARGEST * min(size) / STEP
+
+
+@pytest.mark.parametrize("size", [(9, 900), (900, 9)])
+def test_long_fields_are_compared_by_tiles(rng, monkeypatch, size):
+    """Tiles are as large as the memory for spectra, and what they find is the same as without them."""
+    parts = [random_field(rng, 5, 7), random_field(rng, 7, 4), random_field(rng, 6, 6)]
+    templates, field = (
+        [Template(part, np.zeros(2), 0.0, np.zeros(4)) for part in parts],
+        Field(random_field(rng, *size), np.ones(2)),
+    )
+    whole = Bank(templates, pad=3).peaks(field, 0, count=50, worth=0.0)
+    transformed, spectra = [], responses.spectra
+    monkeypatch.setattr(responses, "SPECTRA_KEPT", 1000)
+    monkeypatch.setattr(responses, "spectra", lambda *about: transformed.append(about[2]) or spectra(*about))
+    tiled = Bank(templates, pad=3).peaks(field, 0, count=50, worth=0.0)
+    assert max(height * width for height, width in transformed) < 1200
+    assert sum(height * width for height, width in transformed) < 1.5 * (9 + 6) * (900 + 6)
+    np.testing.assert_array_equal(tiled.templates, whole.templates)
+    np.testing.assert_allclose(tiled.responses, whole.responses, atol=1e-6)
+    np.testing.assert_allclose(tiled.centres, whole.centres, atol=1e-9)
+
+
+@pytest.mark.parametrize("across", [True, False])
+def test_fields_are_sampled_beyond_the_sides_that_opencv_can_take(rng, across):
+    values = random_field(rng, 12, 40_000)
+    points = rng.uniform((39_000, 2), (39_900, 9), (50, 2))
+    expected = Field(values[:, 38_900:], np.ones(2)).strength(points - (38_900, 0))
+    field, at = (Field(values, np.ones(2)), points) if across else (Field(values.T, np.ones(2)), points[:, ::-1])
+    np.testing.assert_allclose(field.strength(at), expected, atol=0.05)
+    np.testing.assert_array_equal(field.strength(at + 50_000), 0.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_an_object_is_found_in_a_long_strip(finder, axis):
+    """In one with a field that is longer than OpenCV can sample, near its far end, on a ground that grows brighter."""
+    scene, size, part = photograph(Pose(), size=(240, 200)), 0.35, np.s_[16:72, 7:63]
+    reduced = cv2.resize(np.float32(np.clip(scene.image, 0, 1)), None, fx=size, fy=size, interpolation=cv2.INTER_AREA)
+    picture, points = reduced[part], size * (scene.landmarks + 0.5) - 0.5 - (part[1].start, part[0].start)
+    side, length, first = len(picture), 60_000, 58_000
+    ground = np.linspace(0.0, 1.0, length, dtype=np.float32)
+    strip = np.tile(ground[None, :, None] if axis else ground[:, None, None], (side, 1, 3) if axis else (1, side, 3))
+    strip[np.s_[:, first : first + side] if axis else np.s_[first : first + side]] = picture
+    truth = points + first * np.eye(2)[1 - axis]
+    assert diagonal_of(truth) < 0.95 * side
+    (best,) = finder.find(strip)
+    assert error(best, truth) < 0.1
+    assert not best.doubtful
 
 
 # Objects that lie in any way.

@@ -10,6 +10,7 @@ from liaam.errors import CameraError
 from liaam.photometry.camera import squared_radius
 from liaam.photometry.encoding import DARK, SATURATED, as_colour, is_grey, stored_values
 from liaam.photometry.noise import noise_deviation
+from liaam.registration import warp_picture
 
 BLOCK = 8  # Side of the blocks that are averaged, pixels; up to twice as large in large images
 MOST_BLOCKS = 4000  # Largest number of blocks
@@ -98,7 +99,7 @@ def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int
 
     def block_mean(values: np.ndarray) -> np.ndarray:
         if is_moved:
-            values = cv2.warpPerspective(values, to_first, (width, height), flags=cv2.INTER_LINEAR)
+            values = warp_picture(values, cv2.invert(to_first)[1], size)
         cut = values[: rows * edge, : columns * edge]
         mean = cv2.resize(cut, (columns, rows), interpolation=cv2.INTER_AREA)
         return mean.reshape(rows, columns, -1).astype(np.float64)

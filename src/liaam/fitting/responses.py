@@ -8,7 +8,8 @@ import numpy as np
 from liaam import _core
 from liaam.fitting.templates import Field, Template, spectra
 
-# Number of field pixels for which spectra are cached, about 100 bytes each: enough for one size, except panoramas.
+# Number of field pixels for which spectra are cached, about 100 bytes each. Larger fields, of panoramas and strips, are
+# cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.
 SPECTRA_KEPT = 600_000
 SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
 LEAST_RESPONSE = 1e-3  # of a place
@@ -70,21 +71,55 @@ class Bank:
         """
         import cv2  # heavy: imported when first needed
 
-        fast = int(cv2.getOptimalDFTSize(int(size[0]))), int(cv2.getOptimalDFTSize(int(size[1])))
-        seen = spectra(np.array([field.values, field.values.conj()]), fast, self.pad)
+        fast, tiles = self._tiles(size)
+        seen = [spectra(*self._cut(field.values, tile), fast) for tile in tiles]
         product = np.empty((*fast, 2), np.float32)
+        joined = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
         for expected in self._spectra_of(fast):
-            _core.correlate(seen, expected, product)
-            cv2.idft(product, product)
-            yield product[..., 0]
-            yield product[..., 1]
+            for tile, own in zip(tiles, seen, strict=True):
+                _core.correlate(own, expected, product)
+                cv2.idft(product, product)
+                if joined is not product:
+                    part = joined[tile]  # the next tile overwrites what this one cannot know
+                    part[:] = product[: part.shape[0], : part.shape[1]]
+            yield joined[..., 0]
+            yield joined[..., 1]
+
+    def _tiles(self, size: np.ndarray) -> tuple[tuple[int, int], list[tuple[slice, slice]]]:
+        """Cut a padded field of a size along its longer side; return the size of transforms, and the tiles.
+
+        Tiles overlap, so that each template lies in one of them wherever it is.
+        """
+        import cv2  # heavy: imported when first needed
+
+        axis, most = int(size[1] >= size[0]), self.shapes.max(axis=0)
+        longest = max(SPECTRA_KEPT // int(size[1 - axis]), 4 * int(most[axis]))
+        own = size.copy()
+        own[axis] = min(size[axis], longest)
+        fast = int(cv2.getOptimalDFTSize(int(own[0]))), int(cv2.getOptimalDFTSize(int(own[1])))
+        if size[axis] <= longest:
+            return fast, [(slice(0, int(size[0])), slice(0, int(size[1])))]
+        step, last = fast[axis] + 1 - int(most[axis]), int(size[axis] - self.shapes[:, axis].min())
+        tiles = []
+        for first in range(0, last + 1, step):
+            along, across = slice(first, min(first + fast[axis], int(size[axis]))), slice(0, int(size[1 - axis]))
+            tiles.append((across, along) if axis else (along, across))
+        return fast, tiles
+
+    def _cut(self, values: np.ndarray, tile: tuple[slice, slice]) -> tuple[np.ndarray, tuple[int, int]]:
+        """Return a tile's part of a field and its conjugate, (2, h, w), and its first row and column in the tile."""
+        rows, columns = (slice(max(each.start - self.pad, 0), max(each.stop - self.pad, 0)) for each in tile)
+        first = max(self.pad - tile[0].start, 0), max(self.pad - tile[1].start, 0)
+        part = values[rows, columns]
+        return np.array([part, part.conj()]), first
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
         """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
         known = self._spectra.get(size)
         if known is not None:
             return known
-        made = [spectra(pair / float(np.prod(size)), size) for pair in self.pairs]  # OpenCV's inverse is not normalised
+        n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
+        made = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
         kept = [*self._spectra, size]  # a copy: other threads may search at the same time
         while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
             self._spectra.pop(kept.pop(0), None)

@@ -18,7 +18,7 @@ from liaam.fitting.objective import THINNING, make_objectives
 from liaam.fitting.picture import described, load_picture
 from liaam.fitting.responses import Bank, Peaks, strongest
 from liaam.fitting.solver import SolverOptions
-from liaam.fitting.templates import TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
+from liaam.fitting.templates import TEMPLATE, TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.model.shape import Similarity, align, diagonal_of, rotation
@@ -30,6 +30,9 @@ SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image'
 LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
 STEP = 1.2  # ratio of consecutive sizes
 PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
+# Pixels of all fields of a search together, with their padding. Images of up to 30 to 1 need fewer. In longer ones the
+# smallest objects, which take most of the time, are not searched for: below 0.3 of the shorter side at 100 to 1.
+MOST_PIXELS = 8_000_000
 SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
 VISITED = 0.25  # margin around a place that its fit may use, as a fraction of the object's diagonal
 GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged
@@ -195,7 +198,7 @@ class _Search:
 
     def __init__(self, finder: Finder, linear: LinearImage, count: int, bank: Bank) -> None:
         self.finder, self.linear, self.image, self.count, self.bank = finder, linear, linear.image, count, bank
-        self.sizes = search_sizes(min(self.image.shape[:2]))
+        self.sizes = search_sizes(self.image.shape[:2], finder.small.diagonal)
         self.grey = Grey.of(self.image, linear.response, self.sizes[0] / finder.small.diagonal)
         self.fields: list[Field] = []
         self.found: list[Peaks] = []
@@ -327,9 +330,25 @@ def find(
     return Finder(named_model(model)).find(image, limit=limit, least=least, response=response)
 
 
-def search_sizes(shorter_side: int) -> np.ndarray:
-    """Return the diagonals of objects to search for in an image, pixels, in ratios of ``STEP``."""
-    low, high = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
+def search_sizes(size: tuple[int, ...], diagonal: float) -> np.ndarray:
+    """Return the diagonals of objects to search for in an image (height, width), pixels, in ratios of ``STEP``.
+
+    ``diagonal`` is that of templates, to which fields are scaled. Fields of all sizes have :data:`MOST_PIXELS` at most.
+    Long images are therefore searched for fewer small objects, and extremely long ones for a single larger size.
+    """
+    low, high = max(SMALLEST * min(size), LEAST_PIXELS), LARGEST * min(size)
+    while _field_pixels(size, diagonal / high) > MOST_PIXELS:
+        high *= STEP
     if low >= high:
         return np.array([high])
-    return low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
+    sizes = low * STEP ** np.arange(int(np.log(high / low) / np.log(STEP)) + 1)
+    from_large = [_field_pixels(size, diagonal / each) for each in sizes[::-1]]
+    affordable = int((np.cumsum(from_large) <= MOST_PIXELS).sum())
+    return sizes[-affordable:] if affordable else np.array([high])
+
+
+def _field_pixels(size: tuple[int, ...], scale: float) -> float:
+    """Return the number of pixels of a field of an image (height, width), with its padding."""
+    height, width = size
+    around = 2.0 * PADDING * TEMPLATE
+    return (height * scale + around) * (width * scale + around)

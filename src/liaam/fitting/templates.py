@@ -73,8 +73,12 @@ class Field:
         """Return the weight of the orientation at image points (k, 2), (k,) float32; 0 outside."""
         import cv2  # heavy: imported when first needed
 
-        x, y = ((points + 0.5) / self.length - 0.5).astype(np.float32).T[:, :, None]
-        return cv2.remap(np.abs(self.values), x, y, cv2.INTER_LINEAR)[:, 0]
+        at, size = ((points + 0.5) / self.length - 0.5).astype(np.float32), np.array(self.values.shape[::-1])
+        # OpenCV samples no picture with a side of 32767 pixels or more, so what lies around the points is cut out.
+        left, top = np.clip(np.floor(at.min(axis=0)), 0, size - 1).astype(int)
+        right, bottom = np.clip(np.floor(at.max(axis=0)) + 2, 1, size).astype(int)
+        x, y = (at - np.array([left, top], np.float32)).T[:, :, None]
+        return cv2.remap(np.abs(self.values[top:bottom, left:right]), x, y, cv2.INTER_LINEAR)[:, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +133,16 @@ def soft_directions(grey: np.ndarray, blur: float) -> np.ndarray:
     return _core.soft_directions(grey, (1.0, 0.0, 0.0, 1.0), SOFTNESS).view(np.complex64)[..., 0]
 
 
-def spectra(fields: np.ndarray, size: tuple[int, int], pad: int = 0) -> np.ndarray:
-    """Return Fourier transforms of fields (k, h, w) padded to a size, (k, *size, 2) float32: real, imaginary part."""
+def spectra(fields: np.ndarray, first: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
+    """Return Fourier transforms of fields (k, h, w) padded to a size, (k, *size, 2) float32: real, imaginary part.
+
+    Their first pixel comes to the row and column ``first``.
+    """
     import cv2  # heavy: imported when first needed
 
-    height, width = fields.shape[1:]
+    (height, width), (top, left) = fields.shape[1:], first
     padded = np.zeros((len(fields), *size), np.complex64)
-    padded[:, pad : pad + height, pad : pad + width] = fields
+    padded[:, top : top + height, left : left + width] = fields
     parts = padded.view(np.float32).reshape(*padded.shape, 2)
     for part in parts:
         cv2.dft(part, part)

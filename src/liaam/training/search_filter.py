@@ -14,6 +14,7 @@ from liaam.fitting.templates import TEMPLATE, Grey, soft_directions
 from liaam.model import AAM
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import align, rotation
+from liaam.model.warp import picture_corners
 from liaam.photometry import Response
 
 # Largest differences in pose that are averaged: degrees, logarithm of size, and pixels of the filter. Rotations of the
@@ -62,6 +63,13 @@ class FilterLearner:
         values = cv2.GaussianBlur(grey.values, (0, 0), 0.5 * np.sqrt(left)) if left > 0.01 else grey.values
         affine = np.column_stack([matrix, offset - matrix @ (self.half + BORDER)])
         width, height = (2 * (self.half + BORDER) + 1).tolist()
+        # OpenCV samples no picture with a side of 32767 pixels or more, so what lies around the object is cut out.
+        ends = picture_corners(height, width) @ affine[:, :2].T + affine[:, 2]
+        most = np.array(values.shape[::-1])
+        left, top = np.clip(np.floor(ends.min(axis=0)) - 2, 0, most - 1).astype(int)
+        right, bottom = np.clip(np.ceil(ends.max(axis=0)) + 3, 1, most).astype(int)
+        if most.max() >= 32_767:
+            values, affine = values[top:bottom, left:right], affine - np.array([[0, 0, left], [0, 0, top]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         seen = cv2.warpAffine(values, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
         field = soft_directions(seen, self.blur)[BORDER:-BORDER, BORDER:-BORDER]
