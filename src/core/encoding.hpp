@@ -11,6 +11,8 @@ namespace liaam {
 
 constexpr std::size_t kChannels = 8;  // of an encoded pixel; the last is its weight
 
+constexpr double kWidestBlur = 1e4;   // standard deviation in pixels, above which a blur is a mistake and takes minutes
+
 enum class Encoding { value, log, orientation, soft };
 
 // Constants of the encodings, set once by liaam.photometry.encoding.
