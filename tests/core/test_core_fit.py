@@ -1,7 +1,10 @@
 """Whole fits of the core: those of the reference, the same in any thread, and interruptible."""
 
 import _thread
+import importlib
 import pickle
+import platform
+import re
 import signal
 import subprocess
 import sys
@@ -9,6 +12,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -286,3 +290,16 @@ time.sleep(0.1)
     for _ in range(2):
         ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
         assert (ran.returncode, ran.stderr) == (0, "")
+
+
+V3 = {"fma", "movbe", "f16c", "avx", "avx2", "bmi1", "bmi2", "abm"}
+"""Flags of Linux for what ``-march=x86-64-v3`` may use beyond the baseline; ``abm`` stands for LZCNT."""
+
+
+def test_the_second_set_is_chosen_where_all_of_it_runs():
+    processor = Path("/proc/cpuinfo")
+    if platform.machine() != "x86_64" or not processor.exists():
+        pytest.skip("this system does not say what its processor runs")
+    flags = set(re.findall(r"^flags\s*: (.*)$", processor.read_text(), re.MULTILINE)[0].split())
+    baseline = importlib.import_module("liaam._core_baseline")
+    assert baseline.best_instruction_set() == ("avx2" if flags >= V3 else "baseline")
