@@ -1,4 +1,4 @@
-// The encoded level: the channels in which a method compares images (DESIGN section 1, "every method is one objective").
+// The encoded level: the channels in which a method compares images (docs/explanation/theory.md, "One objective").
 #pragma once
 
 #include <array>
