@@ -43,6 +43,7 @@ from setups import MOVING_FRAMES, between, moving_scene, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
+TRAINED = os.environ.get("LIAAM_TRAINED")  # a folder that keeps trained models for another run of the tests
 SCENE_SIZE = (240, 180)
 
 # The same examples in every run, and no limit on the time of one: the first loads what it needs, and the machine may be
@@ -158,7 +159,7 @@ def trained_once(shared_folder) -> Callable[[str, Callable[[], AAM]], AAM]:
     """Train a model once for all workers: the first that needs it trains, the others wait and read its file."""
 
     def model_of(name: str, make: Callable[[], AAM]) -> AAM:
-        path = shared_folder / f"{name}.liaam"
+        path = (Path(TRAINED) if TRAINED else shared_folder) / f"{name}.liaam"
         with open(path.with_suffix(".lock"), "w") as lock:  # noqa: PTH123 (held while training)
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
