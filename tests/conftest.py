@@ -47,6 +47,7 @@ from setups import MOVING_FRAMES, between, moving_scene, train_on
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_DATA = Path(os.environ.get("LIAAM_SHARED_DATA", ROOT.parent / "shared" / "data"))
+TRAINED = os.environ.get("LIAAM_TRAINED")  # a folder that keeps trained models for another run of the tests
 SCENE_SIZE = (240, 180)
 
 # The same examples in every run, and no limit on the time of one: the first loads what it needs, and the machine may be
@@ -213,7 +214,7 @@ def trained_once(shared_folder) -> Callable[[str, Callable[[], AAM]], AAM]:
     """Train a model once for all workers: the first that needs it trains, the others wait and read its file."""
 
     def model_of(name: str, make: Callable[[], AAM]) -> AAM:
-        path = shared_folder / f"{name}.liaam"
+        path = (Path(TRAINED) if TRAINED else shared_folder) / f"{name}.liaam"
         with one_at_a_time(path):
             if not path.exists():
                 make().save(path)

@@ -1,11 +1,11 @@
-// The initial angle of the image's camera: for fixed p, theta_2 and lambda have a joint optimum (DESIGN section 1).
+// The initial angle of the image's camera: for fixed p, theta_2 and lambda have a joint optimum (docs/explanation/theory.md).
 #pragma once
 
 #include "objective.hpp"
 
 namespace liaam {
 
-// The angle theta_2 within 60 degrees of theta_1 that minimises eq 9 over theta_2 and lambda at the workspace's state;
+// The angle theta_2 within 60 degrees of theta_1 that minimises eq 10 over theta_2 and lambda at the workspace's state;
 // the state's own where no pixel is usable. The method compares the invariant.
 double best_image_angle(const Objective& objective, const LevelImage& image, Workspace& work);
 

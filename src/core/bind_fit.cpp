@@ -1,6 +1,7 @@
 // Bindings of a whole fit.
 #include "bind_level.hpp"
 
+#include <cmath>
 #include <memory>
 
 using namespace liaam;
@@ -17,11 +18,26 @@ struct Prepared {
     std::vector<nb::object> kept;
 };
 
+// Shapes whose size lies between these, in model pixels, have scales and blurs that are numbers.
+constexpr double kSmallest = 1e-3, kLargest = 1e7;
+
+void check_shapes(const Shapes& shapes) {
+    const Doubles mean = shapes.mean;
+    require(mean.size() >= 6 && mean.size() % 2 == 0, "the mean shape has at least three points (x, y)");
+    require(shapes.basis.n_columns == mean.size(), "the mean shape and its modes have different numbers of points");
+    double extent = 0.0;
+    for (std::size_t i = 0; i < mean.size(); ++i) {
+        require(std::abs(mean[i]) < kLargest, "the mean shape is not finite, or too large");
+        extent = std::max(extent, std::abs(mean[i] - mean[i % 2]));
+    }
+    require(extent > kSmallest, "the mean shape is too small");
+}
+
 std::unique_ptr<Prepared> prepare(const nb::dict& given) {
     auto prepared = std::make_unique<Prepared>();
     Fields fields(given, prepared->kept);
     const Doubles mean = fields.numbers<double>("mean");
-    prepared->encoding = static_cast<Encoding>(fields.value<int>("encoding"));
+    prepared->encoding = numbered<Encoding>(fields.value<int>("encoding"), Encoding::soft, "encoding");
     prepared->theta_1 = fields.value<double>("theta_1");
     prepared->has_invariant = fields.value<bool>("has_invariant");
     prepared->keeps_samples = fields.value<bool>("keeps_samples");
@@ -31,12 +47,18 @@ std::unique_ptr<Prepared> prepare(const nb::dict& given) {
         const nb::object objective = own["objective"];
         const auto& held = nb::cast<const HeldObjective&>(objective);
         const Shapes shapes{level.rows<double>("basis"), mean};
+        const double blur = level.value<double>("blur");
+        check_shapes(shapes);
         require(held.objective.n_p() == shapes.basis.n_rows, "a level has other shape modes");
-        require(shapes.basis.n_columns == mean.size() && mean.size() >= 6, "the shape model is damaged");
-        prepared->levels.push_back({&held.objective, level.value<double>("blur"), level.value<double>("density"), shapes});
+        require(blur >= 0.0 && blur < kWidestBlur, "the blur of a level is out of range");
+        require(!prepared->has_invariant || held.objective.k() == 1, "the invariant is one row of the metric");
+        prepared->levels.push_back({&held.objective, blur, level.value<double>("density"), shapes});
         prepared->kept.push_back(objective);
     }
     require(!prepared->levels.empty(), "there are no levels");
+    for (const LevelSpec& level : prepared->levels)
+        require(level.objective->n_p() <= prepared->levels.back().objective->n_p(),
+                "a level has more shape modes than the last");
     return prepared;
 }
 
@@ -56,15 +78,18 @@ Target target_of(const Prepared& prepared, const nb::dict& given, std::vector<nb
     target.point_precision = fields.rows<double>("point_precision");
     const Shapes& shapes = prepared.levels.back().shapes;
     require(start.size() == shapes.mean.size(), "the start has another number of landmarks");
-    require(std::all_of(start.begin(), start.end(), [](double each) { return std::abs(each) < 1e7; }),
+    require(target.margin >= 0.0 && target.margin < kLargest, "the margin is out of range");
+    require(std::all_of(start.begin(), start.end(), [](double each) { return std::abs(each) < kLargest; }),
             "the start is not finite, or far away");
     const Rows<const double>& precision = target.point_precision;
     require(points.empty() || (points.size() == start.size() && precision.n_rows >= shapes.basis.n_rows &&
                                precision.n_columns == precision.n_rows),
             "the mapped points differ in size");
-    require(target.log_noise.size() >= 2 && target.last_log > target.first_log, "the table of noise is damaged");
+    check_noise(target.log_noise, target.first_log, target.last_log);
     return target;
 }
+
+constexpr std::ptrdiff_t kMostPixels = std::ptrdiff_t{1} << 31;  // their places are counted in 32 bits
 
 std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& picture, const nb::dict& given,
                                  const nb::dict& options) {
@@ -73,12 +98,13 @@ std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& pictur
     Options own = options_of(options);
     own.keeps_samples = prepared.keeps_samples;
     require(picture.height >= 8 && picture.width >= 8, "the image is smaller than 8 by 8 pixels");
+    require(picture.height < kMostPixels / picture.width, "the image has 2^31 pixels or more; crop it to the object");
     Signals signals;
     std::vector<LevelResult> results;
+    const RoomOfThread room;
     {
         const Unlocked unlocked;
-        results = fit_levels(prepared.levels, picture, target, own, EncodingConstants{}, room(),
-                             std::ref(signals));
+        results = fit_levels(prepared.levels, picture, target, own, EncodingConstants{}, *room, std::ref(signals));
     }
     signals.rethrow();
     return results;
@@ -87,14 +113,14 @@ std::vector<LevelResult> run_fit(const Prepared& prepared, const Picture& pictur
 template <class T>
 std::vector<LevelResult> fit_stored(const Prepared& prepared, const Image<T>& image, const Array<float, 3>& table,
                                     bool grey, float floor, const nb::dict& target, const nb::dict& options) {
-    require(table.size() == 12 * (std::size_t{1} << (8 * sizeof(T))), "the table has an entry for each stored value");
+    check_table<T>(table);
     const Stored<T> view = stored(image);
     Picture picture;
     picture.height = view.height;
     picture.width = view.width;
     if constexpr (sizeof(T) == 1) picture.bytes = &view;
     else picture.words = &view;
-    picture.table = {{table.data(), table.size()}};
+    picture.table = {{data_of(table), table.size()}};
     picture.grey = grey;
     picture.encoding = prepared.encoding;
     picture.floor = floor;
@@ -104,12 +130,14 @@ std::vector<LevelResult> fit_stored(const Prepared& prepared, const Image<T>& im
 std::vector<LevelResult> fit_light(const Prepared& prepared, const Array<float, 3>& light,
                                    const std::optional<Array<float, 2>>& finite, bool grey, float floor,
                                    const nb::dict& target, const nb::dict& options) {
-    require(light.shape(2) == 4 && (!finite || finite->size() * 4 == light.size()), "light has four channels");
+    require(light.shape(2) == 4, "light has four channels");
+    require(!finite || (finite->shape(0) == light.shape(0) && finite->shape(1) == light.shape(1)),
+            "there is a finite share for each pixel");
     Picture picture;
     picture.height = light.shape(0);
     picture.width = light.shape(1);
-    picture.light = light.data();
-    picture.finite = finite ? finite->data() : nullptr;
+    picture.light = data_of(light);
+    picture.finite = finite ? data_of(*finite) : nullptr;
     picture.grey = grey;
     picture.encoding = prepared.encoding;
     picture.floor = floor;

@@ -10,6 +10,7 @@ using namespace liaam;
 
 namespace {
 
+// Refuses blocks that do not fit into an image. Without any block, their size may be anything.
 void check_blocks(double height, double width, const Blocks& blocks) {
     require(blocks.size >= 1.0 && blocks.x >= 0.0 && blocks.y >= 0.0 && blocks.rows >= 0 && blocks.columns >= 0,
             "blocks start within the image and have a size of at least 1");
@@ -21,13 +22,15 @@ void check_blocks(double height, double width, const Blocks& blocks) {
 template <class T>
 nb::object average_stored(const Image<T>& image, const Array<float, 3>& table, double x, double y, double size,
                           std::ptrdiff_t rows, std::ptrdiff_t columns) {
-    require(table.size() == 12 * (std::size_t{1} << (8 * sizeof(T))), "the table has an entry for each stored value");
+    check_table<T>(table);
     const Blocks blocks{x, y, size, rows, columns};
     check_blocks(image.shape(0), image.shape(1), blocks);
     std::vector<float> means;
-    {
+    if (rows > 0 && columns > 0) {
+        const Stored<T> view = stored(image);
+        const LightTable light{{data_of(table), table.size()}};
         const Unlocked unlocked;
-        stored_means(stored(image), {{table.data(), table.size()}}, blocks, means);
+        stored_means(view, light, blocks, means);
     }
     return owned(std::move(means), {std::size_t(rows), std::size_t(columns), 4});
 }
@@ -37,19 +40,22 @@ nb::object average_values(const Array<float, 3>& values, double x, double y, dou
     const Blocks blocks{x, y, size, rows, columns};
     check_blocks(values.shape(0), values.shape(1), blocks);
     std::vector<float> means;
-    {
+    if (rows > 0 && columns > 0) {
+        const float* numbers = data_of(values);
         const Unlocked unlocked;
-        value_means(values.data(), values.shape(0), values.shape(1), values.shape(2), blocks, means);
+        value_means(numbers, values.shape(0), values.shape(1), values.shape(2), blocks, means);
     }
     return owned(std::move(means), {std::size_t(rows), std::size_t(columns), values.shape(2)});
 }
 
 nb::object average_area(const Array<float, 2>& image, std::size_t rows, std::size_t columns) {
     require(image.size() > 0 && rows <= image.shape(0) && columns <= image.shape(1), "blocks are at least a pixel large");
+    require(rows > 0 && columns > 0, "there is at least one block");
     std::vector<float> means(rows * columns);
+    const float* numbers = data_of(image);
     {
         const Unlocked unlocked;
-        area_means(image.data(), image.shape(0), image.shape(1), rows, columns, means.data());
+        area_means(numbers, image.shape(0), image.shape(1), rows, columns, means.data());
     }
     return owned(std::move(means), {rows, columns});
 }
@@ -60,9 +66,10 @@ nb::object luminance(const Image<T>& image, const Array<float, 2>& tables) {
             "there is a table for each channel, with an entry for each stored value");
     std::vector<float> out(image.shape(0) * image.shape(1));
     const Rows<const float> rows = rows_of(tables);
+    const Stored<T> view = stored(image);
     {
         const Unlocked unlocked;
-        stored_luminance(stored(image), {rows[0], rows[1], rows[2]}, out.data());
+        stored_luminance(view, {rows[0], rows[1], rows[2]}, out.data());
     }
     return owned(std::move(out), {image.shape(0), image.shape(1)});
 }
@@ -71,14 +78,15 @@ nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<
                                            bool grey, int encoding, float floor, double blur, std::array<float, 4> turn,
                                            double pixel) {
     require(light.shape(2) == 4 && light.size() > 0, "light has four channels: R, G, B and the usable share");
-    require(encoding >= 0 && encoding <= 3 && blur >= 0.0 && blur < 1e4, "the encoding or the blur is out of range");
+    require(blur >= 0.0 && blur < kWidestBlur, "the blur is out of range");
     Means means{static_cast<std::ptrdiff_t>(light.shape(0)), static_cast<std::ptrdiff_t>(light.shape(1)),
-                std::vector<float>(light.data(), light.data() + light.size()), {}, grey};
+                numbers_of(light), {}, grey};
     if (finite) {
-        require(finite->size() * 4 == light.size(), "there is a finite share for each pixel");
-        means.finite.assign(finite->data(), finite->data() + finite->size());
+        require(finite->shape(0) == light.shape(0) && finite->shape(1) == light.shape(1),
+                "there is a finite share for each pixel");
+        means.finite = numbers_of(*finite);
     }
-    EncodingOptions options{static_cast<Encoding>(encoding), floor, blur, pixel, turn};
+    EncodingOptions options{numbered<Encoding>(encoding, Encoding::soft, "encoding"), floor, blur, pixel, turn};
     Channels channels;
     {
         const Unlocked unlocked;
@@ -88,13 +96,14 @@ nb::object encode_light(const Array<float, 3>& light, const std::optional<Array<
 }
 
 nb::object blur_planes(const Array<float, 3>& planes, double sigma) {
-    require(sigma >= 0.0 && sigma < 1e4 && planes.size() > 0, "the blur is out of range");
+    require(sigma >= 0.0 && sigma < kWidestBlur && planes.size() > 0, "the blur is out of range");
     std::vector<float> out(planes.size()), line;
     const std::size_t height = planes.shape(1), width = planes.shape(2);
     const auto taps = gaussian_taps(sigma);
+    const float* numbers = data_of(planes);
     for (std::size_t p = 0; p < planes.shape(0); ++p)
         for (std::size_t y = 0; y < height; ++y)
-            blur_row(planes.data() + p * height * width, height, width, y, taps, line, out.data() + (p * height + y) * width);
+            blur_row(numbers + p * height * width, height, width, y, taps, line, out.data() + (p * height + y) * width);
     return owned(std::move(out), {planes.shape(0), height, width});
 }
 
@@ -102,8 +111,9 @@ nb::object soft_directions(const Array<float, 2>& plane, std::array<float, 4> tu
     const std::size_t height = plane.shape(0), width = plane.shape(1);
     require(plane.size() > 0, "the plane is empty");
     std::vector<float> out(2 * plane.size()), across(width), down(width);
+    const float* numbers = data_of(plane);
     for (std::size_t y = 0; y < height; ++y) {
-        soft_directions_row(plane.data(), height, width, y, turn, softness, across.data(), down.data());
+        soft_directions_row(numbers, height, width, y, turn, softness, across.data(), down.data());
         for (std::size_t x = 0; x < width; ++x) {
             out[2 * (y * width + x)] = across[x];
             out[2 * (y * width + x) + 1] = down[x];
@@ -116,11 +126,12 @@ auto sample_at(const Array<float, 3>& channels, const Array<double, 2>& points) 
     const std::size_t n = points.shape(0), depth = channels.shape(2);
     require(points.shape(1) == 2 && channels.shape(0) >= 2 && channels.shape(1) >= 2 && depth >= 1,
             "points are (n, 2), and the image is at least 2 by 2 pixels");
-    std::vector<float> values(n * (depth - 1)), usable(n);
+    std::vector<float> values(size_of({n, depth - 1})), usable(n);
+    const Rows<const float> pixels{data_of(channels), channels.shape(0) * channels.shape(1), depth};
+    const Rows<const double> places = rows_of(points);
     {
         const Unlocked unlocked;
-        sample_channels({channels.data(), channels.shape(0) * channels.shape(1), depth}, channels.shape(1), rows_of(points),
-                        values.data(), usable.data());
+        sample_channels(pixels, channels.shape(1), places, values.data(), usable.data());
     }
     return std::make_pair(owned(std::move(values), {n, depth - 1}), owned(std::move(usable), {n}));
 }
@@ -131,15 +142,18 @@ void correlate_spectra(const Array<float, 4>& image, const Array<float, 4>& temp
     for (std::size_t axis = 0; axis < 3; ++axis)
         same = same && image.shape(axis + 1) == product.shape(axis) && templates.shape(axis + 1) == product.shape(axis);
     require(same, "the spectra differ in size");
+    const float *seen = data_of(image), *expected = data_of(templates);
+    float* out = data_of(product);
     const Unlocked unlocked;
-    correlate(image.data(), templates.data(), product.size() / 2, product.data());
+    correlate(seen, expected, product.size() / 2, out);
 }
 
 auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& image, std::size_t count, float least,
               std::ptrdiff_t reach) {
     require(reach >= 0 && image.size() > 0, "there are no pixels");
-    const Plane plane{image.data(), static_cast<std::ptrdiff_t>(image.shape(0)), static_cast<std::ptrdiff_t>(image.shape(1)),
-                      image.stride(0), image.stride(1)};
+    const auto height = static_cast<std::ptrdiff_t>(image.shape(0)), width = static_cast<std::ptrdiff_t>(image.shape(1));
+    const Plane plane{data_of(image), height, width, image.stride(0), image.stride(1)};
+    reach = std::min(reach, std::max(height, width));  // beyond that there is nothing, and sums may overflow
     std::vector<Peak> peaks;
     {
         const Unlocked unlocked;
@@ -157,14 +171,18 @@ auto peaks_of(const nb::ndarray<const float, nb::ndim<2>, nb::device::cpu>& imag
 auto draw(const Array<double, 2>& points, const Array<std::int32_t, 2>& triangles, const Array<double, 2>& values,
           std::size_t height, std::size_t width) {
     require(points.shape(1) == 3 && triangles.shape(1) == 3 && values.shape(0) == points.shape(0), "the mesh is damaged");
+    const Rows<const std::int32_t> named = rows_of(triangles);
+    require(named.n_rows <= static_cast<std::size_t>(std::numeric_limits<std::int32_t>::max()), "there are too many triangles");
     for (std::size_t i = 0; i < triangles.size(); ++i)
-        require(triangles.data()[i] >= 0 && static_cast<std::size_t>(triangles.data()[i]) < points.shape(0),
+        require(named.data[i] >= 0 && static_cast<std::size_t>(named.data[i]) < points.shape(0),
                 "a triangle names a vertex that does not exist");
-    std::vector<std::int32_t> owner(height * width, -1);
-    std::vector<double> drawn(height * width * values.shape(1), 0.0);
+    const std::size_t n_pixels = size_of({height, width}), n_values = size_of({height, width, values.shape(1)});
+    std::vector<std::int32_t> owner(n_pixels, -1);
+    std::vector<double> drawn(n_values, 0.0);
+    const Rows<const double> corners = rows_of(points), carried = rows_of(values);
     {
         const Unlocked unlocked;
-        draw_triangles(rows_of(points), rows_of(triangles), rows_of(values), {owner.data(), height, width}, drawn.data());
+        draw_triangles(corners, named, carried, {owner.data(), height, width}, drawn.data());
     }
     return std::make_pair(owned(std::move(owner), {height, width}),
                           owned(std::move(drawn), {height, width, values.shape(1)}));
@@ -176,21 +194,23 @@ void filter(nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> layer
     require(layers.size() > 0 && across.shape(0) == height && across.shape(1) + 1 == width && down.shape(0) + 1 == height &&
                 down.shape(1) == width,
             "there is a feedback between each pair of neighbours");
+    float* numbers = data_of(layers);
+    const float *by_column = data_of(across), *by_row = data_of(down);
     const Unlocked unlocked;
-    filter_rows(layers.data(), height, width, depth, across.data());
-    filter_columns(layers.data(), height, width, depth, down.data());
+    filter_rows(numbers, height, width, depth, by_column);
+    filter_columns(numbers, height, width, depth, by_row);
 }
 
 template <float function(float)>
 nb::object elementwise(const Array<float, 1>& numbers) {
-    std::vector<float> out(numbers.size());
-    for (std::size_t i = 0; i < out.size(); ++i) out[i] = function(numbers.data()[i]);
+    std::vector<float> out = numbers_of(numbers);
+    for (float& each : out) each = function(each);
     return owned(std::move(out), {numbers.size()});
 }
 
 nb::object srgb(const Array<float, 1>& linear) {
     std::vector<float> out(linear.size());
-    srgb_encode(linear.data(), 1, out.size(), out.data());
+    srgb_encode(data_of(linear), 1, out.size(), out.data());
     return owned(std::move(out), {linear.size()});
 }
 

@@ -10,26 +10,33 @@
 
 using namespace liaam;
 
-FitRoom& room() {
-    static thread_local FitRoom own;
-    return own;
+namespace {
+
+std::unique_ptr<FitRoom>& waiting_room() {
+    static thread_local std::unique_ptr<FitRoom> room;
+    return room;
 }
 
+}  // namespace
+
+RoomOfThread::RoomOfThread() : room_(std::move(waiting_room())) {
+    if (!room_) room_ = std::make_unique<FitRoom>();
+}
+
+RoomOfThread::~RoomOfThread() { waiting_room() = std::move(room_); }
+
 Options options_of(const nb::dict& given) {
-    const auto optional = [&](const char* name, double otherwise) {
-        nb::object value = given[name];
-        return value.is_none() ? otherwise : nb::cast<double>(value);
-    };
+    const nb::object early = given["early_tolerance"], scoring = given["scoring"];
     Options options;
     options.max_iterations = nb::cast<int>(given["max_iterations"]);
     options.tolerance = nb::cast<double>(given["tolerance"]);
-    options.early_tolerance = optional("early_tolerance", -1.0);
+    options.early_tolerance = early.is_none() ? -1.0 : nb::cast<double>(early);
     options.relative_tolerance = nb::cast<double>(given["relative_tolerance"]);
     options.damping = nb::cast<double>(given["damping"]);
     options.shape_prior = nb::cast<double>(given["shape_prior"]);
     options.observable = nb::cast<double>(given["observable"]);
     options.best_angle = nb::cast<std::string>(given["angle_start"]) == "best";
-    options.scoring = static_cast<int>(optional("scoring", -1.0));
+    options.scoring = scoring.is_none() ? -1 : nb::cast<int>(scoring);
     return options;
 }
 
@@ -65,6 +72,7 @@ void check_objective(const Objective& objective) {
                 model.errors.size() == n,
             "weights or errors differ in size");
     require(objective.method.directions.n_rows == 2 && objective.method.n_free() <= 2, "there are at most two angles");
+    require(objective.method.weighting != Weighting::rows || k >= 2, "weights by rows need the two rows of gradients");
     for (const auto& parts : model.row_parts)
         require(!model.theta_1_is_free() || (parts.n_rows == m + 1 && parts.n_columns == e), "parts differ in size");
     for (const auto& parts : model.slope_parts)
@@ -96,10 +104,10 @@ std::unique_ptr<HeldObjective> make_objective(const nb::dict& given) {
     require(metric.n_rows == 3, "the metric has a constant, a cos and a sin part");
     method.metric = {metric[0], metric[1], metric[2]};
     method.directions = fields.rows<double>("directions");
-    method.weighting = static_cast<Weighting>(fields.value<int>("weighting"));
-    method.loss = static_cast<Loss>(fields.value<int>("loss"));
+    method.weighting = numbered<Weighting>(fields.value<int>("weighting"), Weighting::rows, "weighting");
+    method.loss = numbered<Loss>(fields.value<int>("loss"), Loss::learnt, "loss");
     method.gaussian_median = fields.value<double>("gaussian_median");
-    method.step = static_cast<StepKind>(fields.value<int>("step"));
+    method.step = numbered<StepKind>(fields.value<int>("step"), StepKind::expected, "kind of step");
     check_objective(held->objective);
     return held;
 }
@@ -130,7 +138,7 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
     image.log_noise = fields.numbers<float>("log_noise");
     image.first_log = fields.value<double>("first_log");
     image.last_log = fields.value<double>("last_log");
-    require(image.log_noise.size() >= 2 && image.last_log > image.first_log, "the table of noise is damaged");
+    check_noise(image.log_noise, image.first_log, image.last_log);
     image.value_left = fields.value<double>("value_left");
     image.slope_left = fields.value<double>("slope_left");
     image.correlated = fields.value<double>("correlated");
@@ -141,10 +149,16 @@ std::unique_ptr<HeldImage> make_image(const nb::dict& given) {
     return held;
 }
 
+// An objective at an image: what is known of the warp's parameters is about as many as it has.
+void check_together(const HeldObjective& held, const HeldImage& image) {
+    const std::size_t n_points = image.image.points.size();
+    require(n_points == 0 || n_points == held.objective.n_p(), "the precision of the points differs in size from the model");
+}
+
 State state_of(const Objective& objective, const Array<double, 1>& p, std::array<double, 2> angles,
                const Array<double, 1>& lam) {
     require(p.size() == objective.n_p() && lam.size() == objective.m(), "the state differs in size from the model");
-    return {{p.data(), p.data() + p.size()}, angles, {lam.data(), lam.data() + lam.size()}};
+    return {numbers_of(p), angles, numbers_of(lam)};
 }
 
 nb::object contrasts(const std::vector<Contrast>& all) {
@@ -186,43 +200,58 @@ void bind_level_fit(nb::module_& module) {
         .def_prop_ro("weighted_contrast", [](const LevelFit& fit) { return contrasts(fit.weighted_contrast); });
 }
 
-// A level at a state, in the parts that the loop calls: for tests, residual images and relighting.
+// A level at a state, in the parts that the loop calls, in its order: for tests, residual images and relighting.
 class Problem {
   public:
-    Problem(const HeldObjective& objective, const HeldImage& image) : objective_(objective.objective), image_(image.image) {}
+    Problem(const HeldObjective& objective, const HeldImage& image) : objective_(objective.objective), image_(image.image) {
+        check_together(objective, image);
+    }
 
     void begin(const Array<double, 1>& p, std::array<double, 2> angles, const Array<double, 1>& lam) {
         work_.begin(objective_, state_of(objective_, p, angles, lam));
+        reached_ = Reached::begun;
     }
     void set_state(const Array<double, 1>& p, std::array<double, 2> angles, const Array<double, 1>& lam) {
+        require(reached_ >= Reached::begun, kNotBegun);
         work_.state = state_of(objective_, p, angles, lam);
     }
     void evaluate(bool solves) {
+        require(reached_ >= Reached::begun, kNotBegun);
         evaluate_residual(objective_, image_, work_, solves);
         solve_appearance(objective_, work_, false, solves);
+        reached_ = Reached::evaluated;
     }
     bool reweigh(bool solves) {
+        require(reached_ == Reached::evaluated, kNotEvaluated);
         const bool changed = objective_.method.reweighs() && update_weights(objective_, image_, work_);
         if (changed) solve_appearance(objective_, work_, true, solves);
         return changed;
     }
     void differentiate(bool image_in_j, bool image_in_e) {
+        require(reached_ == Reached::evaluated, kNotEvaluated);
         require((image_in_j && image_in_e) || objective_.method.step != StepKind::own, "the method expects no gradient");
         if (!image_in_j || !image_in_e) model_gradient(objective_, work_);
         linearise(objective_, work_, {image_in_j, image_in_e});
     }
-    LevelFit fit(Trace trace) const { return collect(objective_, std::move(trace), work_); }
-    const Workspace& work() const { return work_; }
+    const Workspace& evaluated() const {
+        require(reached_ == Reached::evaluated, kNotEvaluated);
+        return work_;
+    }
     const Objective& objective() const { return objective_; }
 
   private:
+    enum class Reached { nothing, begun, evaluated };
+    static constexpr const char* kNotBegun = "the problem has no state yet; call begin first";
+    static constexpr const char* kNotEvaluated = "the problem has no residual yet; call evaluate first";
+
     const Objective& objective_;
     const LevelImage& image_;
     Workspace work_;
+    Reached reached_ = Reached::nothing;
 };
 
 nb::dict arrays_of(const Problem& problem) {
-    const Workspace& work = problem.work();
+    const Workspace& work = problem.evaluated();
     const Objective& objective = problem.objective();
     const std::size_t n = objective.n(), k = objective.k(), rows = work.rows.n_rows;
     nb::dict all;
@@ -268,14 +297,16 @@ void bind_problem(nb::module_& module) {
 LevelFit solve_one(const HeldObjective& held, const HeldImage& image, const Array<double, 1>& p,
                    std::array<double, 2> angles, const Array<double, 1>& lam, const nb::dict& options, double blur,
                    bool evaluate_last) {
+    check_together(held, image);
     const State start = state_of(held.objective, p, angles, lam);
     Options own = options_of(options);
     own.keeps_samples = true;
     Signals signals;
     LevelFit fit;
+    const RoomOfThread room;
     {
         const Unlocked unlocked;
-        fit = solve_level(held.objective, image.image, start, own, blur, evaluate_last, room().work, std::ref(signals));
+        fit = solve_level(held.objective, image.image, start, own, blur, evaluate_last, (*room).work, std::ref(signals));
     }
     signals.rethrow();
     return fit;

@@ -1,13 +1,26 @@
-// What the bindings of a level and of a whole fit share. A prepared model is read only, so that threads share it; the
-// room belongs to a thread.
+// What the bindings of a level and of a whole fit share. A prepared model is read only, so that threads share it; a room
+// belongs to a fit while it runs, and then waits for the next fit of its thread.
 #pragma once
 
 #include <chrono>
+#include <memory>
 
 #include "binding.hpp"
 #include "fit.hpp"
 
-liaam::FitRoom& room();
+// Takes the room of this thread for a fit, and gives it back. Between the steps of a fit Python may run a signal handler
+// on the same thread, and that may fit as well: it finds the room taken, and makes one of its own.
+class RoomOfThread {
+  public:
+    RoomOfThread();
+    ~RoomOfThread();
+    RoomOfThread(const RoomOfThread&) = delete;
+    RoomOfThread& operator=(const RoomOfThread&) = delete;
+    liaam::FitRoom& operator*() const { return *room_; }
+
+  private:
+    std::unique_ptr<liaam::FitRoom> room_;
+};
 
 // Asks Python, at most every 50 ms, whether a signal such as Ctrl-C has arrived. Also true while Python ends.
 class Signals {
@@ -50,10 +63,11 @@ class Fields {
     }
     std::array<liaam::Rows<const float>, 3> parts(const char* name) {
         const auto all = array<float, 3>(name);
-        if (all.size() == 0) return {};
+        if (all.shape(0) == 0) return {};
         const std::size_t rows = all.shape(1), columns = all.shape(2), size = rows * columns;
         require(all.shape(0) == 3, "parts are constant, cos and sin");
-        return {{{all.data(), rows, columns}, {all.data() + size, rows, columns}, {all.data() + 2 * size, rows, columns}}};
+        const float* numbers = data_of(all);
+        return {{{numbers, rows, columns}, {numbers + size, rows, columns}, {numbers + 2 * size, rows, columns}}};
     }
     template <class T>
     T value(const char* name) {
@@ -74,5 +88,11 @@ class Fields {
     const nb::dict& given_;
     std::vector<nb::object>& kept_;
 };
+
+// The table of noise: standard deviations at evenly spaced logarithms, in order.
+inline void check_noise(liaam::Floats table, double first_log, double last_log) {
+    constexpr std::size_t kMost = std::size_t{1} << 20;  // places in it are counted in single precision
+    require(table.size() >= 2 && table.size() <= kMost && last_log > first_log, "the table of noise is damaged");
+}
 
 liaam::Options options_of(const nb::dict& given);

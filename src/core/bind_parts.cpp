@@ -1,4 +1,6 @@
 // Bindings of single functions, which tests compare with liaam.fitting.reference.
+#include <cmath>
+
 #include "angles.hpp"
 #include "binding.hpp"
 #include "linear.hpp"
@@ -9,8 +11,6 @@
 using namespace liaam;
 
 namespace {
-
-std::vector<double> numbers_of(const Array<double, 1>& array) { return {array.data(), array.data() + array.size()}; }
 
 Workspace with_system(const Array<double, 2>& hessian, const Array<double, 1>& gradient, const std::vector<bool>& observable) {
     const std::size_t n = gradient.size();
@@ -34,7 +34,7 @@ auto damped(const Array<double, 2>& hessian, const Array<double, 1>& gradient, c
 auto clamped(const Array<double, 2>& base, const Array<double, 2>& hessian, const Array<double, 1>& gradient,
              const std::vector<bool>& observable, double damping, double least) {
     Workspace work = with_system(hessian, gradient, observable);
-    require(base.size() == hessian.size(), "the system differs in size");
+    require(base.shape(0) == hessian.shape(0) && base.shape(1) == hessian.shape(1), "the system differs in size");
     work.damping_matrix = matrix_of(base);
     work.least_curvature = least;
     const bool found = clamped_newton_step(damping, work);
@@ -60,6 +60,7 @@ auto observable_of(const Array<double, 2>& hessian, const Array<double, 2>& dire
     Workspace work;
     require(directions.shape(0) == 2 && hessian.shape(0) == hessian.shape(1) && hessian.shape(0) >= directions.shape(1),
             "the system differs in size");
+    require(directions.shape(1) <= 2, "there are at most two angles");
     work.hessian = matrix_of(hessian);
     work.observable.assign(hessian.shape(0), 1);
     work.metric.assign(8, 1.0f);  // |L'|^2 / |L|^2 = 1
@@ -96,6 +97,15 @@ auto gram_of(const Array<float, 2>& rows, const Array<float, 1>& sqrt_weights) {
     return copied(gram);
 }
 
+double weight_of(int loss, double u) { return loss_weight(numbered<Loss>(loss, Loss::learnt, "loss"), u); }
+
+double median_of(std::vector<double> numbers) {
+    // A comparison with NaN is no order, on which the search for the median relies.
+    require(std::all_of(numbers.begin(), numbers.end(), [](double each) { return std::isfinite(each); }),
+            "the median is that of finite numbers");
+    return median(numbers);
+}
+
 }  // namespace
 
 void bind_parts(nb::module_& module) {
@@ -108,7 +118,7 @@ void bind_parts(nb::module_& module) {
     module.def("cholesky", factor_of, "matrix"_a);
     module.def("solve_clamped", solve_clamped_of, "matrix"_a, "least"_a, "right"_a);
     module.def("weighted_gram", gram_of, "rows"_a, "sqrt_weights"_a);
-    module.def("loss_weight", [](int loss, double u) { return loss_weight(static_cast<Loss>(loss), u); }, "loss"_a, "u"_a);
-    module.def("median", [](std::vector<double> numbers) { return median(numbers); }, "numbers"_a);
+    module.def("loss_weight", weight_of, "loss"_a, "u"_a);
+    module.def("median", median_of, "numbers"_a);
     module.def("minimise_on_arc", minimise_on_arc, "s"_a, "b"_a, "centre"_a, "reach"_a);
 }

@@ -5,6 +5,10 @@
 
 #include "binding.hpp"
 
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <cpuid.h>
+#endif
+
 namespace {
 
 std::atomic<bool> python_ends = false;
@@ -12,6 +16,25 @@ std::atomic<int> unlocked_threads = 0;
 std::thread::id ending_thread;
 
 constexpr std::chrono::milliseconds A_MOMENT{1};
+
+// Whether this processor and its system run all that -march=x86-64-v3 may use. The processor is asked by hand: not every
+// compiler that can build the extension knows this set, or each of its parts, by name.
+bool runs_x86_64_v3() {
+#if defined(__x86_64__) && defined(__GNUC__)
+    constexpr unsigned kFma = 1u << 12, kMovbe = 1u << 22, kF16c = 1u << 29;  // leaf 1, ecx
+    constexpr unsigned kBmi1 = 1u << 3, kBmi2 = 1u << 8;                      // leaf 7, ebx
+    constexpr unsigned kLzcnt = 1u << 5;                                      // leaf 0x80000001, ecx
+    const auto has = [](unsigned value, unsigned bits) { return (value & bits) == bits; };
+    unsigned a = 0, b = 0, c = 0, d = 0;
+    __builtin_cpu_init();
+    if (!__builtin_cpu_supports("avx2")) return false;  // also that the system keeps the wide registers
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !has(c, kFma | kMovbe | kF16c)) return false;
+    if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || !has(b, kBmi1 | kBmi2)) return false;
+    return __get_cpuid(0x80000001, &a, &b, &c, &d) && has(c, kLzcnt);
+#else
+    return false;
+#endif
+}
 
 }  // namespace
 
@@ -52,12 +75,5 @@ NB_MODULE(LIAAM_MODULE, module) {
     bind_parts(module);
     nb::module_::import_("atexit").attr("register")(nb::cpp_function(&Unlocked::end));
     module.attr("SOURCES") = LIAAM_DIGEST;
-    module.def("best_instruction_set", [] {
-#if defined(__x86_64__) && defined(__GNUC__)
-        __builtin_cpu_init();
-        return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? "avx2" : "baseline";
-#else
-        return "baseline";
-#endif
-    });
+    module.def("best_instruction_set", [] { return runs_x86_64_v3() ? "avx2" : "baseline"; });
 }

@@ -1,4 +1,4 @@
-// The encoded level: the channels in which a method compares images (DESIGN section 1, "every method is one objective").
+// The encoded level: the channels in which a method compares images (docs/explanation/theory.md, "One objective").
 #pragma once
 
 #include <array>
@@ -10,6 +10,8 @@
 namespace liaam {
 
 constexpr std::size_t kChannels = 8;  // of an encoded pixel; the last is its weight
+
+constexpr double kWidestBlur = 1e4;   // standard deviation in pixels, above which a blur is a mistake and takes minutes
 
 enum class Encoding { value, log, orientation, soft };
 

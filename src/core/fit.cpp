@@ -212,7 +212,7 @@ class Fit {
         EncodingOptions options;
         options.encoding = picture_.encoding;
         options.floor = picture_.floor;
-        options.blur = (picture_.encoding == Encoding::soft ? left : level.blur) / pixel;
+        options.blur = std::min((picture_.encoding == Encoding::soft ? left : level.blur) / pixel, kWidestBlur);
         options.pixel = pixel;
         options.turn = {static_cast<float>(result.pose.xx / scale), static_cast<float>(result.pose.yx / scale),
                         static_cast<float>(result.pose.xy / scale), static_cast<float>(result.pose.yy / scale)};

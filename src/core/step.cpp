@@ -3,17 +3,13 @@
 #include <cmath>
 #include <limits>
 
+#include "thresholds.hpp"
+
 namespace liaam {
 
-namespace {
+using namespace thresholds;
 
-constexpr double kDampingFloor = 1e-9;     // least curvature that damping is relative to, as a fraction of the largest
-constexpr double kTexture = 1e-10;         // curvature per unit of weight below which there is no texture
-constexpr double kRounding = 1e-7;         // ridge on the expected curvature: the error of single precision
-constexpr double kObservableApart = 2.0;   // as `observable`, for the image's angle relative to the model's: the
-                                           // object's colours determine it even without a change of light
-constexpr double kLeastPrecision = 1e-9;   // least precision of a parameter, as a fraction of the largest
-constexpr double kToAndFro = 0.5;          // largest fraction of the last step that a step may undo
+namespace {
 
 // The observable entries of a matrix, with `more` added to their diagonal; the others become those of the identity.
 void take_observable(const Matrix& source, const std::vector<char>& observable, double more, Matrix& out) {
@@ -130,7 +126,7 @@ bool observable_parameters(const Method& method, double observable, Workspace& w
         by_angle += static_cast<double>(work.metric_slope[c]) * work.metric_slope[c];
         size += static_cast<double>(work.metric[c]) * work.metric[c];
     }
-    const double noise = work.squares * by_angle / size + 1e-12 * work.weight;
+    const double noise = work.squares * by_angle / size + kLeastAngleNoise * work.weight;
     const double limit = std::min(kObservableApart, observable);  // 0 keeps all free, as in the paper
     const double own = work.hessian[n_p][n_p];
     if (n_free == 1) {

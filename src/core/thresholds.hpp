@@ -1,4 +1,4 @@
-// Every threshold at which the loop of a level stops, accepts or refuses, with its reason. liaam.fitting.reference has
+// Every threshold at which the loop of a level stops, accepts or refuses, with its reason. liaam.fitting.thresholds is
 // the same table; a test compares them. Measurements are in experiments/notes/engine.md.
 #pragma once
 
@@ -30,5 +30,17 @@ constexpr double kLeastGrowth = 1.0 / 3.0;  // change of size beyond which a fit
 constexpr double kMostGrowth = 3.0;
 constexpr double kLeastCurvature = 0.5;    // lower bound on the curvature of steps with the expected gradient, as a fraction
                                            // of the expected curvature: far from the solution, undamped steps diverge
+
+constexpr double kTexture = 1e-10;         // curvature per unit of weight below which there is no texture
+constexpr double kDampingFloor = 1e-9;     // least curvature that damping is relative to, as a fraction of the largest
+constexpr double kRounding = 1e-7;         // ridge on the expected curvature: the error of single precision
+constexpr double kLeastPrecision = 1e-9;   // least precision of a parameter, as a fraction of the largest
+constexpr double kToAndFro = 0.5;          // largest fraction of the last step that a step may undo
+constexpr double kObservableApart = 2.0;   // as `observable`, for the image's angle relative to the model's: the
+                                           // object's colours determine it even without a change of light
+constexpr double kLeastAngleNoise = 1e-12;  // least noise of an angle's curvature, per unit of weight: rounding
+
+constexpr double kAlike = 0.2;     // change of the logarithm of a variance below which weights by rows are kept
+constexpr double kChanged = 0.02;  // share of the pixels that may become usable or cease to be, likewise
 
 }  // namespace liaam::thresholds

@@ -4,16 +4,18 @@
 #include <limits>
 
 #include "elementary.hpp"
+#include "thresholds.hpp"
 
 namespace liaam {
+
+using thresholds::kAlike;
+using thresholds::kChanged;
 
 namespace {
 
 constexpr float kUnknown = 1e5f;              // variance of a pixel whose logarithm is not usable
 constexpr double kLeastUnexplained = 0.02;    // least unexplained variance, as a fraction of the residual's
 constexpr float kMostDirectionNoise = 0.5f;   // most variance of a component of a direction: that of a random one
-constexpr double kAlike = 0.2;                // change of the logarithm of a variance below which weights are kept
-constexpr double kChanged = 0.02;             // share of the pixels that may become usable or cease to be, likewise
 constexpr double kCorrelated[2] = {8.0, 30.0};  // factors on correlated pixels, for errors of gradients and of colour
 constexpr std::size_t kPlane = 512;           // pixels whose variances are computed together
 constexpr std::size_t kGradientRows = 2;      // of `soft`; the others are of colour

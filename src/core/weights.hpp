@@ -1,5 +1,5 @@
-// Weights of pixels: from noise, the model's errors, or a robust loss (DESIGN section 1). They are updated between steps
-// and fixed within one.
+// Weights of pixels: from noise, the model's errors, or a robust loss (docs/explanation/theory.md, "Weights"). They are
+// updated between steps and fixed within one.
 #pragma once
 
 #include "objective.hpp"

@@ -1,8 +1,11 @@
 """Whole fits of the core: those of the reference, the same in any thread, and interruptible."""
 
 import _thread
+import importlib
 import os
 import pickle
+import platform
+import re
 import signal
 import subprocess
 import sys
@@ -10,13 +13,15 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from liaam import _core
 from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
-from liaam.fitting.levels import solve_levels
+from liaam.fitting.levels import FittedLevel, Levels, solve_levels
+from liaam.photometry.encoding import value_luminance
 from setups import disturb, finest_objective, make_level, model_pixels, stands_light, without_core
 
 pytestmark = pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
@@ -103,6 +108,87 @@ def test_images_of_any_layout_are_fitted(model, lit_scene, kind):
     given.flags.writeable = kind != "read only"
     found = Fitter(model).fit(given, start)
     np.testing.assert_allclose(found.landmarks, expected.landmarks, atol=0.05 if kind == "float16" else 0.0)
+
+
+def laid_out(image: np.ndarray, offset: int, more: int) -> np.ndarray:
+    """Return the same pixels, which begin at a byte of a buffer, with some bytes after each."""
+    height, width, depth = image.shape
+    by_pixel = depth * image.itemsize + more
+    strides = (width * by_pixel, by_pixel, image.itemsize)
+    moved = np.ndarray(image.shape, image.dtype, bytearray(offset + height * strides[0]), offset, strides)
+    moved[...] = image
+    return moved
+
+
+LAYOUTS = {
+    "odd strides": lambda image: laid_out(image, 0, 1),
+    "one byte off": lambda image: laid_out(image, 1, 0),
+    "one byte off with odd strides": lambda image: laid_out(image, 1, 3),
+    "negative strides": lambda image: np.ascontiguousarray(image[::-1, ::-1])[::-1, ::-1],
+    "big-endian": lambda image: image.astype(image.dtype.newbyteorder(">")),
+    "read only": lambda image: np.frombuffer(image.tobytes(), image.dtype).reshape(image.shape),
+    "columns first": np.asfortranarray,
+    "little by little": lambda image: np.repeat(np.repeat(image, 2, axis=0), 3, axis=1)[::2, ::3],
+}
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_where_pixels_lie_in_memory_changes_no_bit(model, lit_scene, layout, dtype):
+    """The core reads whole numbers and counts strides in numbers; what lies otherwise is copied at the door."""
+    image = lit_scene.image if dtype == np.float32 else np.rint(lit_scene.image * np.iinfo(dtype).max)
+    image = np.ascontiguousarray(image, dtype)
+    given = LAYOUTS[layout](image)
+    np.testing.assert_array_equal(given, image)
+    fitter, start = Fitter(model, options=SHORT), disturb(lit_scene.landmarks)
+    found, expected = fitter.fit(given, start), fitter.fit(image, start)
+    np.testing.assert_array_equal(found.landmarks, expected.landmarks)
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
+    for response in ("srgb", "linear"):
+        np.testing.assert_array_equal(value_luminance(given, response), value_luminance(image, response))
+
+
+def same_bits(one: list[FittedLevel], other: list[FittedLevel]) -> bool:
+    names = ("p", "lam", "costs", "path", "angle_history", "expected_hessian", "usable", "weighted_contrast")
+    return len(one) == len(other) and all(
+        np.array_equal(getattr(a.solution, name), getattr(b.solution, name))
+        for a, b in zip(one, other, strict=True)
+        for name in names
+    )
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no such timer")
+@pytest.mark.parametrize("method", ["soft-li", "grey", "li"])
+def test_a_fit_in_a_signal_handler_leaves_the_fit_that_it_interrupts_alone(
+    model, fine_model, same_light_scene, lit_scene, method
+):
+    """Python runs handlers between two steps of a fit, on its thread: both fits have the bits of one alone."""
+    other, levels = Fitter(fine_model, "rgb").levels, Fitter(model, method).levels
+    other_target, _ = Fitter(fine_model, "rgb").target(same_light_scene.image, disturb(same_light_scene.landmarks))
+    target, _ = Fitter(model, method).target(lit_scene.image, disturb(lit_scene.landmarks))
+    expected, nested = other.fit(other_target, SHORT), []
+
+    def fit_another(_, frame) -> None:
+        if frame.f_code is Levels._call.__code__:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)  # once is enough
+            nested.append(other.fit(other_target, SHORT))
+
+    before = signal.signal(signal.SIGALRM, fit_another)
+    try:
+        for n_iterations in (100, 1_000, 10_000, 100_000):  # until one lasts long enough to be interrupted
+            long = SolverOptions(max_iterations=n_iterations, tolerance=0.0, relative_tolerance=0.0, damping=0.0)
+            alone = levels.fit(target, long)
+            signal.setitimer(signal.ITIMER_REAL, 0.005, 0.005)
+            interrupted = levels.fit(target, long)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            assert same_bits(interrupted, alone)
+            if nested:
+                break
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert nested
+    assert same_bits(nested[0], expected)
 
 
 def test_ctrl_c_ends_a_fit(fine_model, lit_scene):
@@ -210,3 +296,16 @@ for _ in range(9):
     for _ in range(2):
         ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
         assert (ran.returncode, ran.stderr) == (0, "")
+
+
+V3 = {"fma", "movbe", "f16c", "avx", "avx2", "bmi1", "bmi2", "abm"}
+"""Flags of Linux for what ``-march=x86-64-v3`` may use beyond the baseline; ``abm`` stands for LZCNT."""
+
+
+def test_the_second_set_is_chosen_where_all_of_it_runs():
+    processor = Path("/proc/cpuinfo")
+    if platform.machine() != "x86_64" or not processor.exists():
+        pytest.skip("this system does not say what its processor runs")
+    flags = set(re.findall(r"^flags\s*: (.*)$", processor.read_text(), re.MULTILINE)[0].split())
+    baseline = importlib.import_module("liaam._core_baseline")
+    assert baseline.best_instruction_set() == ("avx2" if flags >= V3 else "baseline")

@@ -13,12 +13,13 @@ from liaam import _core
 from liaam.fitting import METHODS, reference, reference_loop
 from liaam.fitting.angles import SEARCH, _minimise_on_arc
 from liaam.fitting.methods import LOSSES, gaussian_median
-from liaam.fitting.reference_loop import DAMPING_FLOOR, OBSERVABLE_APART, ROUNDING, THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
 
 ROOT = Path(__file__).resolve().parents[2]
 seeds, dampings = st.integers(0, 999), st.sampled_from([0.0, 1e-3, 1.0, 1e4])
 entries = st.lists(st.booleans(), min_size=8, max_size=8).map(np.array)
-LEAST = THRESHOLDS["LEAST_CURVATURE"]
+LEAST, ROUNDING, DAMPING_FLOOR = (THRESHOLDS[name] for name in ("LEAST_CURVATURE", "ROUNDING", "DAMPING_FLOOR"))
+OBSERVABLE_APART = THRESHOLDS["OBSERVABLE_APART"]
 
 built = pytest.mark.skipif(not _core.BUILT, reason="the core is not built")
 
@@ -40,6 +41,11 @@ def test_thresholds_are_the_same():
     found = dict(re.findall(r"constexpr \w+ k(\w+) = ([^;]+);", header))
     names = {re.sub(r"(?<!^)(?=[A-Z])", "_", name).upper(): eval(value) for name, value in found.items()}
     assert names == THRESHOLDS
+
+
+@pytest.mark.parametrize("file", ["level.cpp", "step.cpp"])
+def test_the_loop_has_no_other_thresholds(file):
+    assert "constexpr" not in (ROOT / "src/core" / file).read_text()
 
 
 @built

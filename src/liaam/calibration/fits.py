@@ -12,7 +12,7 @@ FEWEST_FITS = 5  # Least number of fits for a pooled angle
 
 
 def theta_from_fits(results: Iterable[FitResult]) -> AngleEstimate:
-    """Pool the camera's angle over fits that estimate it (methods ``li-pc`` and ``li-pcs``; paper section 2.2).
+    """Pool the camera's angle over fits that estimate it (methods ``li-pc`` and ``li-pcs``; paper section 5).
 
     The covariance of a single fit ignores model errors, so the standard error is estimated from the spread of the fits.
     Huber's loss reduces the weight of wrong fits.

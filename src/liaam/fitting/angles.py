@@ -11,7 +11,7 @@ the global minimum over the full circle is often an inverted image."""
 
 
 def best_image_angle(objective: Objective, image: LevelImage, state: State) -> float:
-    """Find the angle theta_2 that minimises the cost of eq 9 over theta_2 and lambda, at the state's shape.
+    """Find the angle theta_2 that minimises the cost of eq 10 over theta_2 and lambda, at the state's shape.
 
     With u = (cos theta_2, sin theta_2) the cost is u'Su - 2 b'u + const. S and b hold inner products of the
     two log-chromaticity columns log R - log B and log G - log B with the appearance projected out. On the unit circle

@@ -24,8 +24,8 @@ from liaam.fitting.level_image import (
 )
 from liaam.fitting.methods import Method
 from liaam.fitting.objective import Objective, State
-from liaam.fitting.reference_loop import THRESHOLDS
 from liaam.fitting.solver import SolverOptions, spare
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.model.sampling import Light
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey

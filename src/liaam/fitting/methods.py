@@ -1,4 +1,4 @@
-"""The table of methods: each fitting method is one row of parameters of the common objective (eq 9, generalised).
+"""The table of methods: each fitting method is one row of parameters of the common objective (eq 10, generalised).
 
 A model can fit with the methods for whose appearances it was trained.
 """
@@ -30,7 +30,7 @@ METRICS = {
     "invariant": np.zeros((1, 3)),
     "features": np.eye(WIDEST),
 }
-"""Rows of P by name, (k, channels of the encoding). ``invariant``, and the last row of ``soft``, are L(theta) (eq 7) on
+"""Rows of P by name, (k, channels of the encoding). ``invariant``, and the last row of ``soft``, are L(theta) (eq 8) on
 the channels of log RGB. ``features`` has as many rows as the model compares channels."""
 
 INVARIANT_AT = {"invariant": (0, 0), "soft": (2, 2)}
@@ -81,7 +81,7 @@ class Method:
     """A fitting method: how the difference between model and image is measured.
 
     The residual of a pixel is ``P(theta_2) E(I(W(x; p))) - P(theta_1) (A0 + sum_i lambda_i A_i)`` minus
-    the extra modes, with ``E`` the encoding and ``P`` the metric. With ``E = log`` and ``P = L`` this is eq 9.
+    the extra modes, with ``E`` the encoding and ``P`` the metric. With ``E = log`` and ``P = L`` this is eq 10.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The objective of a model, a method and a level: the model's side of the residual (eq 9, generalised)."""
+"""The objective of a model, a method and a level: the model's side of the residual (eq 10, generalised)."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -32,7 +32,7 @@ class State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The cost of a method for a model at one level (eq 9, generalised)."""
+    """The cost of a method for a model at one level (eq 10, generalised)."""
 
     method: Method
     warp: Warp

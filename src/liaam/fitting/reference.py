@@ -12,16 +12,13 @@ from typing import Any
 import numpy as np
 
 from liaam.fitting.level_image import LevelImage
+from liaam.fitting.thresholds import THRESHOLDS
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
 from liaam.reference import sample
 
 UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable
 LEAST_UNEXPLAINED = 0.02  # lower bound on the unexplained variance, as a fraction of the residual's
 MOST_DIRECTION_NOISE = 0.5  # upper bound on the variance of each component of a direction: that of a random direction
-
-# Change of the logarithm of an unexplained variance, and fraction of pixels that become usable or cease to be, below
-# which weights are kept.
-ALIKE, CHANGED = 0.2, 0.02
 
 # Number of rows of ``soft`` that are gradients (the others are colour), and factors on the number of correlated pixels
 # for the model's errors in gradients and in colour: they are patches rather than grains, and widest in colour.
@@ -218,8 +215,8 @@ class Problem:
             least = LEAST_UNEXPLAINED * own[counted].sum() / number + 1e-9
             self.unexplained[g] = max((own - noise[:, group == g])[counted].sum() / number, least)
         with np.errstate(invalid="ignore"):
-            alike = np.abs(np.log(self.unexplained / self.unexplained_before)) < ALIKE
-        same = alike.all() and (self.known != self.known_before).sum() <= CHANGED * self.n
+            alike = np.abs(np.log(self.unexplained / self.unexplained_before)) < THRESHOLDS["ALIKE"]
+        same = alike.all() and (self.known != self.known_before).sum() <= THRESHOLDS["CHANGED"] * self.n
         if not counts.any() or (same and not self.f["loss"]):
             return False
         self.known_before, self.unexplained_before = self.known, self.unexplained

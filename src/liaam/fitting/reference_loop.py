@@ -17,47 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from liaam.fitting.reference import GRADIENT_ROWS, Problem, contrast
-
-THRESHOLDS: dict[str, float] = {
-    "DAMPING_LIMIT": 1e7,  # the loop gives up
-    "TRUSTED_DAMPING": 1e-2,  # most damping at which a small step means convergence
-    "LEAST_DAMPING": 1e-7,  # after accepted steps with the image's gradient
-    "FIRST_DAMPING": 1e-3,  # after the first refused step
-    "FIRST_EXPECTED_DAMPING": 1.0,  # the same with the expected gradient
-    "RISE": 1.0 + 1e-6,  # largest ratio of an accepted cost to the lowest
-    "EXPECTED_RISE": 1.25,
-    "STILL": 0.2,  # step in model pixels below which weights by rows are kept
-    "LONGEST_UNSEEN": 1.0,  # longest step accepted as shorter than its deviation, model pixels
-    "MOST_NEGLIGIBLE_DAMPING": 0.1,
-    "ROUNDS": 3,  # alternations of robust weights and lambda
-    "SCORING_STEPS": 10,
-    "SCORING_RISE": 1.25,
-    "EARLY_EXPECTED": 0.25,
-    "EARLY_EXPECTED_STEPS": 3,
-    "EARLY_OWN": 0.1,
-    "EARLY_OWN_STEPS": 10,
-    "EARLY_SCORED": 0.4,
-    "COARSE": 10.0,
-    "COARSE_RELATIVE": 5.0,
-    "LEAST_GROWTH": 1.0 / 3.0,
-    "MOST_GROWTH": 3.0,
-    "LEAST_CURVATURE": 0.5,
-}
-"""The thresholds of the core (``src/core/thresholds.hpp``, with the reasons); a test compares them."""
+from liaam.fitting.thresholds import THRESHOLDS
 
 T = THRESHOLDS
-
-DAMPING_FLOOR, TEXTURE, ROUNDING = 1e-9, 1e-10, 1e-7
-"""Least curvature that damping is relative to, curvature per unit of weight below which there is no texture, and ridge
-on the expected curvature, which single precision may make indefinite."""
-
-OBSERVABLE_APART = 2.0
-"""As ``SolverOptions.observable``, for the image's angle relative to the model's. The object's colours determine it
-even without a change of light."""
-
-LEAST_PRECISION, TO_AND_FRO = 1e-9, 0.5
-"""Least precision of a parameter, as a fraction of the largest, and largest fraction of the last step that a step may
-undo before the lower bound on the curvature is doubled."""
 
 
 class Controls(NamedTuple):
@@ -105,7 +67,7 @@ class Loop:
         damping, least, trace = controls.damping, np.inf, Trace()
         solves, fresh, tried, small = True, True, False, False
         while True:
-            problem.evaluate(solves)  # eq 10, and the best lambda where it is solved for at every state
+            problem.evaluate(solves)  # residual of eq 10, with the best lambda if it is solved for at every state
             if tried:
                 cost = self.penalised_cost()
                 if controls.damping > 0.0 and not cost <= T["EXPECTED_RISE" if controls.expected else "RISE"] * least:
@@ -190,7 +152,8 @@ class Loop:
         if not (np.isfinite(own).all() and np.isfinite(base).all() and np.isfinite(problem.squares)):
             return False
         curved = np.abs(own.diagonal()[:n_p]).max(initial=0.0)
-        return problem.weight > 0 and curved > TEXTURE * problem.weight and base.diagonal()[:n_p].max(initial=0.0) > 0
+        expected = base.diagonal()[:n_p].max(initial=0.0)
+        return problem.weight > 0 and curved > T["TEXTURE"] * problem.weight and expected > 0
 
     def add_priors(self, strength: float, variance: float) -> None:
         """Add the priors on p to the normal equations, where a residual of weight 1 has the given variance."""
@@ -226,7 +189,7 @@ class Loop:
         return self.problem.warp.movement(self.step[: len(self.problem.p)])
 
     def take_step(self, joint: bool) -> None:
-        """Take the step (forward-additive), and keep the state before it; jointly, with lambda's part (eq 5)."""
+        """Take the step (forward-additive), and keep the state before it; jointly with lambda's part (section 4)."""
         problem, n_p = self.problem, len(self.problem.p)
         self.before = problem.p.copy(), problem.angles.copy(), problem.lam.copy()
         lam = problem.lam + problem.solve_modes(problem.ar + problem.aj @ self.step) if joint else problem.lam
@@ -254,8 +217,8 @@ def observable_parameters(problem: Any, directions: np.ndarray, observable: floa
     if not n_free:
         return free
     by_angle = float(np.square(problem.metric_slope).sum() / np.square(problem.metric).sum())
-    noise = problem.squares * by_angle + 1e-12 * problem.weight
-    limit, own = min(OBSERVABLE_APART, observable), hessian[n_p, n_p]  # 0 keeps all free, as in the paper
+    noise = problem.squares * by_angle + T["LEAST_ANGLE_NOISE"] * problem.weight
+    limit, own = min(T["OBSERVABLE_APART"], observable), hessian[n_p, n_p]  # 0 keeps all free, as in the paper
     if n_free == 1:
         free[n_p] = own > (observable if directions[0, 0] else limit) * noise
         return free
@@ -274,7 +237,7 @@ def damped_step(hessian: np.ndarray, gradient: np.ndarray, free, damping: float)
     if not most > 0.0:
         return False, step
     own = hessian[np.ix_(free, free)].copy()
-    floor = DAMPING_FLOOR * most
+    floor = T["DAMPING_FLOOR"] * most
     own[np.diag_indices_from(own)] += damping * np.maximum(own.diagonal(), floor) + floor
     try:
         factor = np.linalg.cholesky(own)
@@ -297,7 +260,7 @@ def clamped_newton_step(
         return False, step
     own = np.ix_(free, free)
     try:
-        factor = np.linalg.cholesky(base[own] + ROUNDING * largest * np.eye(int(free.sum())))
+        factor = np.linalg.cholesky(base[own] + T["ROUNDING"] * largest * np.eye(int(free.sum())))
         whitened = np.linalg.solve(factor, np.linalg.solve(factor, hessian[own]).T)
         values, vectors = np.linalg.eigh(0.5 * (whitened + whitened.T))
     except np.linalg.LinAlgError:
@@ -309,7 +272,7 @@ def clamped_newton_step(
 
 def goes_back(step: np.ndarray, last: np.ndarray, metric: np.ndarray) -> bool:
     """Return whether a step undoes much of the last one: it oscillates about a kink of the bilinear interpolant."""
-    return float(step @ metric @ last) < -TO_AND_FRO * float(last @ metric @ last)
+    return float(step @ metric @ last) < -T["TO_AND_FRO"] * float(last @ metric @ last)
 
 
 def next_prior_scale(
@@ -327,7 +290,7 @@ def next_prior_scale(
         return scale
     n, precision = len(p), strength * prior / scale
     matrix = hessian[:n, :n] / variance + np.diag(precision)  # the angles are left out
-    matrix[np.arange(n), np.arange(n)] += LEAST_PRECISION * matrix.diagonal().max(initial=0.0) + 1e-300
+    matrix[np.arange(n), np.arange(n)] += T["LEAST_PRECISION"] * matrix.diagonal().max(initial=0.0) + 1e-300
     try:
         half = np.linalg.inv(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:

@@ -160,7 +160,7 @@ class FitResult:
     theta_model : float
         Angle of the training camera (theta_1), radians; NaN for methods without angles.
     p : (m + 4,) float64
-        Shape parameters in model pixels (eq 1), the similarity vectors last; ``pose`` maps s(p) to the image.
+        Shape parameters in model pixels (eq 2), the similarity vectors last; ``pose`` maps s(p) to the image.
     pose : Similarity
         Model pixels to image pixels.
     lam : (m,) float64

@@ -10,7 +10,7 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.evaluation import changed_repr
 from liaam.fitting.methods import Method
-from liaam.fitting.reference_loop import THRESHOLDS
+from liaam.fitting.thresholds import THRESHOLDS
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")
@@ -39,7 +39,7 @@ class SolverOptions:
         parameters. Applies to ``soft-li``, which estimates that deviation. Measured on IMM: 0.03 saves a third of the
         iterations at the same errors; with 0.1, fits from distant starts stop too early.
     elimination : {"varpro", "joint"}
-        Solve for lambda at every state (variable projection), or update it by the joint step (the paper, eq 5).
+        Solve for lambda at every state (variable projection), or update it by the joint step (paper section 4, eq 10).
     damping : float
         Initial Levenberg damping, relative to the Hessian's diagonal (with the expected gradient: to the expected
         Hessian). 0 is pure Gauss-Newton as in the paper, which accepts every step.

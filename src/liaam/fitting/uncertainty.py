@@ -12,7 +12,7 @@ from liaam.model.shape import ShapeModel, Similarity, own_parameters
 def covariance(
     stage: FittedLevel, whole: Objective | None = None, strength: float = 1.0, pull: np.ndarray | None = None
 ) -> np.ndarray:
-    """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 5 plus the prior.
+    """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 10 plus the prior.
 
     :meth:`Objective.noise_variance` scales the Hessian, since the blur and the model's errors correlate neighbouring
     pixels. Unobservable directions have a variance of 1e12. ``strength`` is that of the prior on p, and ``pull``

@@ -82,15 +82,23 @@ def as_colour(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 
 def _native(image: np.ndarray, name: str) -> np.ndarray:
-    """Pixels in this machine's byte order; raises if their type is not supported."""
+    """Pixels in this machine's byte order, each at a multiple of its size; raises if their type is not supported."""
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype not in (np.uint8, np.uint16, np.float16, np.float32, np.float64):
         raise ImageError(f"{name}: pixels of type {image.dtype} are not supported; use uint8, uint16 or float")
-    return image
+    return image if _is_aligned(image) else image.copy()
+
+
+def _is_aligned(image: np.ndarray) -> bool:
+    """Whether all numbers begin at multiples of their size: fields of packed records and views of bytes may not.
+
+    The core reads whole numbers, and counts strides in numbers.
+    """
+    return image.flags.aligned and not any(stride % image.itemsize for stride in image.strides)
 
 
 def _three_channels(image: np.ndarray) -> np.ndarray:
-    """Check an array that is encoded directly, and give its pixels in this machine's byte order."""
+    """Check an array that is encoded directly, and give its pixels as :func:`_native` does."""
     if image.ndim != 3 or image.shape[2] != 3:
         raise ImageError(f"image: an array of shape {image.shape} cannot be encoded; give (height, width, 3)")
     return _native(image, "image")
