@@ -303,7 +303,7 @@ _LISTS = (b"01.png\nfolder/02.png\n./03.png\n", b"\xef\xbb\xbf1.png\r\n\r\n2.png
 
 TARGETS = (
     Target("lamps", make_lamps, check_lamps, lambda: check_lamps(_lamps()), ".lamps", share=0.2),
-    Target("starts", make_start, check_start, lambda: check_start(("start.box", b"1,2,30")), ".txt"),
+    Target("start-files", make_start, check_start, lambda: check_start(("start.box", b"1,2,30")), ".txt"),
     Target("journals", make_journal, check_journal, lambda: check_journal(_journal()), ".sqlite", share=0.2),
     Target("summaries", make_summary, check_summary, lambda: check_summary(json.dumps(_SUMMARY).encode()), ".json"),
     Target(

@@ -12,7 +12,7 @@ import numpy as np
 
 MODULES = (
     *("fuzz.landmarks", "fuzz.pictures", "fuzz.files", "fuzz.studio", "fuzz.commands"),
-    *("fuzz.engine", "fuzz.requests"),
+    *("fuzz.engine", "fuzz.forged", "fuzz.shapes", "fuzz.requests"),
 )
 """Modules whose ``TARGETS`` are fuzzed."""
 
@@ -48,4 +48,7 @@ class Target:
 
 def targets_of(*modules: str) -> dict[str, Target]:
     """Targets of some modules by name."""
-    return {target.name: target for module in modules for target in importlib.import_module(module).TARGETS}
+    targets = [target for module in modules for target in importlib.import_module(module).TARGETS]
+    by_name = {target.name: target for target in targets}
+    assert len(by_name) == len(targets), "two targets have one name, and only one of them would be run"
+    return by_name

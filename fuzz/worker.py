@@ -22,14 +22,17 @@ TRACE = "trace.txt"
 """File in the child's folder with the traceback of a crash or stop."""
 
 
+SECONDS, GIGABYTES = 2, 1
+"""What a case may take, processor time and memory, as SECURITY.md and README.md state."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """Limits of a case."""
 
-    seconds: float = 4.0
-    """Processor time: the face model takes 3 to give up on an image without a face. The wall-clock limit is five times
-    as much."""
-    n_bytes: int = 10**9
+    seconds: float = SECONDS
+    """Processor time. The wall-clock limit is five times as much."""
+    n_bytes: int = GIGABYTES * 10**9
     """Resident memory, in addition to that of a prepared child and of the input."""
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import liaam
 from liaam import errors
-from liaam.errors import LiaamError
+from liaam.errors import LONGEST_MESSAGE, LiaamError, MissingImageError, ModelFileError, OptionError, shortened
 
 ABSENT = "no/such/file"
 
@@ -52,3 +52,21 @@ def test_each_kind_of_error_survives_pickling():
         error = pickle.loads(pickle.dumps(kind("a sentence")))
         assert type(error) is kind
         assert str(error) == "a sentence"
+
+
+@pytest.mark.parametrize("kind", [LiaamError, ModelFileError, MissingImageError, OptionError])
+def test_a_long_message_loses_its_middle(kind):
+    text = str(kind("path: " + 1_000_000 * "x" + "; the remedy"))
+    assert len(text) == LONGEST_MESSAGE and text.startswith("path: xx") and text.endswith("xx; the remedy")
+    assert str(kind("short")) == "short"
+
+
+def test_errors_of_missing_files_keep_their_kind_and_can_be_sent_to_other_processes():
+    error = pickle.loads(pickle.dumps(MissingImageError("a.png does not exist")))
+    assert isinstance(error, FileNotFoundError) and str(error) == "a.png does not exist"
+
+
+def test_values_are_shortened_in_their_middle():
+    assert shortened("a" * 200) == "a" * 200
+    cut = shortened("a" * 150 + "b" * 150)
+    assert len(cut) == 200 and cut.startswith("aaa") and " ... " in cut and cut.endswith("bbb")

@@ -118,3 +118,10 @@ def test_options_and_fitters_print_what_differs_from_the_defaults():
     model = liaam.load_model("face")
     fitter = liaam.Fitter(model, options=liaam.SolverOptions(damping=0.0), restarts=False)
     assert repr(fitter) == f"Fitter(model={model!r}, options=SolverOptions(damping=0.0), restarts=False)"
+
+
+def test_a_contour_without_landmarks_says_nothing():
+    shape = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    some = (((0, 1, 2), False),)
+    with_none = (((), False), *some)
+    np.testing.assert_array_equal(contour_directions(shape, with_none), contour_directions(shape, some))

@@ -1,21 +1,25 @@
 """Hostile inputs: some hundred cases of every target, and the fuzzer itself, which has to notice whatever happens."""
 
+import contextlib
 import sys
+from pathlib import Path
 
 import pytest
 
-from fuzz import guided, parent
+from fuzz import forged, guided, parent
 from fuzz.__main__ import keep, main, report
 from fuzz.parent import run
 from fuzz.target import MODULES, Target, targets_of
-from fuzz.worker import Job, Limits, outcome_of
-from liaam.errors import LiaamError
+from fuzz.worker import GIGABYTES, SECONDS, Job, Limits, outcome_of
+from liaam.errors import LiaamError, ModelFileError
+from liaam.model import load_model
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the fuzzer runs on Linux only")
 
 LIMITS = Limits(seconds=0.4, n_bytes=100_000_000)
 HERE = ("hostile_targets",)
 TARGETS = targets_of(*MODULES)
+ROOT = Path(__file__).parents[1]
 KINDS = {
     "crash": "SIGSEGV",
     "leave": "exit 3",
@@ -85,6 +89,41 @@ def test_a_case_depends_on_target_seed_and_number_alone():
         assert repr(target.input_of(3, 7)) == alone[0] == alone[1], name
         others = [repr(target.input_of(4, case)) != repr(target.input_of(3, case)) for case in (7, 8)]
         assert any(others), name
+
+
+def test_the_documents_state_the_limits_of_a_case():
+    assert Limits() == Limits(seconds=SECONDS, n_bytes=GIGABYTES * 10**9)
+    assert f"may take at most {SECONDS} s and {GIGABYTES} GB" in " ".join((ROOT / "SECURITY.md").read_text().split())
+    rule = " ".join((ROOT / "fuzz" / "README.md").read_text().split())
+    assert f"within {SECONDS} s of processor time and with at most {GIGABYTES} GB more memory" in rule
+
+
+def test_a_third_of_the_forged_models_is_accepted(tmp_path):
+    n_accepted, path = 0, tmp_path / "forged.liaam"
+    for case in range(200):
+        path.write_bytes(TARGETS["forged"].input_of(5, case))
+        with contextlib.suppress(ModelFileError):
+            load_model(path)
+            n_accepted += 1
+    assert n_accepted >= forged.SHARE_ACCEPTED * 200
+
+
+def test_forged_models_that_are_accepted_are_fitted_without_a_fault():
+    tally = run([Job("forged", 5, 80, 120)], n_children=1)["forged"]  # in two of them, a quality was above 1
+    assert not tally.failures
+    assert tally.returned >= forged.SHARE_ACCEPTED * tally.cases
+
+
+def test_forged_models_are_of_all_kinds():
+    headers = [forged.header_of(TARGETS["forged"].input_of(0, case)) for case in range(60)]
+    assert any(header.get("others") for header in headers)
+    assert any(len(header["views"]) == 1 for header in headers)
+    assert any(set(view["blurs"]) == {0.0} for header in headers for view in header["views"].values())
+
+
+def test_no_two_targets_have_one_name():
+    with pytest.raises(AssertionError, match="two targets have one name"):
+        targets_of(*HERE, *HERE)
 
 
 def test_the_command_line_gives_a_status(capsys, tmp_path):

@@ -37,12 +37,38 @@ def installing(extra: str) -> str:
     return f'pip install ".[{extra}]" in a checkout of liaam'
 
 
+# Largest number of characters of a message. Values of files are part of messages, and a file may hold megabytes.
+LONGEST_MESSAGE = 2000
+# Largest number of characters of a value of a file within a message
+LONGEST_VALUE = 200
+
+
+def shortened(text: object, longest: int = LONGEST_VALUE) -> str:
+    """Return a text without its middle if it is longer than so many characters: begin and end say most."""
+    text = str(text)
+    if len(text) <= longest:
+        return text
+    mark = " ... "
+    n_end = (longest - len(mark)) // 3
+    return text[: longest - len(mark) - n_end] + mark + text[len(text) - n_end :]
+
+
 class LiaamError(ValueError):
-    """Base class of every error that liaam raises on purpose."""
+    """Base class of every error that liaam raises on purpose.
+
+    A message has at most 2000 characters; a longer one loses its middle.
+    """
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*args)
+        # Set here, because the base classes of MissingFileError do not call each other.
+        self.args = tuple(shortened(each, LONGEST_MESSAGE) if isinstance(each, str) else each for each in args)
 
 
 class MissingFileError(FileNotFoundError, LiaamError):
     """A file or folder does not exist."""
+
+    __init__ = LiaamError.__init__
 
 
 class ImageError(LiaamError):

@@ -98,7 +98,7 @@ def _neighbours(contours: tuple[tuple[tuple[int, ...], bool], ...], n: int) -> t
     for indices, closed in _curves(contours):
         whole = indices[[-1, *range(len(indices)), 0]] if closed else indices[[0, *range(len(indices)), -1]]
         before[indices], after[indices] = whole[:-2], whole[2:]
-    on = np.concatenate([np.zeros(0, int), *(np.unique(indices) for indices, _ in contours)])
+    on = np.concatenate([np.zeros(0, int), *(np.unique(np.array(indices, int)) for indices, _ in contours)])
     several = np.flatnonzero(np.bincount(on, minlength=n) > 1)
     before[several] = after[several] = several
     return before, after

@@ -486,8 +486,9 @@ def test_memory_errors_are_no_damage(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     write_image(tmp_path / "a.png", np.zeros((2, 2), np.uint8))
     monkeypatch.setattr("liaam.io.images.rgb_of", full)
-    with pytest.raises(MemoryError):
+    with pytest.raises(ImageError, match=r"a\.png is too large for the free memory: make it smaller") as caught:
         read_image(tmp_path / "a.png")
+    assert isinstance(caught.value.__cause__, MemoryError)
 
 
 def test_deep_plain_text_pnm_is_refused(tmp_path: Path) -> None:

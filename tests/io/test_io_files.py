@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from liaam import load_camera, load_model, read_image, read_landmarks
 from liaam.errors import ImageError, LandmarkError, LiaamError
 from liaam.io.atomic import check_output
 from liaam.io.files import (
@@ -19,6 +20,7 @@ from liaam.io.files import (
     some_names,
     writable,
 )
+from liaam.lamps import load_lamps
 
 
 def complaint(path: Path, kind: str = "image") -> str:
@@ -175,3 +177,45 @@ def test_links_are_resolved(tmp_path: Path) -> None:
 )
 def test_json_objects(text: str | bytes, parsed: dict | None) -> None:
     assert json_object(text) == parsed
+
+
+# Files that are too large
+
+SPARSE = {
+    "a.jpg": b"\xff\xd8\xff",  # whose reader looks for the next marker in all of it
+    "a.gif": b"GIF89a",
+    "a.jp2": b"\0\0\0\x0cjP  \r\n\x87\n",
+    "a.avif": b"\0\0\0\x20ftypavif",
+    "a.pts": b"version: 1",
+    "a.json": b"{",
+    "a.liaam": b"\x10\0\0\0\0\0\0\0",
+    "a.lamps": b"\x10\0\0\0\0\0\0\0",
+}
+READERS = {".pts": read_landmarks, ".json": load_camera, ".liaam": load_model, ".lamps": load_lamps}
+
+
+@pytest.mark.parametrize("name", SPARSE)
+def test_a_file_of_many_gigabytes_is_refused_by_its_size(name, tmp_path):
+    path = tmp_path / name
+    path.write_bytes(SPARSE[name])
+    os.truncate(path, 40 * 10**9)  # takes no room on the disk
+    with pytest.raises(LiaamError, match=r"40,000,000,000 bytes, more than the [0-9,]+ allowed") as caught:
+        READERS.get(path.suffix, read_image)(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".pts", ".json", ".liaam", ".lamps", ".png"])
+def test_a_file_for_which_there_is_too_little_memory_is_named(suffix, tmp_path, monkeypatch):
+    import safetensors
+
+    def exhausted(*_, **__):
+        raise MemoryError
+
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"\0" * 100 if suffix == ".png" else b"\x02" + b"\0" * 7 + b"{}")
+    monkeypatch.setattr(Path, "read_bytes", exhausted)
+    monkeypatch.setattr(safetensors, "safe_open", exhausted)
+    monkeypatch.setattr("liaam.io.images._open", exhausted)
+    with pytest.raises(LiaamError, match=r"is too large for the free memory: make it smaller") as caught:
+        READERS.get(suffix, read_image)(path)
+    assert str(path) in str(caught.value)

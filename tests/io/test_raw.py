@@ -202,7 +202,7 @@ def test_memory_errors_are_no_damage(fake, dng, monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr(FakeRaw, "postprocess", postprocess)
-    with pytest.raises(MemoryError):
+    with pytest.raises(ImageError, match="is too large for the free memory"):
         read_raw(dng)
 
 

@@ -15,9 +15,11 @@ from safetensors.numpy import save
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
-from liaam.model import AAM, MESH, SURROUNDINGS, load_model
+from liaam.fitting.objective import THINNING
+from liaam.model import AAM, MESH, SURROUNDINGS, cost, load_model
 from liaam.model.shape import diagonal_of, similarity_modes
-from liaam.model.views import Reliability
+from liaam.model.views import Reliability, View
+from liaam.models import model_file as model_file_of
 from liaam.photometry import CameraModel, NoiseModel
 from liaam.training import train
 from setups import disturb, train_on
@@ -259,6 +261,44 @@ def test_a_forged_size_is_refused_without_asking_for_the_memory(tmp_path, size):
     assert peak < 10e6
 
 
+def test_a_sparse_file_of_a_model_is_refused_by_its_size(tmp_path):
+    path = tmp_path / "sparse.liaam"
+    path.write_bytes(struct.pack("<Q", 16))
+    os.truncate(path, 40 * 10**9)
+    assert_refused(path, "has 40,000,000,000 bytes, more than the 2,000,000,000 allowed: make a smaller model file")
+
+
+def test_many_empty_tensors_are_refused_before_they_are_parsed(tmp_path):
+    empty = b'"%06d":{"dtype":"F32","shape":[0],"data_offsets":[0,0]}'
+    text = b"{" + b",".join(empty % i for i in range(20_000)) + b"}"
+    path = tmp_path / "many.liaam"
+    path.write_bytes(struct.pack("<Q", len(text)) + text)
+    assert_refused(path, "its header has 20,001 entries, more than 10,000")
+    path.write_bytes(struct.pack("<Q", len(text) * 30) + text * 30)
+    assert_refused(path, r"its header has 3\d,\d+,\d+ bytes, more than the 10,000,000 allowed")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header: header.update(schema="x" * 3_000_000),
+        lambda header: header["views"].update({"x" * 3_000_000: {}}),
+        lambda header: header.update(camera=["x" * 3_000_000]),
+        lambda header: header["views"][MESH].update(blurs=[1.0] * 600_000),
+        lambda header: header["views"][MESH].update(blurs=["x" * 3_000_000]),
+        lambda header: header["views"][MESH].update(n_pixels="x" * 3_000_000),
+        lambda header: header.update(n_images="x" * 3_000_000),
+        lambda header: header.update(response="x" * 3_000_000),
+    ],
+)
+def test_long_values_are_cut_in_messages(tiny_file, tmp_path, change):
+    header, tensors = parts(tiny_file)
+    change(header)
+    with pytest.raises(ModelFileError) as caught:
+        load_model(forge(tmp_path / "forged.liaam", header, tensors))
+    assert len(str(caught.value)) < 1000 and str(caught.value).endswith(("train the model again", "that wrote it"))
+
+
 def test_a_forged_header_length_is_refused(tmp_path):
     path = tmp_path / "huge.liaam"
     path.write_bytes(struct.pack("<Q", 2**63) + b"{}")
@@ -463,8 +503,9 @@ def complaint(path: Path, header: dict, tensors: dict[str, np.ndarray]) -> str:
     try:
         load_model(forge(path, header, tensors))
     except ModelFileError as error:
-        assert str(error).startswith(f"{path}: the model file contradicts itself")
-        assert str(error).endswith("; train the model again")
+        too_large = str(error).startswith(f"{path}: the model is too large: ")
+        assert too_large or str(error).startswith(f"{path}: the model file contradicts itself")
+        assert str(error).endswith("or larger blurs" if too_large else "; train the model again")
         return str(error)
     return ""
 
@@ -529,6 +570,84 @@ def test_the_blur_is_limited(tiny_file, tmp_path, blur, refused):
     assert ("blurs" in complaint(tmp_path / "forged.liaam", header, tensors)) == refused
 
 
+def test_blurs_fall_from_coarse_to_fine(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    header["views"][MESH]["blurs"] = [1.0, 1.5]
+    tensors |= {key.replace("/0/", "/1/"): v for key, v in tensors.items() if key.startswith("mesh/0/")}
+    assert "blurs [1.0, 1.5] do not fall" in complaint(tmp_path / "forged.liaam", header, tensors)
+
+
+# What a model costs is known from its size
+
+
+def test_the_cost_of_a_model_that_comes_with_liaam_is_far_below_the_limits():
+    for part in load_model("face").parts:
+        assert cost.work_of(part.views.values()) < 0.15 * cost.MOST_WORK
+        assert cost.memory_of(part.views.values()) < 0.15 * cost.MOST_MEMORY
+
+
+def test_levels_that_are_not_blurred_are_refused_by_their_work(tmp_path):
+    header, tensors = parts(model_file_of("face"))
+    for about in (header, *header["others"]):
+        for view in about.get("views", {}).values():
+            view["blurs"] = [0.0] * len(view["blurs"])
+    message = complaint(tmp_path / "forged.liaam", header, tensors)
+    assert "the model is too large: a fit would take 8.1e+09 multiplications a step" in message
+    assert "train it with a smaller diagonal, fewer modes" in message
+
+
+def test_many_modes_are_refused_before_they_take_memory(tiny_file, tmp_path):
+    header, tensors = parts(tiny_file)
+    header |= {"n_images": 10**9, "n_textures": 10**9}
+    header["views"][MESH]["n_pixels"] = 10**6
+    key = "mesh/0/log.modes"
+    tensors[key] = np.zeros((1000, *tensors[key].shape[1:]), tensors[key].dtype)
+    message = complaint(tmp_path / "forged.liaam", header, tensors)
+    assert "the model is too large: it would take 12," in message and "MB, more than the 2,000 allowed" in message
+
+
+def test_work_grows_with_the_square_of_the_modes_and_with_the_starts(tiny_file):
+    view = load_model(tiny_file).views[SURROUNDINGS]
+    level, n_shape = view.levels[-1], len(view.shape_model.modes)
+    (kind, appearance), *_ = level.appearances.items()
+    one = View(view.warp, (replace(level, blur=0.0, appearances={kind: appearance}),))
+    count = 1 + appearance.n_modes + n_shape + 4
+    assert cost.work_of([one]) == appearance.mean.size * count**2
+    known = Reliability(np.zeros((4, 2, 2)), np.zeros((4, 2, 2)), 1.0, np.zeros(3), 1.0)
+    calibrated = replace(one, reliabilities={"soft-li": known})
+    assert cost.work_of([calibrated]) == cost.STARTS[0] * cost.work_of([one])
+    sparse = replace(one, levels=(replace(one.levels[0], blur=2.0),))
+    assert cost.work_of([sparse]) == pytest.approx(cost.work_of([one]) / 9)
+
+
+def test_the_cost_knows_how_fits_thin_out_pixels():
+    assert cost.THINNING == THINNING
+
+
+@pytest.mark.parametrize("count", [-1, 10**10, 0.5, float("nan")])
+def test_impossible_numbers_of_images_are_refused(tiny_file, tmp_path, count):
+    header, tensors = parts(tiny_file)
+    assert "contradicts itself" in complaint(tmp_path / "a.liaam", header | {"n_images": count}, tensors)
+    assert "contradicts itself" in complaint(tmp_path / "b.liaam", header | {"n_lamps": count}, tensors)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("mesh/0/log.eigenvalues", 1e300, "log.eigenvalues has values beyond"),
+        ("mesh/0/value.mean", 3e38, "value.mean has values beyond 1e+06"),
+        ("mesh/shape.eigenvalues", 1e300, "shape.eigenvalues has values beyond"),
+        ("mesh/shape.unexplained", 1e300, "shape.unexplained has values beyond"),
+        ("search_filter", 3e38, "search_filter has values beyond 1e+06"),
+    ],
+)
+def test_numbers_of_files_are_bounded(tiny_file, tmp_path, key, value, words):
+    header, tensors = parts(tiny_file)
+    kind = np.float32 if tensors[key].dtype == np.float16 else tensors[key].dtype
+    tensors[key] = np.full_like(tensors[key], value, dtype=kind)
+    assert words in complaint(tmp_path / "forged.liaam", header, tensors)
+
+
 def spanned(mean: np.ndarray, count: int) -> np.ndarray:
     """So many orthonormal deformations of landmarks that are no similarities."""
     similarities = similarity_modes(mean)
@@ -568,7 +687,8 @@ def test_as_many_appearance_modes_as_pictures_are_taken(tiny_file, tmp_path):
         (number("mesh/0/log.usable", 0, 1.0), ""),
         (number("mesh/0/log.usable", 0, 1.01), "mesh/0/log.usable has values out of range"),
         (number("mesh/0/log.usable", 0, -0.01), "mesh/0/log.usable has values out of range"),
-        (number("mesh/0/log.unexplained", (0, 3), 0.0), ""),
+        (number("mesh/0/log.unexplained", (0, [1, 3, 4]), 0.0), ""),
+        (number("mesh/0/log.unexplained", (0, 3), 0.0), "mesh/0/log.unexplained has matrices that are not positive"),
         (number("mesh/0/log.unexplained", (0, 3), -1e-3), "mesh/0/log.unexplained has negative variances"),
         (number("mesh/shape.unexplained", (0, 1, 1), -1e-3), "mesh/shape.unexplained has negative variances"),
         (entry("contours", value=[[[0, 3], True]]), ""),
@@ -641,6 +761,17 @@ def test_what_is_known_of_fits_is_kept(tiny_file, tmp_path):
         ({"bias": np.tile(-np.eye(2), (4, 1, 1))}, "reliability.bias has negative variances"),
         ({"unit": [0.0]}, "reliability.unit is not positive"),
         ({"landmarks": np.zeros((3, 2, 2))}, "reliability.landmarks has type float64 and shape (3, 2, 2)"),
+        ({"variance_factor": [1e6], "prior": [1e6]}, ""),
+        ({"variance_factor": [1.7e308]}, "reliability.variance_factor has values beyond 1e+06"),
+        ({"landmarks": np.tile([[0.0, 1e300], [1e300, 0.0]], (4, 1, 1))}, "reliability.landmarks has values beyond"),
+        ({"bias": np.tile([[0.0, 1e300], [1e300, 0.0]], (4, 1, 1))}, "reliability.bias has values beyond 4e+06"),
+        ({"bias": np.tile([[0.0, 1e-3], [1e-3, 0.0]], (4, 1, 1))}, "reliability.bias has matrices that are not posi"),
+        ({"landmarks": np.tile([[1.0, 2.0], [2.0, 1.0]], (4, 1, 1))}, "reliability.landmarks has matrices that are"),
+        ({"landmarks": np.tile([[1.0, 0.5], [0.1, 1.0]], (4, 1, 1))}, "landmarks has matrices that are not symmetric"),
+        ({"landmarks": np.tile([[1.0, 1.0], [1.0, 1.0]], (4, 1, 1)), "bias": np.zeros((4, 2, 2))}, ""),
+        ({"unit": [5e-324]}, "reliability.unit 4.94066e-324 is not between 1e-12 and 1e+12"),
+        ({"weights": [1.0, 2.0, 1e300]}, "reliability.weights has values beyond 1e+06"),
+        ({"prior": [1e300]}, "reliability.prior 1e+300 is not between 1e-06 and 1e+06"),
     ],
 )
 def test_what_is_known_of_fits_is_checked(tiny_file, tmp_path, changes, words):
@@ -659,6 +790,13 @@ def test_quality_is_a_probability_of_the_evidence():
     assert known.low == pytest.approx(4 ** (2 / 3) / (1 + 4 ** (2 / 3)))  # two thirds of the log odds of 4 to 1
     assert replace(known, typical=1.0).low == pytest.approx(1.0, abs=1e-5)
     assert replace(known, typical=0.0).low == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("prior", [1e-6, 1e-5, 0.3, 1.0, 9.0, 1e6])
+def test_a_quality_near_the_object_is_a_probability(prior, rng):
+    known = Reliability(**{**RELIABILITY, "unit": 0.25, "variance_factor": 1.5, "typical": 0.8, "prior": prior})
+    qualities = [0.0, 1.0, *(1.0 - 10.0 ** rng.uniform(-16, 0, 200))]
+    assert all(0.0 <= known.with_prior(quality) <= 1.0 for quality in qualities)
 
 
 # What the header says

@@ -480,6 +480,13 @@ def test_lights_are_directions_and_lamps():
     assert lamps_of(np.array([1.0, 0.0, 0.5])) == [Lamp([1.0, 0.0, 0.5])]
 
 
+def test_a_result_in_the_place_of_a_light_is_refused_with_what_to_give(head):
+    model, pair = head
+    result = liaam.fit(model, pair.lit.image, pair.lit.landmarks)
+    with pytest.raises(LiaamError, match=r"the light is the result of a fit; .*init=result\.landmarks"):
+        liaam.relight(model, pair.lit.image, result)
+
+
 def test_one_call_refuses_what_cannot_be(head):
     model, pair = head
     for wrong, words in (

@@ -6,7 +6,8 @@ import math
 import os
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -89,11 +90,27 @@ def existing_file(path: AnyPath, error: type[LiaamError], kind: str) -> Path:
 def read_bytes(path: Path, error: type[LiaamError], limit: int) -> bytes:
     """Read a file of at most `limit` bytes. Raise `error` if that fails."""
     try:
-        if (size := path.stat().st_size) > limit:
-            raise error(f"{path} has {size:,} bytes, more than the {limit:,} allowed: split it into smaller files.")
-        return path.read_bytes()
+        check_file_size(path, error, limit, "split it into smaller files")
+        with enough_memory(path, error):
+            return path.read_bytes()
     except OSError as fault:
         raise error(f"{path} cannot be read ({fault.strerror or fault}): check its permissions.") from fault
+
+
+def check_file_size(path: Path, error: type[LiaamError], limit: int, remedy: str) -> None:
+    """Raise if a file has more than `limit` bytes: some formats would be read to the end before they are refused."""
+    if (size := path.stat().st_size) > limit:
+        raise error(f"{path} has {size:,} bytes, more than the {limit:,} allowed: {remedy}.")
+
+
+@contextmanager
+def enough_memory(name: object, error: type[LiaamError]) -> Iterator[None]:
+    """Raise `error`, which names a file or an image, if the memory does not suffice to read it in the block."""
+    try:
+        yield
+    except MemoryError as fault:
+        remedy = "make it smaller, close other programs, or raise the limit on memory"
+        raise error(f"{name} is too large for the free memory: {remedy}.") from fault
 
 
 def json_object(text: str | bytes) -> dict[str, Any] | None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from liaam.errors import ImageError, installing
 from liaam.io.atomic import write_bytes_atomically
-from liaam.io.files import AnyPath, as_three_channels, check_size, existing_file
+from liaam.io.files import AnyPath, as_three_channels, check_file_size, check_size, enough_memory, existing_file
 from liaam.io.raw import RAW_SUFFIXES, is_raw, raw_size, read_raw
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".jpg", ".jpeg")
@@ -51,7 +51,7 @@ _NEEDS = {
     "AVIF": "AVIF image, which needs Pillow 11.3 or later: 'pip install --upgrade pillow'",
     "HEIF": f"HEIC image, which needs the extra heic: {installing('heic')}",
 }
-_MAX_BYTES = 4_000_000_000  # of a file that OpenCV decodes
+_MAX_BYTES = 4_000_000_000  # of a file: readers of some formats look for their end, in all of it
 _KINDS = "PNG, JPEG, TIFF, BMP, PPM, PGM, WebP, AVIF, HEIC, GIF or JPEG 2000"
 _EXIF_ORIENTATION = 0x0112
 # Tags of the TIFF 6.0 specification.
@@ -174,10 +174,12 @@ def _opened(path: AnyPath | bytes, name: object = "") -> Iterator[_Opened]:
     name = name if isinstance(path, bytes) else path
     path = path if isinstance(path, bytes) else existing_file(path, ImageError, "image")
     try:
+        if not isinstance(path, bytes):
+            check_file_size(path, ImageError, _MAX_BYTES, "save the image again as PNG")
         file = io.BytesIO(path) if isinstance(path, bytes) else path.open("rb")
     except OSError as fault:
         raise ImageError(f"{name} cannot be read ({fault.strerror}): check its permissions.") from fault
-    with file:
+    with file, enough_memory(name, ImageError):
         kind = image_kind(file.read(16))
         if kind is None:
             raise ImageError(f"{name} {_why_no_image(str(name))}")

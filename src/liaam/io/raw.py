@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, installing
-from liaam.io.files import AnyPath, as_three_channels, check_size, existing_file
+from liaam.io.files import AnyPath, as_three_channels, check_size, enough_memory, existing_file
 
 # RAW files are recognised by name, because many are TIFF files whose first page is a thumbnail.
 RAW_SUFFIXES = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".rw2", ".raf", ".pef", ".srw")
@@ -76,9 +76,9 @@ def _opened(path: AnyPath) -> Iterator[tuple[Any, Any]]:
         need = "rawpy, which reads them, is not installed"
         raise ImageError(f"{path} is a RAW file, and {need}: {installing('raw')}.") from fault
     try:
-        with rawpy.imread(str(path)) as raw:
+        with enough_memory(path, ImageError), rawpy.imread(str(path)) as raw:
             yield rawpy, raw
-    except (ImageError, MemoryError):
+    except ImageError:
         raise
     except rawpy.LibRawFileUnsupportedError as fault:
         what = f"a RAW file that LibRaw {'.'.join(map(str, rawpy.libraw_version))} can read"

@@ -17,7 +17,7 @@ import numpy as np
 from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import count_of, json_object
-from liaam.model.file import LAMPS_FORMAT
+from liaam.model.file import LAMPS_FORMAT, MAX_LOG_LIGHT
 from liaam.model.rounding import rounded
 from liaam.model.shape import align
 from liaam.model.tensors import Shapes, read_tensors
@@ -279,7 +279,8 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     names, tensors = read_tensors(path, lambda *header: _names(path, *header), LiaamError, "lamp file", MAKE, broken)
     mean, fields = tensors["mean"], tensors["fields"]
     has_types = mean.dtype == np.float64 and fields.dtype == np.float16
-    if not has_types or not np.isfinite(fields).all() or not (np.abs(mean) <= 1.0).all():
+    # NaN is not below a limit, either.
+    if not has_types or not (np.abs(fields) <= MAX_LOG_LIGHT).all() or not (np.abs(mean) <= 1.0).all():
         raise LiaamError(f"{path}: {_CONTRADICTORY}")
     return Lamps(mean, fields, tuple(names))
 

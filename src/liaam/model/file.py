@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError, ModelFileError
+from liaam.errors import LiaamError, ModelFileError, shortened
 from liaam.io.files import json_object, writable
+from liaam.model import cost
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel, spread, strongest_modes
 from liaam.model.mesh import signed_areas
 from liaam.model.point_map import LEAST_NOISE, PointMap
@@ -34,6 +35,15 @@ ROOMY = 4.0
 LONGEST_NAME = 1000  # Largest number of characters of a model's name, its credit and the name of a landmark
 MAX_BLUR, MAX_LEVELS = 10.0, 10  # Largest blur, pixels of the reference frame, and largest number of levels
 MAX_LIGHTS = 100  # Largest number of modes of a light basis
+MAX_IMAGES = 10**9  # Largest number of training images and copies
+# Limits on numbers of files, so that no result overflows. What training finds is stated for the faces of liaam.
+# Largest magnitude of a channel, as of a function's (LARGEST); those of faces are below 4.
+MAX_VALUE = LARGEST
+MAX_LOG_LIGHT = 20.0  # Largest logarithm of a ratio of lights; those of faces are below 1.2
+MAX_VARIANCE = MAX_DIAGONAL**2  # Largest variance of a landmark, square pixels of the frame; of faces 31
+MAX_FACTOR = 1e6  # Largest factor on the variances of a fit (faces: 2.2), odds (9), and magnitude of their weights (34)
+UNITS = 1e-12, 1e12  # Least and largest variance of a residual at weight 1; of faces 0.35
+LEAST_FREEDOM = 1.0  # Least degrees of freedom: with fewer, shapes have no mean
 LARGEST_FILTER = 100  # Largest height and width of the search's filter, pixels
 # Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest.
 LEAST_SHARE = 0.1
@@ -79,9 +89,14 @@ def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str,
         path, lambda text, _: _checked_header(path, text), ModelFileError, "model file", make, broken
     )
     try:
+        _check_memory(header, tensors)
         return _fields(header, tensors), _fields_of_others(header, tensors)
+    except cost.TooLargeError as error:
+        remedy = "train it with a smaller diagonal, fewer modes (variance), or larger blurs"
+        raise ModelFileError(f"{path}: the model is too large: {error}; {remedy}") from error
     except (KeyError, TypeError, ValueError, IndexError, OverflowError, LiaamError) as error:
-        raise ModelFileError(f"{path}: the model file contradicts itself ({error}); train the model again") from error
+        fault = f"the model file contradicts itself ({shortened(error)})"
+        raise ModelFileError(f"{path}: {fault}; train the model again") from error
 
 
 def _checked_header(path: Path, text: str) -> dict:
@@ -96,8 +111,8 @@ def _checked_header(path: Path, text: str) -> dict:
     if header.get("schema") not in READABLE:
         readable = f"{READABLE[0]} to {READABLE[-1]}"
         raise ModelFileError(
-            f"{path}: the model has schema version {header.get('schema')}, this liaam reads versions {readable}; "
-            "train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
+            f"{path}: the model has schema version {shortened(header.get('schema'))}, this liaam reads versions "
+            f"{readable}; train the model again ('liaam train FOLDER -o MODEL'), or use the liaam that wrote it"
         )
     return header
 
@@ -118,11 +133,14 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError("the mesh overlaps itself")
     if not (signed_areas(mean, triangles) > 0).all():
         raise ValueError("the mesh is flat or folded")
-    n_images, n_textures, views = int(header["n_images"]), int(header.get("n_textures", 0)), header["views"]
+    n_images, n_textures, n_lamps = (_count(header, key) for key in ("n_images", "n_textures", "n_lamps"))
+    if not n_images:
+        raise ValueError("there are no training images")
+    views = header["views"]
     if not isinstance(views, dict) or MESH not in views:
         raise ValueError(f"there is no view {MESH}")
     if not isinstance(header["camera"], dict):
-        raise ValueError(f"camera {header['camera']!r} is not an object")
+        raise ValueError(f"camera {shortened(header['camera'])} is not an object")
     camera = camera_from(header["camera"])
     # Number of textures that each appearance was learnt from.
     counts = dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
@@ -132,10 +150,13 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     searched = half_or_single(tensors, "search_filter", (None, None, 2)) if "search_filter" in tensors else None
     if searched is not None and not 1 <= min(searched.shape[:2]) <= max(searched.shape[:2]) <= LARGEST_FILTER:
         raise ValueError(f"search_filter has shape {searched.shape}")
+    if searched is not None:
+        check_magnitude("search_filter", searched, MAX_VALUE)
     contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in header["contours"])
     if any(not 0 <= i < n for indices, _ in contours for i in indices):
         raise ValueError("a contour names a landmark that does not exist")
     made = {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()}
+    cost.check_cost(made.values())
     return {
         "views": made,
         "triangles": triangles,
@@ -148,13 +169,42 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         "credit": _text(header.get("credit", "")),
         "same_images": bool(header.get("same_images", False)),
         "n_textures": n_textures,
-        "n_lamps": int(header.get("n_lamps", 0)),
+        "n_lamps": n_lamps,
         "light": _light(tensors, n) if "light.modes" in tensors else None,
         "points": _point_map(tensors, n),
         "features": features,
         "search_filter": searched,
         "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
     }
+
+
+def _check_memory(header: dict, tensors: dict[str, np.ndarray]) -> None:
+    """Raise ValueError if the modes of all shapes take too much memory; files hold a byte of four, on some pixels."""
+    named = re.compile(r"(?:others/([0-9])/)?([a-z]+)/[0-9]+/([a-z]+)\.modes")
+    total = 0.0
+    for key, modes in tensors.items():
+        if not (found := named.fullmatch(key)) or found[3] not in CHANNELS:
+            continue
+        n_pixels = _n_pixels(header, found[1], found[2])
+        total += cost.LOADED * float(len(modes)) * n_pixels * CHANNELS[found[3]]
+    cost.check_memory(total)
+
+
+def _n_pixels(header: dict, other: str | None, view: str) -> float:
+    """Number of pixels of a view, as a header states it; 0 if it does not, for which the file is refused later."""
+    try:
+        about = header if other is None else header["others"][int(other)]
+        return float(about["views"][view]["n_pixels"])
+    except (KeyError, IndexError, TypeError, ValueError):
+        return 0.0
+
+
+def _count(header: dict, key: str) -> int:
+    """Number of images or lamps in a header; only that of images must be there."""
+    count = header[key] if key == "n_images" else header.get(key, 0)
+    if int(count) != count or not 0 <= count <= MAX_IMAGES:
+        raise ValueError(f"{key} is not a number from 0 to {MAX_IMAGES:,}")
+    return int(count)
 
 
 def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict[str, Any] | np.ndarray]:
@@ -192,6 +242,8 @@ def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
         raise ValueError("the light basis has values out of range")
+    check_magnitude("light.modes", modes, MAX_LOG_LIGHT)
+    check_magnitude("light.remainder", remainder, MAX_LOG_LIGHT)
     return LightBasis(mean, modes, remainder)
 
 
@@ -233,15 +285,17 @@ def _view(
 ) -> View:
     """Make one view; all views share the mean shape. ``counts`` are the channels and most modes of each appearance."""
     if name not in VIEWS:
-        raise ValueError(f"view {name!r} is unknown; the views are {', '.join(VIEWS)}")
+        raise ValueError(f"view {shortened(name)!r} is unknown; the views are {', '.join(VIEWS)}")
     if not isinstance(about, dict):
-        raise ValueError(f"view {name} is described by {about!r}")
+        raise ValueError(f"view {name} is described by {shortened(about)}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
     blurs, n, n_pixels = [finite(blur) for blur in about["blurs"]], len(mean), about["n_pixels"]
     if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
-        raise ValueError(f"blurs {blurs}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
+        raise ValueError(f"blurs {shortened(blurs)}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     if not isinstance(n_pixels, int) or n_pixels < 1:
-        raise ValueError(f"{n_pixels!r} is not a positive integer")
+        raise ValueError(f"{shortened(n_pixels)} is not a positive integer")
+    if blurs != sorted(blurs, reverse=True):
+        raise ValueError(f"blurs {blurs} do not fall from coarse to fine")
     # Appearances first: their tensors limit the number of pixels to what the size of the file allows.
     levels = []
     for i, blur in enumerate(blurs):
@@ -276,9 +330,12 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     eigenvalues = checked_tensor(tensors, "shape.eigenvalues", np.float64, (len(modes),))
     key = "shape.unexplained"
     unexplained = checked_tensor(tensors, key, np.float64, (n, 2, 2)) if key in tensors else None
+    if unexplained is not None:
+        check_covariances(key, unexplained, MAX_VARIANCE)
+    check_magnitude("shape.eigenvalues", eigenvalues, n * MAX_VARIANCE)
     freedom = finite(about["freedom"]) if "freedom" in about else np.inf
-    if not freedom > 0:
-        raise ValueError(f"freedom {freedom:g} is not positive")
+    if not freedom >= LEAST_FREEDOM:
+        raise ValueError(f"freedom {freedom:g} is below {LEAST_FREEDOM:g}")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
 
 
@@ -289,13 +346,21 @@ def _reliability(tensors: dict[str, np.ndarray], own: str, n: int) -> Reliabilit
         float(checked_tensor(tensors, f"{own}.{name}", np.float64, (1,))[0])
         for name in ("unit", "variance_factor", "typical", "prior")
     )
+    check_covariances(f"{own}.landmarks", landmarks, MAX_VARIANCE)
+    check_covariances(f"{own}.bias", bias, MAX_VARIANCE)
     if not (unit > 0.0 and prior > 0.0):
         raise ValueError(f"{own}.{'prior' if unit > 0.0 else 'unit'} is not positive")
+    if not UNITS[0] <= unit <= UNITS[1]:
+        raise ValueError(f"{own}.unit {unit:g} is not between {UNITS[0]:g} and {UNITS[1]:g}")
+    if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
+        raise ValueError(f"{own}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
     if factor < 1.0:
         raise ValueError(f"{own}.variance_factor is below 1")
+    check_magnitude(f"{own}.variance_factor", np.array(factor), MAX_FACTOR)
     if not 0.0 <= typical <= 1.0:
         raise ValueError(f"{own}.typical is not a probability")
     weights = checked_tensor(tensors, f"{own}.weights", np.float64, (3,))
+    check_magnitude(f"{own}.weights", weights, MAX_FACTOR)
     return Reliability(landmarks, bias, unit, weights, factor, typical, prior)
 
 
@@ -322,10 +387,15 @@ def _appearance(
         errors[:, rows, columns] = errors[:, columns, rows] = stored
     if errors is not None:
         check_variances(key, errors)
+        check_covariances(key, errors, MAX_VALUE**2, ROUNDED)
+    mean = half_or_single(tensors, f"{prefix}.mean", (n, channels))
+    check_magnitude(f"{prefix}.mean", mean, MAX_VALUE)
+    eigenvalues = checked_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),))
+    check_magnitude(f"{prefix}.eigenvalues", eigenvalues, n_pixels * channels * MAX_VALUE**2)
     appearance = AppearanceModel(
-        mean=half_or_single(tensors, f"{prefix}.mean", (n, channels)),
+        mean=mean,
         modes=modes,
-        eigenvalues=checked_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),)),
+        eigenvalues=eigenvalues,
         usable=half_or_single(tensors, f"{prefix}.usable", (n,)),
         unexplained=errors,
     )
@@ -396,6 +466,30 @@ def check_variances(key: str, matrices: np.ndarray) -> None:
         raise ValueError(f"{key} has negative variances")
 
 
+# Share of a covariance's trace by which rounding may make it indefinite: of double precision, and of the 16 bits in
+# which errors of appearances are stored, to which the second number adds what its smallest numbers are apart.
+EXACT, ROUNDED = (1e-9, 1e-12), (1e-2, 1e-6)
+
+
+def check_covariances(key: str, matrices: np.ndarray, largest: float, rounding: tuple[float, float] = EXACT) -> None:
+    """Raise ValueError unless matrices (n, c, c) are symmetric and positive semidefinite, with bounded variances."""
+    check_magnitude(key, matrices, largest)
+    matrices = matrices.astype(np.float64, copy=False)
+    allowed = rounding[0] * np.trace(matrices, axis1=1, axis2=2) + rounding[1]
+    if (np.abs(matrices - matrices.swapaxes(1, 2)) > allowed[:, None, None]).any():
+        raise ValueError(f"{key} has matrices that are not symmetric")
+    try:
+        np.linalg.cholesky(matrices + allowed[:, None, None] * np.eye(matrices.shape[1]))
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"{key} has matrices that are not positive semidefinite") from error
+
+
+def check_magnitude(key: str, values: np.ndarray, largest: float) -> None:
+    """Raise ValueError if a value exceeds the largest magnitude."""
+    if max(values.max(initial=0.0), -values.min(initial=0.0)) > largest:
+        raise ValueError(f"{key} has values beyond {largest:g}")
+
+
 def are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
     """Whether modes (m, d) have unit length, or at most that if only a part of them is kept."""
     if max(modes.max(initial=0.0), -modes.min(initial=0.0)) > 2.0:  # the squares might overflow
@@ -407,5 +501,5 @@ def are_unit(modes: np.ndarray, at_most: bool = False) -> bool:
 def finite(value: float) -> float:
     """Return a finite number; raise ValueError for others."""
     if not np.isfinite(value):
-        raise ValueError(f"{value} is not a finite number")
+        raise ValueError(f"{shortened(value)} is not a finite number")
     return float(value)

@@ -6,11 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from liaam.errors import LiaamError, missing
+from liaam.errors import LiaamError, missing, shortened
+from liaam.io.files import check_file_size, enough_memory
 from liaam.io.images import image_kind
 
 Shapes = dict[str, tuple[int, ...]]
 """Shapes of a file's tensors."""
+
+MOST_BYTES = 2_000_000_000  # Largest size of a file. 10,000 lamps take half of it; a model of a class of objects, 10 MB
+# Largest size of a header, and largest number of its objects: every tensor is described by one. A model of four shapes
+# with all appearances at ten levels has 4,500 tensors.
+MOST_HEADER_BYTES, MOST_ENTRIES = 10_000_000, 10_000
 
 
 def read_tensors(
@@ -31,7 +37,10 @@ def read_tensors(
                 raise missing(error)(f"{path}: the {kind} does not exist; make one with '{make}'")
             what = "is a folder" if path.is_dir() else "is not a regular file"
             raise error(f"{path}: the {kind} {what}; make one with '{make}'")
-        with safe_open(path, framework="numpy") as file:
+        check_file_size(path, error, MOST_BYTES, f"make a smaller {kind} with '{make}'")
+        if fault := _header_fault(path):
+            raise SafetensorError(fault)
+        with enough_memory(path, error), safe_open(path, framework="numpy") as file:
             keys = list(file.keys())
             shapes = {key: tuple(file.get_slice(key).get_shape()) for key in keys}
             header = parse((file.metadata() or {}).get("liaam", ""), shapes)
@@ -42,6 +51,16 @@ def read_tensors(
         if image := image_kind(path):
             remedy = f"give a {kind} in its place, or make one with '{make}'"
             raise error(f"{path} is a {image} image, not a {kind}; {remedy}") from fault
-        raise error(f"{path}: {broken.format(fault=fault)}") from fault
+        raise error(f"{path}: {broken.format(fault=shortened(fault))}") from fault
     except OSError as fault:
         raise error(f"{path}: the {kind} cannot be read ({fault.strerror or fault}); check its permissions") from fault
+
+
+def _header_fault(path: Path) -> str:
+    """Return why the header of a file takes too long to parse, or nothing. Empty tensors take no other bytes."""
+    with path.open("rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+        if length > MOST_HEADER_BYTES:
+            return f"its header has {length:,} bytes, more than the {MOST_HEADER_BYTES:,} allowed"
+        n_entries = file.read(length).count(b"{")
+    return "" if n_entries <= MOST_ENTRIES else f"its header has {n_entries:,} entries, more than {MOST_ENTRIES:,}"

@@ -113,7 +113,8 @@ class Reliability:
 
     def with_prior(self, quality: float) -> float:
         """Probability that a fit near the object is right, from its quality for equal prior odds."""
-        return self.prior * quality / (self.prior * quality + 1.0 - quality)
+        # In this order of sums, rounding does not make it larger than 1.
+        return self.prior * quality / (self.prior * quality + (1.0 - quality))
 
 
 @dataclass(frozen=True, eq=False)

@@ -339,6 +339,11 @@ def relight(
 
 def lamps_of(light: Light) -> list[Lamp]:
     """Return the lamps of a direction, a lamp or several lamps."""
+    if isinstance(light, FitResult):
+        raise LiaamError(
+            "the light is the result of a fit; give its landmarks as the start, init=result.landmarks, or relight that "
+            "very fit with liaam.relighting.Relighter.of(fitter, image, result)"
+        )
     several: list = [light] if isinstance(light, Lamp) else list(light)
     return several if all(isinstance(lamp, Lamp) for lamp in several) else [Lamp(several)]
 
