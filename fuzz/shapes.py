@@ -15,7 +15,7 @@ from fuzz.target import Target
 LARGEST = 1_600_000
 """Largest number of pixels of an image here."""
 
-LONG = ((8, 200_000), (200_000, 8), (64, 40_000), (40_000, 64), (16, 100_000), (1000, 1600))
+LONG = ((8, 200_000), (200_000, 8), (40, 40_000), (40_000, 40), (16, 100_000), (1000, 1600))
 """Heights and widths of large images, most of them longer than OpenCV can index."""
 
 TYPES = ("u1", "u2", ">u2", "f4", ">f4", "f8", ">f8", "f2")

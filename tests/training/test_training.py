@@ -13,7 +13,7 @@ from liaam.errors import ImageError, OptionError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
 from liaam.fitting.files import write_fit
 from liaam.io import Contour, Landmarks, read_image, write_image, write_landmarks
-from liaam.model import SURROUNDINGS, load_model
+from liaam.model import SURROUNDINGS, cost, load_model
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
@@ -36,6 +36,11 @@ def pairs(scenes) -> list[tuple[np.ndarray, np.ndarray]]:
 def refused(pairs, match: str, **options) -> None:
     with pytest.raises((TrainingError, OptionError), match=match):
         train(pairs, **({"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,)} | options))
+
+
+def test_a_model_that_could_not_be_read_again_is_refused_before_it_is_calibrated(pairs, monkeypatch):
+    monkeypatch.setattr(cost, "MOST_WORK", 1e4)
+    refused(pairs, r"the model of 3 images is too large.*Give a smaller diagonal \(now 40 pixels\)")
 
 
 # What comes out

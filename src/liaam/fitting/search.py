@@ -30,9 +30,9 @@ SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image'
 LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
 STEP = 1.2  # ratio of consecutive sizes
 PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
-# Pixels of all fields of a search together, with their padding. Images of up to 30 to 1 need fewer. In longer ones the
-# smallest objects, which take most of the time, are not searched for: below 0.3 of the shorter side at 100 to 1.
-MOST_PIXELS = 8_000_000
+# Pixels of all fields of a search together, with their padding. Images of up to 19 to 1 need fewer. In longer ones the
+# smallest objects, which take most of the time, are not searched for: below 0.5 of the shorter side at 100 to 1.
+MOST_PIXELS = 3_000_000
 SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
 VISITED = 0.25  # margin around a place that its fit may use, as a fraction of the object's diagonal
 GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged

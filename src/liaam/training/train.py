@@ -11,6 +11,7 @@ import numpy as np
 from liaam.errors import TrainingError
 from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
+from liaam.model.cost import TooLargeError, check_cost
 from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
@@ -186,6 +187,7 @@ def _train_one(
                 found = level_appearances(sampled, names[view][i], i, camera.theta, kept[view], folds)
                 levels.append(Level(float(blur), found))
             model = model.with_view(view, levels=tuple(levels))
+        _check_cost(model)
 
         if options.leave_out:
             settings: Settings = {view: (recipes[priors[view]], options.variance, kept[view]) for view in VIEWS}
@@ -195,6 +197,17 @@ def _train_one(
         steps.next("trained", 0)
     # A model of exactly the training images is not rounded.
     return model if options.keeps_all else keep_only(model, methods)
+
+
+def _check_cost(model: AAM) -> None:
+    """Raise TrainingError if the file of a model would be refused when it is read."""
+    try:
+        check_cost(model.views.values())
+    except TooLargeError as fault:
+        raise TrainingError(
+            f"the model of {model.n_images} images is too large: {fault}. Give a smaller diagonal (now "
+            f"{model.diagonal:g} pixels), a smaller variance of the appearance, or fewer lamps"
+        ) from fault
 
 
 def _copies(
