@@ -400,7 +400,7 @@ def field_pixels(size, sizes) -> float:
     return sum(np.prod(np.maximum(np.array(size) * TEMPLATE / each, 8)) for each in sizes)
 
 
-@pytest.mark.parametrize("ratio", [1, 3, 10, 18])
+@pytest.mark.parametrize("ratio", [1, 3, 11])
 @pytest.mark.parametrize("shorter", [16, 100, 300, 3000])
 def test_panoramas_are_searched_at_the_sizes_of_a_square(shorter, ratio):
     np.testing.assert_array_equal(

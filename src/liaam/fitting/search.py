@@ -30,7 +30,7 @@ SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image'
 LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
 STEP = 1.2  # ratio of consecutive sizes
 PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
-# Pixels of all fields of a search together, with their padding. Images of up to 19 to 1 need fewer. In longer ones the
+# Pixels of all fields of a search together, with their padding. Images of up to 11 to 1 need fewer. In longer ones the
 # smallest objects, which take most of the time, are not searched for: below 0.5 of the shorter side at 100 to 1.
 MOST_PIXELS = 3_000_000
 SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
