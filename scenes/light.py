@@ -173,7 +173,9 @@ def dome_irradiance(body: Body) -> np.ndarray:
         depth = splat_map(coordinates(points, frame), DOME_MAP)
         facing = np.einsum("nk,k->n", body.normals, direction)
         towards = np.flatnonzero(facing > 0)
-        total[towards] += weight * facing[towards] * visibility(coordinates(lifted.take(towards, axis=1), frame), depth, 0.03)
+        total[towards] += (
+            weight * facing[towards] * visibility(coordinates(lifted.take(towards, axis=1), frame), depth, 0.03)
+        )
     return total / np.sum(weights * np.maximum(directions[:, 2], 0))
 
 

@@ -27,7 +27,7 @@ from liaam.datasets import Sample
 from liaam.io import Landmarks, video_writer
 from liaam.lamps import Lamps, learn_lamps
 from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import faces, train
+from liaam.training import train
 from scenes import (
     DIFFUSE,
     Head,
@@ -57,21 +57,6 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadFileScheduling
 
     return LoadFileScheduling(config, log)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def no_lamps_by_default() -> Iterator[Callable]:
-    """Train without lamps for faces, which take longer; give the function that finds faces."""
-    with pytest.MonkeyPatch.context() as patch:
-        original = faces.face_lamps
-        patch.setattr(faces, "face_lamps", lambda *_: None)
-        yield original
-
-
-@pytest.fixture
-def lamps_for_faces(no_lamps_by_default: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train with lamps for faces, as users do."""
-    monkeypatch.setattr(faces, "face_lamps", no_lamps_by_default)
 
 
 @pytest.fixture(scope="session")

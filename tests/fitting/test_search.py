@@ -216,7 +216,9 @@ def pattern_picture(rng: np.random.Generator, pattern: np.ndarray, scale: float,
 
 def test_the_object_need_not_be_a_face(rng):
     pattern, light = smooth_noise(rng, (90, 120), 4.0), np.array([[1.0, 1.0, 1.0], [1.0, 0.95, 0.9]])
-    model = liaam.train([pattern_picture(rng, pattern, 1.2, rng.normal(0, 3), light) for _ in range(6)], diagonal=80.0, leave_out=False)
+    model = liaam.train(
+        [pattern_picture(rng, pattern, 1.2, rng.normal(0, 3), light) for _ in range(6)], diagonal=80.0, leave_out=False
+    )
     other = np.array([[0.15, 0.2, 0.3], [1.0, 0.9, 0.7]])
     for scale, turn in ((0.6, -12.0), (1.6, 8.0)):
         picture, truth = pattern_picture(rng, pattern, scale, turn, other)
