@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.errors import LiaamError
 from scenes.body import Body
-from scenes.raster import depth_map, splat_map, transform, visibility
+from scenes.raster import coordinates, depth_map, splat_map, transform, visibility
 
 Radiator = Literal["wien", "planck"]
 K2_NM = 1.438776877e7  # second radiation constant, nm K
@@ -151,13 +151,13 @@ def direct_visibility(body: Body, at: np.ndarray, normals: np.ndarray, light: Po
     """Fraction (n,) of a lamp that is visible from points (n, 3) with normals (n, 3)."""
     seen = np.zeros(len(at), np.float32)
     # Offset the points by about a texel, so that the surface does not shadow itself.
-    lifted = at + normals * 0.022
+    lifted = np.ascontiguousarray((at + normals * 0.022).T)
     samples = _lamp_samples(light)
     triangles = body.coarse if light.softness > WIDE else body.triangles
     for direction in samples:
         frame = _light_frame(direction, SHADOW_MAP, SHADOW_REACH)
         depth = depth_map(transform(body.points, frame), triangles, SHADOW_MAP)
-        seen += visibility(transform(lifted, frame), depth, 0.010)
+        seen += visibility(coordinates(lifted, frame), depth, 0.010)
     return seen / len(samples)
 
 
@@ -166,13 +166,16 @@ def dome_irradiance(body: Body) -> np.ndarray:
     directions = _dome()
     weights = 1 + 0.45 * directions[:, 1]
     total = np.zeros(len(body.normals), np.float32)
-    lifted = body.points + body.normals * 0.035
+    points = np.ascontiguousarray(body.points.T)
+    lifted = np.ascontiguousarray((body.points + body.normals * 0.035).T)
     for direction, weight in zip(directions, weights, strict=True):
         frame = _light_frame(direction, DOME_MAP, 1.9)
-        depth = splat_map(transform(body.points, frame), DOME_MAP)
+        depth = splat_map(coordinates(points, frame), DOME_MAP)
         facing = np.einsum("nk,k->n", body.normals, direction)
         towards = np.flatnonzero(facing > 0)
-        total[towards] += weight * facing[towards] * visibility(transform(lifted[towards], frame), depth, 0.03)
+        total[towards] += (
+            weight * facing[towards] * visibility(coordinates(lifted.take(towards, axis=1), frame), depth, 0.03)
+        )
     return total / np.sum(weights * np.maximum(directions[:, 2], 0))
 
 

@@ -7,11 +7,13 @@ from liaam import _core
 
 def transform(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Apply an affine map (3, 4) to points (n, 3); unlike a BLAS product it uses one core."""
-    moved = np.empty(points.shape)
-    x, y, z = np.ascontiguousarray(points.T)
-    for k, (a, b, c, d) in enumerate(frame.tolist()):
-        moved[:, k] = a * x + b * y + c * z + d
-    return moved
+    return np.ascontiguousarray(coordinates(np.ascontiguousarray(points.T), frame).T)
+
+
+def coordinates(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Apply an affine map (3, 4) to points that are given by coordinate, (3, n), as is the result."""
+    x, y, z = points
+    return np.stack([a * x + b * y + c * z + d for a, b, c, d in frame.tolist()])
 
 
 def draw(
@@ -41,9 +43,9 @@ def _int(numbers: np.ndarray) -> np.ndarray:
 
 
 def visibility(points: np.ndarray, depth: np.ndarray, bias: float) -> np.ndarray:
-    """Fraction of light (n,) float32 that reaches points (n, 3) of a depth map: 2 x 2 comparisons, bilinear."""
-    size, seen = len(depth), np.ones(len(points), np.float32)
-    x, y, z = np.ascontiguousarray(points.T)
+    """Fraction of light (n,) float32 that reaches points (3, n) of a depth map: 2 x 2 comparisons, bilinear."""
+    size, seen = len(depth), np.ones(points.shape[1], np.float32)
+    x, y, z = points
     column, row = np.floor(x), np.floor(y)
     inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < size - 1) & (row < size - 1))
     x, y, z, column, row = (each.take(inside) for each in (x, y, z + bias, column, row))
@@ -55,9 +57,9 @@ def visibility(points: np.ndarray, depth: np.ndarray, bias: float) -> np.ndarray
 
 
 def splat_map(points: np.ndarray, size: int) -> np.ndarray:
-    """Nearness map (size, size) of a cloud of points (n, 3), each drawn as one pixel."""
+    """Nearness map (size, size) of a cloud of points (3, n), each drawn as one pixel."""
     depth = np.full(size * size, -np.float32(1e9), np.float32)
-    x, y, z = np.ascontiguousarray(points.T)
+    x, y, z = points
     column, row = np.floor(x + 0.5), np.floor(y + 0.5)
     inside = np.flatnonzero((column >= 0) & (row >= 0) & (column < size) & (row < size))
     at = (row.take(inside) * size + column.take(inside)).astype(np.intp)

@@ -1,6 +1,7 @@
 """Render a head with a pose, lights and a camera to an image with ground truth."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import cv2
@@ -115,8 +116,8 @@ def render(
     _check_request(lights, size, mixing, supersample)
     pose, expression, camera = pose or Pose(), expression or Expression(), camera or Camera()
     face = face_of(head)
-    body = build_body(face, pose, expression)
-    pixels = _draw_figure(body, size, pose, supersample)
+    body, sky = _figure(head, pose, expression)
+    pixels = _draw_figure(body, sky, size, pose, supersample)
     colour = _shrink(_paint_pixels(pixels, face, textures_of(head), expression), supersample)
     irradiance, missing = _irradiances(body, pixels, lights, supersample)
     landmarks = landmarks_of(head, pose, expression, size)
@@ -201,9 +202,15 @@ def _project(points: np.ndarray, size: tuple[int, int], pose: Pose) -> np.ndarra
 _CHART, _NORMAL, _POINT, _SKY, _PART = slice(0, 4), slice(4, 7), slice(7, 10), 10, 11
 
 
-def _draw_figure(body: Body, size: tuple[int, int], pose: Pose, s: int) -> np.ndarray:
+@lru_cache(maxsize=8)  # a set under several lights shows the same figures; 8 MB each
+def _figure(head: Head, pose: Pose, expression: Expression) -> tuple[Body, np.ndarray]:
+    """The posed figure, and the irradiance (n,) of its vertices under an open sky."""
+    body = build_body(face_of(head), pose, expression)
+    return body, lighting.dome_irradiance(body)
+
+
+def _draw_figure(body: Body, sky: np.ndarray, size: tuple[int, int], pose: Pose, s: int) -> np.ndarray:
     """Attributes (s h, s w, 12) of the figure at every sample; part 0 is the wall."""
-    sky = lighting.dome_irradiance(body)
     attributes = np.column_stack([body.chart, body.normals, body.points, sky, body.part]).astype(np.float32)
     at = (_project(body.points, size, pose) + 0.5) * s - 0.5
     screen = np.column_stack([at, body.points[:, 2]])

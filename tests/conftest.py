@@ -30,7 +30,7 @@ from liaam.datasets import Sample
 from liaam.io import Landmarks, video_writer
 from liaam.lamps import Lamps, learn_lamps
 from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import faces, train
+from liaam.training import train
 from scenes import (
     DIFFUSE,
     Head,
@@ -56,6 +56,29 @@ settings.register_profile("liaam", derandomize=True, deadline=None, max_examples
 settings.load_profile("liaam")
 
 
+# Files that take long, the longest first: a worker that begins one of them last leaves the others idle.
+LONG = (
+    "test_search.py",
+    "test_tracker.py",
+    "test_cli_video.py",
+    "test_registration.py",
+    "test_label_faults.py",
+    "test_cli_camera.py",
+    "test_demo.py",
+    "test_real_faces.py",
+    "test_sets.py",
+    "test_scenes.py",
+    "test_training.py",
+    "test_repeatable.py",
+    "test_experiments_cli.py",
+    "test_cli.py",
+    "test_cli_folders.py",
+    "test_symmetry.py",
+    "test_faces.py",
+    "test_background.py",
+)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--shuffle", type=int, metavar="SEED", help="run the files, and the tests of each, in random order"
@@ -64,9 +87,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Shuffle files, and the tests of each; the same in all processes, which have to agree on the order."""
+    """Begin with the files that take long; or shuffle files, and the tests of each.
+
+    The order is the same in all processes, which have to agree on it.
+    """
     seed = config.getoption("shuffle")
     if seed is None:
+        places = {name: place for place, name in enumerate(LONG)}
+        items.sort(key=lambda item: places.get(item.path.name, len(LONG)))
         return
     tests_of = defaultdict(list)
     for item in items:
@@ -83,22 +111,8 @@ def pytest_xdist_make_scheduler(config, log):
     """Keep the tests of a file on one worker: they share what is long in the making."""
     from xdist.scheduler import LoadFileScheduling
 
+    config.option.loadscopereorder = False  # by the number of tests, which says little of their time
     return LoadFileScheduling(config, log)
-
-
-@pytest.fixture(autouse=True, scope="session")
-def no_lamps_by_default() -> Iterator[Callable]:
-    """Train without lamps for faces, which take longer; give the function that finds faces."""
-    with pytest.MonkeyPatch.context() as patch:
-        original = faces.face_lamps
-        patch.setattr(faces, "face_lamps", lambda *_: None)
-        yield original
-
-
-@pytest.fixture
-def lamps_for_faces(no_lamps_by_default: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Train with lamps for faces, as users do."""
-    monkeypatch.setattr(faces, "face_lamps", no_lamps_by_default)
 
 
 @pytest.fixture(scope="session")

@@ -105,7 +105,9 @@ def model_file(tmp_path_factory):
     from liaam.training import train
 
     path = tmp_path_factory.mktemp("model") / "face.liaam"
-    train([(s.image, s.landmarks) for s in make_set(8, head=Head(5), size=(200, 150))], diagonal=100).save(path)
+    # Without lamps: light is not what is tested, and a model with them sees half a face in one that lies on its side.
+    pairs = [(scene.image, scene.landmarks) for scene in make_set(8, head=Head(5), size=(200, 150))]
+    train(pairs, diagonal=100, lamps=None).save(path)
     return path
 
 

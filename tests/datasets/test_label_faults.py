@@ -186,16 +186,16 @@ def test_four_points_that_look_alike_when_turned_by_a_half_are_not_taken_for_shi
     assert find_label_faults(list(corners + deviations)) == []
 
 
-def test_a_misplaced_point_of_four_is_nearly_always_found_and_nothing_else():
+def test_a_misplaced_point_of_four_is_found_and_nothing_else():
     found, alarms = 0, 0
-    for seed in range(20):
+    for seed in range(10):
         rng = np.random.default_rng([4, seed])
         shapes = specimens(4, seed=seed)
         alarms += len(find_label_faults(shapes))
         angle = rng.uniform(0, 2 * np.pi)
         shapes[7, seed % 4] += 0.1 * np.linalg.norm(np.ptp(WING[:4], axis=0)) * np.array([np.cos(angle), np.sin(angle)])
         found += [fault.picture for fault in find_label_faults(shapes)] == [7]
-    assert found >= 19 and alarms == 0
+    assert found == 10 and alarms == 0
 
 
 def test_points_nearly_on_a_line_are_not_mirrored():

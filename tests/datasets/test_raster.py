@@ -95,11 +95,11 @@ def test_light_is_interpolated_between_four_comparisons():
     depth = np.zeros((3, 3), np.float32)
     depth[0, 1] = 5  # hides what is behind it
     points = np.array([[0.25, 0.5, 1], [0.25, 0.5, 6], [1.5, 1.5, 1], [-0.1, 1, 1], [2, 1, -9]])
-    np.testing.assert_allclose(visibility(points, depth, 0.0), [1 - 0.25 * 0.5, 1, 1, 1, 1])
+    np.testing.assert_allclose(visibility(points.T, depth, 0.0), [1 - 0.25 * 0.5, 1, 1, 1, 1])
 
 
 def test_points_are_drawn_as_single_pixels():
     points = np.array([[0.4, 1.6, 2], [0.4, 1.6, 3], [0.6, 0, 1], [5, 0, 9], [0, -0.6, 9]])
-    depth = splat_map(points, 3)
+    depth = splat_map(points.T, 3)
     assert (depth[2, 0], depth[0, 1]) == (3, 1)
     assert (depth > -1e9).sum() == 2

@@ -282,10 +282,18 @@ class TestFit:
         assert not Fitter(head_model).find(image)[0].doubtful
 
 
+@pytest.fixture(scope="session")
+def fitted_without_lamps(folder, head_model):
+    """Give the fit of a model without lamps, whose shading ends with its mesh, and its service."""
+    fits = make_fits(folder, replace(head_model, light=None))
+    return fits, fit(fits)
+
+
 class TestLayers:
     @pytest.mark.parametrize("what", ["residual", "shading"])
     @pytest.mark.parametrize("size", [320, 160, 80])
-    def test_lie_over_the_picture_and_are_clear_outside_the_mesh(self, fits, fitted, what, size):
+    def test_lie_over_the_picture_and_are_clear_outside_the_mesh(self, fitted_without_lamps, what, size):
+        fits, fitted = fitted_without_lamps
         fits._fits.put(fitted.id, fitted)
         drawn = np.array(Image.open(io.BytesIO(fits.layer(fitted, what, size)[0])))
         width, height = fitted_size(120, 160, size)

@@ -3,6 +3,7 @@
 import inspect
 from collections import Counter
 from dataclasses import fields
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,13 +19,15 @@ from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
 from liaam.morphometry import measure, read_specimens
 from liaam.photometry import CameraModel, invariant
-from liaam.training import TrainingOptions, images as images_of_training, train
+from liaam.training import TrainingOptions, images as images_of_training, train as train_as_users_do
 from liaam.training.entries import read_entries
 from liaam.training.left_out import describe_objects, folds_of
 from liaam.training.options import ARGUMENTS
 from setups import disturb, model_pixels, train_on
 
 LINEAR = CameraModel(response="linear")
+# The scenes are faces, but light is not what most of these tests are about; tests/training/test_faces.py is.
+train = partial(train_as_users_do, lamps=None)
 
 
 @pytest.fixture
@@ -618,7 +621,7 @@ def test_options_come_as_an_object_by_name_or_both(pairs):
 
 
 def test_messages_list_all_arguments_of_train():
-    given = set(inspect.signature(train).parameters) - {"data", "options", "changes"}
+    given = set(inspect.signature(train_as_users_do).parameters) - {"data", "options", "changes"}
     assert set(ARGUMENTS) == given
 
 

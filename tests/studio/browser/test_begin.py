@@ -41,7 +41,9 @@ def empty(tmp_path):
 @pytest.fixture(scope="session")
 def model_bytes(portraits):
     """Give the content of a file of a model of the portraits."""
-    return train([(scene.image, scene.landmarks) for scene in portraits[:8]], leave_out=False, methods="all").to_bytes()
+    return train(
+        [(scene.image, scene.landmarks) for scene in portraits[:8]], leave_out=False, methods="all", lamps=None
+    ).to_bytes()
 
 
 def drop_anywhere(page, name: str, data: bytes) -> None:

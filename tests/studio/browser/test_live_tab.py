@@ -64,7 +64,9 @@ def browser(picture, tmp_path_factory) -> Iterator:
 def portrait_model(portraits, tmp_path_factory) -> Path:
     """Give a model of the portraits."""
     path = tmp_path_factory.mktemp("model") / "portraits.liaam"
-    train([(scene.image, scene.landmarks) for scene in portraits[:8]], leave_out=False, methods="all").save(path)
+    train([(scene.image, scene.landmarks) for scene in portraits[:8]], leave_out=False, methods="all", lamps=None).save(
+        path
+    )
     return path
 
 
