@@ -70,8 +70,10 @@ def test_results_say_how_many_starts_were_tried_and_are_of_the_one_kept(calibrat
     again = next(new for old, new in zip(*both, strict=True) if new.quality > old.quality)
     assert again.to_dict()["starts_tried"] == again.n_starts > 1
     alone = Fitter(calibrated, restarts=False).fit(lit_scene.image, again.start)
-    # Restarts go on from the blurred levels, so that the sharpest one averages the image around another shape.
-    np.testing.assert_allclose(alone.landmarks, again.landmarks, atol=0.05)
+    # Restarts go on from the blurred levels, so that the sharpest one averages the image around another shape; and each
+    # fit may stop a tenth of a standard deviation from where it would end.
+    apart = np.linalg.norm(alone.landmarks - again.landmarks, axis=1) / again.sd
+    assert apart.mean() < 0.25
     assert alone.status == again.status
 
 

@@ -12,6 +12,7 @@ import pytest
 from liaam.errors import ImageError
 from liaam.io import decode_image, write_image
 from liaam.photometry import CameraModel, invariant_image
+from liaam.photometry.encoding import usable_range
 from liaam.studio import pictures as shown_pictures
 from liaam.studio.pictures import (
     CHROMA_MASKED,
@@ -226,7 +227,7 @@ class TestChroma:
     @pytest.mark.parametrize("response", ["srgb", "linear", 1.8])
     def test_is_the_invariant_image_of_every_angle(self, rng, response):
         image = colours(rng, 30, 41)
-        image[:4] = 3  # dark
+        image[:4] = 0  # dark in every response
         image[4:8, :, 1] = 254  # saturated
         numbers = chroma(image, 640, response)
         masked = (numbers == CHROMA_MASKED).all(axis=2)
@@ -283,10 +284,11 @@ class TestChroma:
         image[int(np.ceil(lower)) :], image[:, int(np.ceil(right)) :] = 10, 250
         assert chroma_bytes(image, size) == data
 
-    def test_clips_what_does_not_fit(self):
-        image = np.full((8, 8, 3), [0.97, 0.97, 0.04], np.float32)
-        numbers = chroma(image, 640, 5.0)  # a gamma of 5 makes the ratio e^16
-        assert (numbers == 32767).all()
+    @pytest.mark.parametrize("response", ["srgb", "linear", 5.0])
+    def test_the_largest_ratio_of_usable_light_fits(self, response):
+        low, high = usable_range(response)
+        numbers = chroma(np.full((8, 8, 3), [0.999 * high, 0.999 * high, 1.001 * low], np.float32), 640, response)
+        assert (numbers * CHROMA_STEP).min() == pytest.approx(np.log(0.961 / 0.00228), abs=0.05)
 
     @pytest.mark.parametrize("value", [0, 128, 255])
     def test_a_grey_picture_has_none(self, value):

@@ -335,6 +335,7 @@ def chroma(image: np.ndarray, size: int, response: Response = "srgb", name: str 
     refuse_grey(image, name, "an invariant image needs colour")
     encoded = encode(image, "log", response, reduce=block_size(image.shape[1], image.shape[0], size))
     ratios = (encoded[..., :2] - encoded[..., 2:3]) / np.float32(CHROMA_STEP)
+    # Ratios of usable light are 25,000 steps at most; only those of masked pixels may exceed the range.
     numbers = np.rint(np.clip(ratios, -32767, 32767)).astype(np.int16)
     numbers[encoded[..., 3] <= 0] = CHROMA_MASKED
     return numbers
