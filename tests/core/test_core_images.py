@@ -260,6 +260,10 @@ def test_recursive_filters_are_alike(size, depth, seed):
 
 REFUSED = {
     "blocks beyond the image": lambda: _core.stored_means(np.zeros((9, 9, 3), np.uint8), TABLE, 0.0, 0.0, 2.0, 9, 2),
+    "blocks of values below the image": lambda: _core.value_means(
+        np.zeros((9, 20, 1), np.float32), 0.0, 0.0, 2.0, 9, 2
+    ),
+    "blocks of values beside it": lambda: _core.value_means(np.zeros((20, 9, 1), np.float32), 0.0, 0.0, 2.0, 2, 9),
     "a start before it": lambda: _core.value_means(np.zeros((9, 9, 1), np.float32), -1.0, 0.0, 1.0, 1, 1),
     "a table that is too short": lambda: _core.stored_means(
         np.zeros((9, 9, 3), np.uint8), TABLE[:, :9].copy(), 0.0, 0.0, 1.0, 1, 1

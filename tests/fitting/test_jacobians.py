@@ -93,6 +93,15 @@ class Setting:
         return np.floor(self.image.from_model(self.objective.warp.points(p)))
 
 
+@pytest.mark.parametrize("method", ["grey", "li-pcs", "soft-li"])
+def test_arrays_of_the_core_have_the_shapes_of_the_reference(model, lit_scene, method, rng):
+    core, reference = (vars(Setting(model, lit_scene, method, each, rng).evaluate()) for each in ENGINES)
+    # The core leaves empty what a method does not use.
+    shared = {name for name in core.keys() & reference.keys() if np.size(core[name])}
+    assert {"residual", "gradients", "hessian"} <= shared
+    assert {name: np.shape(core[name]) for name in shared} == {name: np.shape(reference[name]) for name in shared}
+
+
 @pytest.mark.parametrize("method", UNLIKE, ids=name_of)
 def test_columns_of_the_warp_parameters(model, lit_scene, method, engine, rng):
     setting = Setting(model, lit_scene, method, engine, rng)

@@ -104,6 +104,12 @@ def test_a_first_place_that_is_more_likely_right_than_wrong_is_not_compared_with
     assert (which, result.n_starts) == (0, 1)
 
 
+@pytest.mark.parametrize("first", [(0.15, 0.7), (0.9, 0.3)], ids=["small", "large, of low quality"])
+def test_a_first_place_that_is_more_likely_wrong_is_compared_with_others(place, first):
+    """Being large adds nothing to its quality."""
+    assert place(first, (0.5, 0.1))[1].n_starts == 2
+
+
 def test_what_is_lost_everywhere_stays_lost(place):
     which, result = place((0.5, 0.0), (0.8, 0.0))
     assert which == 0

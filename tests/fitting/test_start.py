@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import StartError
-from liaam.fitting.starts import start_shape
+from liaam.fitting.starts import region_of, start_shape
 from liaam.io import Landmarks
 from liaam.model.shape import diagonal_of
 
@@ -47,6 +47,12 @@ def straying(far: float) -> np.ndarray:
     return shape
 
 
+def beside(right: float) -> np.ndarray:
+    shape = np.linspace(20, 150, 116).reshape(58, 2)
+    shape[6:, 0] = right
+    return shape
+
+
 def few(n_numbers: int) -> np.ndarray:
     shape = np.full((58, 2), np.nan)
     shape[:n_numbers] = 50
@@ -72,6 +78,7 @@ def few(n_numbers: int) -> np.ndarray:
         ((5000, 5000, 80), "lies outside the image .*180×240 pixels"),
         ((-500, 20, -400, 120), "lies outside the image"),
         (np.full((58, 2), 1e9), "lies outside the image"),
+        (beside(SIZE[0] - 0.5), "lies outside the image"),  # the centre of the last pixel is at 179
         (np.full((58, 2), 80.0), "only 0.0 pixels large"),
         ((80, 80, 1e-300), "only 0.0 pixels large"),
         (straying(1e5), "the start is 417 times as large as the image"),
@@ -82,6 +89,17 @@ def few(n_numbers: int) -> np.ndarray:
 def test_a_start_that_makes_no_sense_is_refused(model, init, match):
     with pytest.raises(StartError, match=f"portrait.*({match})"):
         start_shape(model, init, SIZE, "portrait")
+
+
+def test_landmarks_at_the_last_pixel_lie_inside(model):
+    shape = beside(SIZE[0] - 1)
+    shape[0, 0] = -1  # so that not all of them do
+    np.testing.assert_array_equal(start_shape(model, shape, SIZE), shape)
+
+
+def test_the_region_around_a_box_ends_with_the_image():
+    low, high = region_of((0, 0, 179, 239), np.zeros((*SIZE[::-1], 3), np.uint8))
+    np.testing.assert_array_equal([low, high], [(0, 0), SIZE])
 
 
 def test_names_decide_the_order_of_a_start(model, shape):

@@ -1,10 +1,14 @@
 """A fit's status tells a shape unlike any in training from one that has merely not converged."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
+from liaam.fitting.levels import LinearImage
 from liaam.fitting.objective import Objective
+from liaam.fitting.status import status_of
 from liaam.model.shape import align
 
 
@@ -25,3 +29,20 @@ def test_a_fit_whose_residuals_are_no_numbers_states_that_it_knows_nothing(model
     result = Fitter(model, "grey", SolverOptions(max_iterations=0)).fit(scenes[0].image, scenes[0].landmarks)
     assert np.isfinite(result.covariance).all()
     assert (result.sd > 0).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_dark_pixels_at_the_border_of_the_patch_are_a_reason(model, scenes, axis):
+    """The patch covers x and y from 10 to 49; most of the object's pixels lie at its first and last ones."""
+    points = np.full((10, 2), 30.0)
+    points[:4, axis], points[4:8, axis] = 10.0, 49.0
+    stage = SimpleNamespace(
+        objective=SimpleNamespace(warp=SimpleNamespace(points=lambda _: points)),
+        solution=SimpleNamespace(p=None, usable=np.arange(10) >= 8, flat=False, converged=True, held=False),
+        pose=lambda each: each,
+        to_patch=lambda each: each - 10.0,
+        patch_size=(40, 40),
+    )
+    history = (SimpleNamespace(landmarks=scenes[0].landmarks),)
+    black = LinearImage(np.zeros((60, 60, 3), np.uint8), "srgb")
+    assert status_of(black, history, stage, model, model.shape_model) is FitStatus.TOO_DARK

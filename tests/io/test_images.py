@@ -26,6 +26,7 @@ from liaam.io import (
     read_preview,
     write_image,
 )
+from liaam.photometry import srgb_to_linear
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:PIL")  # Pillow remarks on broken files
 
@@ -724,17 +725,24 @@ def test_the_limit_of_pixels_is_set_for_commands_by_a_variable(tmp_path, monkeyp
 
 ADOBE = ((0.60974, 0.31111, 0.01947), (0.20528, 0.62567, 0.06087), (0.14919, 0.06322, 0.74457))
 P3 = ((0.51512, 0.24120, -0.00105), (0.29198, 0.69225, 0.04189), (0.15710, 0.06657, 0.78407))
+SRGB = ((0.43607, 0.22249, 0.01392), (0.38515, 0.71687, 0.09708), (0.14307, 0.06061, 0.71410))
 PROPHOTO = ((0.79767, 0.28804, 0.0), (0.13519, 0.71188, 0.0), (0.03134, 0.00009, 0.82491))
 WHITE = (0.9642, 1.0, 0.8249)
 
 
-def make_profile(primaries: tuple[tuple[float, ...], ...], gamma: float) -> bytes:
-    """Build an ICC profile by hand: of RGB with these XYZ of its primaries, or of grey without any."""
+def make_profile(primaries: tuple[tuple[float, ...], ...], gamma: float | np.ndarray) -> bytes:
+    """Build an ICC profile by hand: of RGB with these XYZ of its primaries, or of grey without any.
+
+    Instead of ``gamma`` the light of evenly spaced values can be given, (n,) from 0 to 1.
+    """
 
     def xyz(values: tuple[float, ...]) -> bytes:
         return struct.pack(">3i", *(round(value * 65536) for value in values))
 
-    curve = b"curv" + struct.pack(">IIHxx", 0, 1, round(gamma * 256))
+    if isinstance(gamma, np.ndarray):
+        curve = b"curv" + struct.pack(">II", 0, len(gamma)) + np.rint(65535 * gamma).astype(">u2").tobytes()
+    else:
+        curve = b"curv" + struct.pack(">IIHxx", 0, 1, round(gamma * 256))
     tags = {b"wtpt": b"XYZ \0\0\0\0" + xyz(WHITE)}
     for letter, primary in zip((b"r", b"g", b"b"), primaries, strict=False):
         tags |= {letter + b"XYZ": b"XYZ \0\0\0\0" + xyz(primary), letter + b"TRC": curve}
@@ -767,6 +775,14 @@ def test_a_colour_profile_is_converted_to_srgb(tmp_path, primaries, gamma, kind)
     assert np.abs(seen[0] - to_srgb(colours[0], primaries, gamma)).max() <= 2
     assert np.abs(seen[0].astype(int) - colours[0]).max() >= 4
     assert np.ptp(seen[0, 1]) == 0  # grey stays grey
+
+
+@pytest.mark.parametrize(("darker", "seen"), [(2, 255), (3, 252)])
+def test_only_profiles_that_differ_from_srgb_by_more_than_rounding_change_values(tmp_path, darker, seen):
+    light = srgb_to_linear(np.linspace(0, 1, 256)) * srgb_to_linear(np.array(1 - darker / 255))
+    white = Image.new("RGB", (4, 3), (255, 255, 255))
+    white.save(tmp_path / "a.png", icc_profile=make_profile(SRGB, light))
+    assert (read_image(tmp_path / "a.png") == seen).all()
 
 
 def test_grey_and_cmyk_of_other_profiles(tmp_path):
