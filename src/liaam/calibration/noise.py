@@ -219,7 +219,8 @@ def _blocks_of_image(image: np.ndarray, response: Response) -> np.ndarray:
     """Blocks of an image, without those that are dark or saturated on average."""
     stored, linear, usable = _values(image, response)
     usable &= _is_well_exposed(stored.mean(axis=2, keepdims=True), image.dtype, response)
-    return _described(linear, linear, stored, image.dtype, response)[usable]
+    blocks = _described(signal=linear, linear=linear, stored=stored, dtype=image.dtype, response=response)
+    return blocks[usable]
 
 
 def _blocks_of_pair(first: np.ndarray, second: np.ndarray, response: Response) -> np.ndarray:
@@ -235,7 +236,8 @@ def _blocks_of_pair(first: np.ndarray, second: np.ndarray, response: Response) -
     gain = np.sqrt(_flicker(first_linear, second_linear, usable))
     difference = (first_linear * gain - second_linear / gain) / np.sqrt(2)
     linear = (first_linear + second_linear) / 2
-    return _described(difference, linear, stored, first.dtype, response)[usable]
+    blocks = _described(signal=difference, linear=linear, stored=stored, dtype=first.dtype, response=response)
+    return blocks[usable]
 
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:
@@ -286,9 +288,17 @@ def _flicker(first: np.ndarray, second: np.ndarray, usable: np.ndarray) -> float
 def _described(
     signal: np.ndarray, linear: np.ndarray, stored: np.ndarray, dtype: np.dtype, response: Response
 ) -> np.ndarray:
-    """Describe blocks (n, 3) whose pixels are (n, 3, SIDE^2): the signal that has the noise, light, and stored values.
+    """Describe blocks (n, 3) by their pixels (n, 3, SIDE^2).
 
-    The type is that of the image.
+    Parameters
+    ----------
+    signal : (n, 3, SIDE^2) float64
+        Values with the noise of linear light, in which variation is measured.
+    linear, stored : (n, 3, SIDE^2) float64
+        Linear light, and stored values in [0, 1].
+    dtype : dtype
+        Type of the image, which says how stored values are rounded.
+    response : Response
     """
     blocks = np.empty(linear.shape[:2], _BLOCK)
     blocks["level"] = linear.mean(axis=2)
