@@ -56,7 +56,7 @@ class ReviewLog:
             self._entries[entry["picture"]].append(entry)
 
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
-        """Append an entry for each picture, given with the revision of what was done to."""
+        """Append an entry for each picture, given with the revision of what the action was done to."""
         facts = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "who": who, "did": did}
         entries = [{**facts, "picture": name, "revision": revision} for name, revision in pictures.items()]
         self._store.append("review", entries)
