@@ -176,7 +176,16 @@ class Unknowns(NamedTuple):
 class ResponseProblem:
     """The problem; its unknowns z (P,) are the free increments, exposures, white balances and vignetting coefficients.
 
-    Log exposures (m,) and the response may be given; ``terms`` is the number of vignetting coefficients.
+    Attributes
+    ----------
+    measured : Blocks
+        Blocks of one scene in m images.
+    known_logs : (m,) float64, optional
+        Log exposures, if they are given.
+    response : Response, optional
+        The response, if it is given.
+    terms : int
+        Number of vignetting coefficients to estimate.
     """
 
     measured: Blocks
@@ -277,6 +286,7 @@ class ResponseProblem:
         values[:n_increments] = rows[:n_increments, :n_increments] @ mean
         if self.power_known:
             return rows, values
+        # One more equation says that log light has the usual range between dark and saturated values.
         span = np.diff(increments(np.array([DARK, SATURATED])), axis=0)
         span = np.pad(span, ((0, 0), (0, len(rows) - n_increments)))
         return np.concatenate([rows, span / EXACT]), np.append(values, USUAL_RANGE / EXACT)
@@ -308,7 +318,8 @@ class ResponseFit:
     @property
     def corner_error(self) -> float:
         """Standard error of the relative light in the corners."""
-        first = len(self.z) - self.problem.terms  # coefficients of vignetting are last; their sum is the corners'
+        # The coefficients of vignetting are the last unknowns. In the corners r is 1, and the light 1 plus their sum.
+        first = len(self.z) - self.problem.terms
         return float(np.sqrt(self.covariance[first:, first:].sum()))
 
     @property
