@@ -269,7 +269,7 @@ def _cut(image: np.ndarray) -> np.ndarray:
 def _is_well_exposed(stored: np.ndarray, dtype: np.dtype, response: Response) -> np.ndarray:
     """Whether all of a block's stored values (n, 3, k) are neither dark nor saturated, (n, 3) bool."""
     low, high = usable_range(response, dtype.str)
-    return ((stored >= low) & (stored <= high)).all(axis=2)
+    return np.asarray(((stored >= low) & (stored <= high)).all(axis=2))
 
 
 def _flicker(first: np.ndarray, second: np.ndarray, usable: np.ndarray) -> float:
