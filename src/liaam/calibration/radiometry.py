@@ -269,7 +269,7 @@ def _corner_fault(fit: ResponseFit) -> str:
     """Message if the estimated vignetting is unusable, else an empty string."""
     if fit.is_inconsistent:
         return "Vignetting cannot be estimated: the images are inconsistent."
-    if fit.corner_error <= WIDEST_CORNER and least_share(fit.problem.split(fit.z)[-1]) > LEAST_SHARE:
+    if fit.corner_error <= WIDEST_CORNER and least_share(fit.problem.split(fit.z).vignetting) > LEAST_SHARE:
         return ""
     return (
         f"Vignetting cannot be estimated: the relative light in the corners has a standard error of "
@@ -314,7 +314,9 @@ def _held(measured: Blocks) -> tuple[float, float]:
 
 def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimate:
     problem, measured = fit.problem, fit.problem.measured
-    curve, logs, falloff = problem.curve(fit.z), problem.logs(fit.z), problem.split(fit.z)[-1]
+    curve = problem.curve(fit.z)
+    logs = problem.logs(fit.z)
+    falloff = problem.split(fit.z).vignetting
     lens = VignettingEstimate(message=lens_fault)
     if problem.terms:
         covariance = fit.covariance[-problem.terms :, -problem.terms :]

@@ -1,13 +1,14 @@
 """The command ``liaam fit``."""
 
 from collections import defaultdict
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
+from rich.table import Table
 from typer.core import TyperCommand
 
 from liaam.cli import inputs
@@ -21,7 +22,8 @@ from liaam.morphometry.schemes import in_scheme
 if TYPE_CHECKING:
     from liaam.fitting import FitResult, Fitter
 
-OF_LANDMARKS = ("landmark_names", "sd", "covariance")  # Facts of a fit of which another scheme has none
+# Facts of a fit on its own landmarks, which are not written with those of another scheme
+OF_LANDMARKS = ("landmark_names", "sd", "covariance")
 
 
 class FitCommand(TyperCommand):
@@ -33,15 +35,13 @@ class FitCommand(TyperCommand):
         from liaam.fitting import METHODS
         from liaam.fitting.methods import LOSSES, NOISE_SUFFIX
 
-        return "\n\n".join(
-            [
-                "Methods:",
-                *(f"{method.name}: {method.summary}" for method in METHODS.values()),
-                "For occlusion, add a robust loss to any method, as in grey+tukey: "
-                f"{', '.join(f'+{name}' for name in LOSSES)}. Methods on logarithms can also weight pixels by image "
-                f"noise: +{NOISE_SUFFIX}, as in li+{NOISE_SUFFIX}.",
-            ]
+        methods = [f"{method.name}: {method.summary}" for method in METHODS.values()]
+        losses = ", ".join(f"+{name}" for name in LOSSES)
+        suffixes = (
+            f"For occlusion, add a robust loss to any method, as in grey+tukey: {losses}. Methods on logarithms can "
+            f"also weight pixels by image noise: +{NOISE_SUFFIX}, as in li+{NOISE_SUFFIX}."
         )
+        return "\n\n".join(["Methods:", *methods, suffixes])
 
     @epilog.setter
     def epilog(self, _text: str | None) -> None:
@@ -97,7 +97,7 @@ def fit(
     model_file, images = inputs.model_and_inputs(files, "fit")
     if folder := next((image for image in images if image.is_dir()), None):
         raise LiaamError(f"{folder} is a folder; give its images, such as {folder}/*.png, or use 'liaam batch'")
-    outputs = Outputs.asked(output, formats, ellipses, scheme, len(images) > 1 or every)
+    outputs = Outputs.asked(output, formats, ellipses=ellipses, scheme=scheme, several=len(images) > 1 or every)
     inputs.refuse_inputs([output], images)
     model = load_model(model_file)
     camera = inputs.camera_for(images, given_camera, model.camera)
@@ -105,125 +105,211 @@ def fit(
     if scheme is not None:
         in_scheme(model.shape_model.mean, model.landmark_names, scheme)  # its errors come before any work
     make_folder(outputs.folder)
-    table = table_of("image", "start", "score", "status", "quality", "sd", "iterations", "theta")
-    advice: defaultdict[str, list[str]] = defaultdict(list)
-    failed, uncalibrated = 0, False
-    low_score = inputs.LOW_SCORE + (inputs.TURNED if rotations == "upright" else "")
 
-    results_of = partial(fit_file, fitter, init, every, outputs)
+    def fit_or_error(image_and_stem: tuple[Path, str]) -> "dict[str, FitResult] | LiaamError":
+        """Fit an image file. An error is returned, so that the other images are fitted all the same."""
+        image, stem = image_and_stem
+        try:
+            return fit_file(fitter, image, stem, init=init, every=every, outputs=outputs)
+        except LiaamError as error:
+            return error
+
+    report = Report(every=every, rotations=rotations)
     threads = min(len(images), all_cores())
     # With a single image, its search may use all cores.
     with one_thread() if threads > 1 else one_blas_thread(), progress_bar() as progress:
         progress(0, len(images), images[0].name)
-        done = in_order(results_of, zip(images, inputs.unique_stems(images), strict=True), threads)
-        for i, (image, results) in enumerate(zip(images, done, strict=True), 1):
+        outcomes = in_order(fit_or_error, zip(images, inputs.unique_stems(images), strict=True), threads)
+        for i, (image, outcome) in enumerate(zip(images, outcomes, strict=True), 1):
             progress(i, len(images), image.name)
-            if isinstance(results, LiaamError):
-                failed += 1
-                complain(f"error: {results}")
-                continue
-            for stem, result in results.items():
-                name = image.name if stem == image.stem else stem  # of several, as their files
-                table.add_row(cell(name), *row_of(result))
-                uncalibrated |= not result.calibrated
-                if not every and result.n_found is not None and result.n_found > 1:
-                    more = f"{count_of(result.n_found - 1, 'more object')} in the image"
-                    advice[f"{more}: add --all to fit each, or --init to choose one"].append(name)
-                if not result.status.ok:
-                    failed += 1
-                    advice[f"{result.status}: {result.message}"].append(name)
-                if result.detection_doubtful and not result.status.unusable:
-                    advice[low_score].append(name)
-    if table.row_count:
-        show_table(table)
-        if uncalibrated:
-            say("the quality is unknown, and sd and ellipses are not calibrated: see 'liaam show MODEL'")
-        say(f"written to {output}")
-    inputs.say_advice(advice)
-    if failed:
+            if isinstance(outcome, LiaamError):
+                report.add_error(outcome)
+            else:
+                report.add_results(image, outcome)
+    report.show(output)
+    if report.failed:
         raise typer.Exit(1)
+
+
+@dataclass
+class Report:
+    """What the command prints: a table of the fits, and below it advice with the names of the images concerned."""
+
+    every: bool  # whether every object of an image is fitted
+    rotations: str
+    table: Table = field(
+        default_factory=lambda: table_of("image", "start", "score", "status", "quality", "sd", "iterations", "theta")
+    )
+    advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    uncalibrated: bool = False  # whether the quality of a fit is unknown
+    failed: bool = False  # whether an image could not be read, or a fit failed
+
+    def add_error(self, error: LiaamError) -> None:
+        """Print why an image could not be fitted."""
+        self.failed = True
+        complain(f"error: {error}")
+
+    def add_results(self, image: Path, results: "dict[str, FitResult]") -> None:
+        """Add the fits of an image, by the names of their files."""
+        for stem, result in results.items():
+            # The only object of an image is named as the image. Of several, each is named as its files.
+            name = image.name if stem == image.stem else stem
+            self.table.add_row(cell(name), *row_of(result))
+            if not result.calibrated:
+                self.uncalibrated = True
+            if not result.status.ok:
+                self.failed = True
+            for text in self.advice_on(result):
+                self.advice[text].append(name)
+
+    def advice_on(self, result: "FitResult") -> Iterator[str]:
+        """Yield what may be wrong with a fit, and what to do about it."""
+        if not self.every and result.n_found is not None and result.n_found > 1:
+            others = count_of(result.n_found - 1, "more object")
+            yield f"{others} in the image: add --all to fit each, or --init to choose one"
+        if not result.status.ok:
+            yield f"{result.status}: {result.message}"
+        if result.detection_doubtful and not result.status.unusable:
+            yield inputs.LOW_SCORE + (inputs.TURNED if self.rotations == "upright" else "")
+
+    def show(self, output: Path) -> None:
+        """Print the table, if there is any fit, and the advice."""
+        if self.table.row_count:
+            show_table(self.table)
+            if self.uncalibrated:
+                say("the quality is unknown, and sd and ellipses are not calibrated: see 'liaam show MODEL'")
+            say(f"written to {output}")
+        inputs.say_advice(self.advice)
 
 
 def row_of(result: "FitResult") -> tuple[str, ...]:
     """Return the table row of a fit: start, score, status, quality, median landmark sd, iterations and theta."""
-    start, score = ("given", "–") if result.found is None else ("searched", f"{result.found.score:.2f}")
-    if result.found is not None and result.found.score == 0:  # its start is the middle of the image
-        start = "not found"
-    angle = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
+    if result.found is None:
+        start = "given"
+        score = "–"
+    else:
+        # Where nothing was found, the fit started in the middle of the image.
+        start = "searched" if result.found.score != 0 else "not found"
+        score = f"{result.found.score:.2f}"
     sd = f"{np.median(result.sd):.1f} px" if result.status.ok else "–"
-    return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), angle
+    theta = "–" if result.theta_degrees is None else f"{result.theta_degrees:.1f}°"
+    return start, score, str(result.status), result.quality_text, sd, str(result.n_iterations), theta
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """What is written for each image: files of these suffixes in a folder, or the only file of a given stem."""
+    """What is written for each fit.
+
+    Attributes
+    ----------
+    folder : Path
+    suffixes : tuple of str
+        Suffixes of the landmark files.
+    picture : str, optional
+        Ending of the name of the overlay image; by default none is written.
+    stem : str, optional
+        Name, without ending, of the only file that was asked for. By default files are named as their image.
+    ellipses : bool
+        Whether the overlay image shows the ellipses of landmarks.
+    scheme : str, optional
+        Scheme of the landmarks in the files; that of the model by default.
+    """
 
     folder: Path
     suffixes: tuple[str, ...]
-    picture: str | None = "_fit.png"
+    picture: str | None = None
     stem: str | None = None
     ellipses: bool = False
     scheme: str | None = None
 
     @classmethod
-    def asked(cls, output: Path, formats: str, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
+    def asked(cls, output: Path, formats: str, *, ellipses: bool, scheme: str | None, several: bool) -> "Outputs":
         """Take -o as one file if its suffix is that of one, and else as a folder for files of --format."""
-        suffix = output.suffix.lower()
         suffixes = tuple(f".{name.strip().lower().removeprefix('.')}" for name in formats.split(","))
-        if unknown := [each for each in suffixes if each not in FIT_SUFFIXES]:
-            raise LiaamError(f"--format {unknown[0][1:]} is unknown; choose from json, pts, csv and tps")
-        if output.is_dir() or suffix not in (*FIT_SUFFIXES, *IMAGE_SUFFIXES):
-            return cls(output, suffixes, ellipses=ellipses, scheme=scheme)
+        for suffix in suffixes:
+            if suffix not in FIT_SUFFIXES:
+                raise LiaamError(f"--format {suffix[1:]} is unknown; choose from json, pts, csv and tps")
+        is_picture = output.suffix.lower() in IMAGE_SUFFIXES
+        is_landmark_file = output.suffix.lower() in FIT_SUFFIXES
+        if output.is_dir() or not (is_picture or is_landmark_file):
+            return cls(folder=output, suffixes=suffixes, picture="_fit.png", ellipses=ellipses, scheme=scheme)
         if several:
             raise LiaamError(f"{output} is one file; give a folder with -o, since there may be several results")
-        picture = output.suffix if suffix in IMAGE_SUFFIXES else None
-        return cls(output.parent, () if picture else (output.suffix,), picture, output.stem, ellipses, scheme)
+        return cls(
+            folder=output.parent,
+            suffixes=() if is_picture else (output.suffix,),
+            picture=output.suffix if is_picture else None,
+            stem=output.stem,
+            ellipses=ellipses,
+            scheme=scheme,
+        )
+
+    def path_of(self, name: str, ending: str) -> Path:
+        """Return the path of a file for the fit of a name."""
+        return self.folder / f"{self.stem or name}{ending}"
 
 
 def fit_file(
-    fitter: "Fitter", init: str | None, every: bool, outputs: Outputs, named: tuple[Path, str]
-) -> "dict[str, FitResult] | LiaamError":
+    fitter: "Fitter", image: Path, stem: str, *, init: str | None, every: bool, outputs: Outputs
+) -> "dict[str, FitResult]":
     """Fit an image file from `init`, from the start that the search finds, or from `every` start it finds.
 
-    ``named`` are the file and the name of its results. Return them by the name of their files, or an error.
+    Return the results by the name of their files, which is ``stem``, or begins with it if `every` object is fitted.
     """
+    pixels, start = inputs.read_with_start(image, init)
+    if every:
+        detections = fitter.find_all(pixels, name=image.name)
+        starts = {f"{stem}_{i}": detection for i, detection in enumerate(detections, 1)}
+    else:
+        starts = {stem: start}
+    for name in starts:
+        refuse_to_overwrite([outputs.path_of(name, suffix) for suffix in outputs.suffixes])
+    return {name: fit_object(fitter, image, pixels, start, name, outputs) for name, start in starts.items()}
+
+
+def fit_object(
+    fitter: "Fitter", image: Path, pixels: np.ndarray, start: Any, name: str, outputs: Outputs
+) -> "FitResult":
+    """Fit one object of an image file, and write the results to files of a name."""
     from liaam.plotting import overlay
 
-    (image, stem), model, results = named, fitter.model, {}
-    try:
-        pixels, start = inputs.read_with_start(image, init)
-        starts = {stem: start}
-        if every:
-            starts = {f"{stem}_{i}": found for i, found in enumerate(fitter.find_all(pixels, name=image.name), 1)}
-        for name in starts:
-            refuse_to_overwrite([outputs.folder / f"{outputs.stem or name}{suffix}" for suffix in outputs.suffixes])
-        for name, start in starts.items():
-            results[name] = result = fitter.fit(pixels, start, image.name)
-            points, contours, names = result.landmarks, Contour.all_of(model.contours), result.landmark_names
-            scale = start.scale if isinstance(start, Landmarks) else None
-            facts = result.to_dict() | {"image": image.name, "scale": scale}
-            if outputs.scheme is not None:
-                points, contours, names = in_scheme(points, names, outputs.scheme), (), ()
-                facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
-            landmarks = Landmarks(points, contours, names, image_name=image.name, scale=scale)
-            path = outputs.folder / (outputs.stem or name)
-            for suffix in outputs.suffixes:
-                write_fit(path.with_name(path.name + suffix), landmarks, facts, pixels.shape[1::-1])
-            if outputs.picture:
-                drawn = result.landmark_covariances if outputs.ellipses else None
-                picture = overlay(pixels, result.landmarks, model, covariances=drawn)
-                write_image(path.with_name(path.name + outputs.picture), picture)
-    except LiaamError as error:
-        return error
-    return results
+    model = fitter.model
+    result = fitter.fit(pixels, start, image.name)
+    scale = start.scale if isinstance(start, Landmarks) else None
+    facts = result.to_dict() | {"image": image.name, "scale": scale}
+    if outputs.scheme is None:
+        landmarks = Landmarks(
+            points=result.landmarks,
+            contours=Contour.all_of(model.contours),
+            names=result.landmark_names,
+            image_name=image.name,
+            scale=scale,
+        )
+    else:
+        points = in_scheme(result.landmarks, result.landmark_names, outputs.scheme)
+        landmarks = Landmarks(points, image_name=image.name, scale=scale)
+        facts = {key: value for key, value in facts.items() if key not in OF_LANDMARKS}
+    height, width = pixels.shape[:2]
+    for suffix in outputs.suffixes:
+        write_fit(outputs.path_of(name, suffix), landmarks, facts, (width, height))
+    if outputs.picture is not None:
+        covariances = result.landmark_covariances if outputs.ellipses else None
+        picture = overlay(pixels, result.landmarks, model, covariances=covariances)
+        write_image(outputs.path_of(name, outputs.picture), picture)
+    return result
 
 
 def refuse_to_overwrite(paths: list[Path]) -> None:
     """Raise if landmarks that no earlier fit wrote, or that were corrected since, would be overwritten."""
     for path in paths:
-        known = path.with_suffix(".json")
-        if fit := read_fit(known):  # results of an earlier fit may be replaced
-            if corrected := corrected_file(known, fit):
-                raise LiaamError(f"{corrected}: its points were changed after the fit; give another -o to keep them")
-        elif path.exists():
-            raise LiaamError(f"{path} exists and is not from an earlier fit; give another -o to keep it, or remove it")
+        fit_path = path.with_suffix(".json")
+        earlier_fit = read_fit(fit_path)
+        if earlier_fit is None:
+            if path.exists():
+                raise LiaamError(
+                    f"{path} exists and is not from an earlier fit; give another -o to keep it, or remove it"
+                )
+            continue
+        # The results of an earlier fit may be replaced, unless someone worked on them.
+        if corrected := corrected_file(fit_path, earlier_fit):
+            raise LiaamError(f"{corrected}: its points were changed after the fit; give another -o to keep them")

@@ -1,6 +1,7 @@
 """The command ``liaam relight``."""
 
 from collections import defaultdict
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,7 +17,8 @@ from liaam.io.files import existing_file
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
 if TYPE_CHECKING:
-    from liaam.fitting import FitResult
+    from liaam.fitting import FitResult, Fitter
+    from liaam.relighting import Lamp, Relighter
 
 FLAT = "flat"  # Value of --light for the training light, and the ending of such images' names
 
@@ -66,56 +68,126 @@ def relight(
     direction, like = light_of(light)
     outputs = output_paths(images, output, FLAT if light == FLAT else "relit")
     maps = [map_of(path) for path in outputs] if certainty else []
-    read = [*images, *([] if like is None else [like])]
-    inputs.refuse_inputs([*outputs, *maps], read)
+    images_read = images if like is None else [*images, like]
+    inputs.refuse_inputs([*outputs, *maps], images_read)
 
     from liaam.fitting import Fitter
     from liaam.model import load_model
     from liaam.relighting import Lamp
     from liaam.relighting.appearance import check_colour
-    from liaam.relighting.relighter import UNCERTAIN, separated, shown, uncertainty_of
+    from liaam.relighting.relighter import separated
 
     lamps = None if direction is None else [Lamp(direction)]  # raises before any work
     model = load_model(model_file)
     check_colour(model, str(model_file))
-    fitter = Fitter(model, method, camera=inputs.camera_for(read, given_camera, model.camera))
+    fitter = Fitter(model, method, camera=inputs.camera_for(images_read, given_camera, model.camera))
     make_folder(outputs[0].parent)
-    written, failed, other = [], False, None
-    advice: defaultdict[str, list[str]] = defaultdict(list)
+    report = Report(strict)
+    n_images = len(images_read)
     with progress_bar() as progress:
-        progress(0, len(read), read[-1].name)
-        if like is not None:
+        progress(0, n_images, images_read[-1].name)
+        other = None
+        if like is not None:  # it is read first
             other, result = separated(fitter, read_image(like), None, str(like))
-            failed = add_advice(advice, like, result, "its light was used although the fit may be wrong")
-        for i, (image, path) in enumerate(zip(images, outputs, strict=True), len(read) - len(images)):
-            progress(i, len(read), image.name)
+            report.add_fit(like, result, "its light was used although the fit may be wrong")
+        change = Change(lamps=lamps, other=other, init=init, certainty=certainty)
+        n_before = n_images - len(images)
+        for i, (image, path) in enumerate(zip(images, outputs, strict=True), n_before):
+            progress(i, n_images, image.name)
             try:
-                pixels, start = inputs.read_with_start(image, init)
-                relighter, result = separated(fitter, pixels, start, str(image))
-                uncertain = relighter.certain < UNCERTAIN
-                written_here = not (strict and (uncertain or not result.status.ok))
-                if written_here:
-                    write_image(path, shown(relighter, lamps, other))
-                    written.append(path)
-                if written_here and certainty:
-                    known = np.nan_to_num(relighter.certainty())
-                    write_image(map_of(path), np.rint(255 * known).astype(np.uint8)[..., None].repeat(3, axis=2))
-                    written.append(map_of(path))
+                relight_file(fitter, image, path, change, report)
             except LiaamError as error:
-                complain(f"error: {error}")
-                failed = True
-                continue
-            done = "the image was relit although the fit may be wrong" if written_here else "nothing was written"
-            failed |= add_advice(advice, image, result, done)
-            if uncertain and result.status.ok:
-                advice[uncertainty_of(relighter)].append(image.name)
-                failed |= strict
-        progress(len(read), len(read), images[-1].name)
-    if written:
-        say(f"written to {output or inputs.names_of(written)}")
-    inputs.say_advice(advice)
-    if failed:
+                report.add_error(error)
+        progress(n_images, n_images, images[-1].name)
+    report.show(output)
+    if report.failed:
         raise typer.Exit(1)
+
+
+@dataclass(frozen=True)
+class Change:
+    """How every image is relit.
+
+    Attributes
+    ----------
+    lamps : list of Lamp, optional
+    other : Relighter, optional
+        The image whose light is used. Without lamps or such an image, the light is that of training.
+    init : str, optional
+        Start of the fits, as in the command.
+    certainty : bool
+        Whether to write a map of how well the light is known.
+    """
+
+    lamps: "list[Lamp] | None"
+    other: "Relighter | None"
+    init: str | None
+    certainty: bool
+
+
+@dataclass
+class Report:
+    """What the command prints: the written files, and advice with the names of the images concerned."""
+
+    strict: bool  # whether nothing is written where the fit is doubtful or the light is uncertain
+    written: list[Path] = field(default_factory=list)
+    advice: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    failed: bool = False  # whether the command ends with an exit status that is not 0
+
+    def add_error(self, error: LiaamError) -> None:
+        """Print why an image could not be relit."""
+        complain(f"error: {error}")
+        self.failed = True
+
+    def add_fit(self, image: Path, result: "FitResult", action: str) -> None:
+        """Add what may be wrong with a fit, and what was done with it."""
+        if not result.status.ok:
+            self.failed = True
+            self.advice[f"{result.status}: {result.message.rstrip('.')}; {action}"].append(image.name)
+        if result.detection_doubtful and not result.status.unusable:
+            self.advice[inputs.LOW_SCORE].append(image.name)
+        elif np.isnan(result.quality) and result.status.ok:
+            self.advice["quality unknown: the model has no calibrated quality; check the result"].append(image.name)
+
+    def add_uncertainty(self, image: Path, text: str) -> None:
+        """Add that the light of an image is uncertain."""
+        self.advice[text].append(image.name)
+        if self.strict:
+            self.failed = True
+
+    def show(self, output: Path | None) -> None:
+        """Print where the results are, and the advice."""
+        if self.written:
+            say(f"written to {output or inputs.names_of(self.written)}")
+        inputs.say_advice(self.advice)
+
+
+def relight_file(fitter: "Fitter", image: Path, path: Path, change: Change, report: Report) -> None:
+    """Fit an image file, and write it to a path in another light."""
+    from liaam.relighting.relighter import UNCERTAIN, separated, shown, uncertainty_of
+
+    pixels, start = inputs.read_with_start(image, change.init)
+    relighter, result = separated(fitter, pixels, start, str(image))
+    is_uncertain = relighter.certain < UNCERTAIN
+    if report.strict and (is_uncertain or not result.status.ok):
+        action = "nothing was written"
+    else:
+        action = "the image was relit although the fit may be wrong"
+        write_image(path, shown(relighter, change.lamps, change.other))
+        report.written.append(path)
+        if change.certainty:
+            write_image(map_of(path), picture_of_certainty(relighter))
+            report.written.append(map_of(path))
+    report.add_fit(image, result, action)
+    if is_uncertain and result.status.ok:
+        report.add_uncertainty(image, uncertainty_of(relighter))
+
+
+def picture_of_certainty(relighter: "Relighter") -> np.ndarray:
+    """Draw how well the light is known, (h, w, 3) uint8: black 0 and outside the mesh, white 1."""
+    certainty = np.nan_to_num(relighter.certainty())
+    grey = np.rint(255 * certainty).astype(np.uint8)
+    return grey[..., None].repeat(3, axis=2)
 
 
 def light_of(text: str) -> tuple[tuple[float, ...] | None, Path | None]:
@@ -134,12 +206,13 @@ def light_of(text: str) -> tuple[tuple[float, ...] | None, Path | None]:
 
 def output_paths(images: list[Path], output: Path | None, ending: str) -> list[Path]:
     """Return the path to write for each image. Raise if one cannot be written."""
-    folder = Path() if output is None else output
     if output is not None and len(images) == 1 and not output.is_dir():
         check_output(output)
-        if output.suffix.lower() not in IMAGE_SUFFIXES or output.suffix.lower() == ".pgm":  # grey only
+        suffix = output.suffix.lower()
+        if suffix not in IMAGE_SUFFIXES or suffix == ".pgm":  # which is grey only
             raise LiaamError(f"{output}: give the name of an image file, such as {output.stem}.png")
         return [output]
+    folder = Path() if output is None else output
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in IMAGE_SUFFIXES):
         raise LiaamError(f"{folder} is not a folder; for several images, give a folder with -o")
     return [folder / f"{stem}_{ending}.png" for stem in inputs.unique_stems(images)]
@@ -148,15 +221,3 @@ def output_paths(images: list[Path], output: Path | None, ending: str) -> list[P
 def map_of(path: Path) -> Path:
     """Return the path of the map of certainty of an image to write."""
     return path.with_name(f"{path.stem}_certainty.png")
-
-
-def add_advice(advice: defaultdict[str, list[str]], image: Path, result: "FitResult", what: str) -> bool:
-    """Add what may be wrong with a fit, and what was done with it. Return whether it failed."""
-    if not result.status.ok:
-        text = f"{result.status}: {result.message.rstrip('.')}; {what}"
-        advice[text].append(image.name)
-    if result.detection_doubtful and not result.status.unusable:
-        advice[inputs.LOW_SCORE].append(image.name)
-    elif np.isnan(result.quality) and result.status.ok:
-        advice["quality unknown: the model has no calibrated quality; check the result"].append(image.name)
-    return not result.status.ok

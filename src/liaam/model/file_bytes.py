@@ -1,7 +1,8 @@
 """The content of a model file: as few and as narrow tensors as hold the model exactly."""
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -10,58 +11,72 @@ from liaam.model.appearance import AppearanceModel
 from liaam.model.mirror import mirrored_model
 from liaam.model.rounding import encoded
 from liaam.model.shape import mirror_order
+from liaam.model.views import LightBasis, View
 from liaam.photometry import describe_response
 
 if TYPE_CHECKING:
     from liaam.model.aam import AAM
+
+Value = TypeVar("Value")
 
 
 def file_bytes(model: "AAM") -> bytes:
     """Return the content of a model file."""
     from safetensors.numpy import save
 
-    header, tensors = _header(model), _tensors(model)
+    header = _header(model)
+    tensors = _tensors(model)
     if model.others:
-        header |= {"schema": file.OF_SHAPES, "others": []}
+        header["schema"] = file.OF_SHAPES
+        header["others"] = []
     for i, other in enumerate(model.others):
-        own, order = _tensors(other), _mirror(model, i)
-        if order is None:
+        mirror_images = _mirror_images_of_landmarks(model, i)
+        if mirror_images is None:
             header["others"].append(_header(other))
-            tensors |= {f"{file.prefix_of(i)}{key}": value for key, value in own.items()}
+            tensors |= _named(file.prefix_of(i), _tensors(other))
         else:
-            header |= {"schema": file.OF_MIRRORED}
-            header["others"].append({file.MIRRORED: order.tolist()})
+            header["schema"] = file.OF_MIRRORED
+            header["others"].append({file.MIRRORED: mirror_images.tolist()})
     return save(tensors, {"liaam": json.dumps(header)})
 
 
-def _mirror(model: "AAM", i: int) -> np.ndarray | None:
-    """Return the order of landmarks that makes the i-th other shape the mirror image of the one before, or None."""
-    before, other = model.others[i - 1], model.others[i]
-    order = mirror_order(model.shape_model.mean) if i and before.n_pixels == other.n_pixels else None
-    if order is None or before.features is not None:
+def _mirror_images_of_landmarks(model: "AAM", i: int) -> np.ndarray | None:
+    """Return the index of each landmark's mirror image if the i-th other shape is the one before mirrored, or None.
+
+    The file then holds these indices instead of the shape. It does so only if exactly the same shape is made of them.
+    """
+    if i == 0:
+        return None  # readers mirror other shapes only, and there is none before the first
+    before = model.others[i - 1]
+    other = model.others[i]
+    if before.n_pixels != other.n_pixels or before.features is not None:
         return None
-    mirrored = mirrored_model(before, order)
-    own, theirs = _tensors(mirrored), _tensors(other)
-    same = own.keys() == theirs.keys() and all(np.array_equal(own[key], theirs[key]) for key in own)
-    return order if same and _header(mirrored) == _header(other) else None
+    order = mirror_order(model.shape_model.mean)
+    if order is None or not _have_same_content(mirrored_model(before, order), other):
+        return None
+    return order
 
 
-def _header(model: "AAM") -> dict:
-    return {
+def _have_same_content(first: "AAM", second: "AAM") -> bool:
+    """Whether two models are stored as the same header and tensors."""
+    tensors = _tensors(first)
+    others = _tensors(second)
+    if tensors.keys() != others.keys():
+        return False
+    if not all(np.array_equal(tensors[name], others[name]) for name in tensors):
+        return False
+    return _header(first) == _header(second)
+
+
+def _header(model: "AAM") -> dict[str, Any]:
+    """Return what a file holds of a model besides its tensors, and without its other shapes."""
+    header = {
         "format": file.FORMAT,
         "schema": file.SCHEMA_VERSION,
         "theta": model.theta,
         "response": describe_response(model.response),
         "camera": model.camera.describe(),
-        "views": {
-            name: {
-                "blurs": [level.blur for level in view.levels],
-                "n_pixels": view.warp.frame.n_pixels,
-                **({"freedom": view.shape_model.freedom} if np.isfinite(view.shape_model.freedom) else {}),
-                **({"from_right": True} if view.warp.from_right else {}),
-            }
-            for name, view in model.views.items()
-        },
+        "views": {name: _header_of_view(view) for name, view in model.views.items()},
         "n_images": model.n_images,
         "n_textures": model.n_textures,
         "n_lamps": model.n_lamps,
@@ -69,61 +84,110 @@ def _header(model: "AAM") -> dict:
         "contours": [[list(indices), closed] for indices, closed in model.contours],
         "landmark_names": list(model.landmark_names),
         "name": model.name,
-        **({"credit": model.credit} if model.credit else {}),
-        **({"same_images": True} if model.same_images else {}),
-        **({} if model.features is None else {"features": model.features.name}),
     }
+    # The following are written only of models that have them; a reader takes their absence for none.
+    if model.credit:
+        header["credit"] = model.credit
+    if model.same_images:
+        header["same_images"] = True
+    if model.features is not None:
+        header["features"] = model.features.name
+    return header
+
+
+def _header_of_view(view: View) -> dict[str, Any]:
+    header: dict[str, Any] = {
+        "blurs": [level.blur for level in view.levels],
+        "n_pixels": view.warp.frame.n_pixels,
+    }
+    if np.isfinite(view.shape_model.freedom):  # JSON has no infinity, and a reader takes an absent one for that
+        header["freedom"] = view.shape_model.freedom
+    if view.warp.from_right:
+        header["from_right"] = True
+    return header
 
 
 def _tensors(model: "AAM") -> dict[str, np.ndarray]:
-    tensors = {"mean": model.shape_model.mean, "triangles": model.triangles}
+    """Return the tensors of a model by their names in the file, without those of its other shapes."""
+    tensors: dict[str, np.ndarray | None] = {"mean": model.shape_model.mean, "triangles": model.triangles}
     if model.search_filter is not None:
         tensors["search_filter"] = _half_if_exact(model.search_filter)
-    parts = [(part, getattr(model, part), part) for part in ("light", "points", "features")]
+    if model.light is not None:
+        tensors |= _named("light.", _light_tensors(model.light))
+    if model.points is not None:
+        tensors |= _named("points.", _stored_fields(model.points, "points"))
+    if model.features is not None:
+        tensors |= _named("features.", _stored_fields(model.features, "features"))
     for name, view in model.views.items():
-        parts += [
-            (f"{name}/shape", view.shape_model, "shape"),
-            *((f"{name}/{file.calibration_of(m)}", known, "reliability") for m, known in view.reliabilities.items()),
-        ]
-        for i, level in enumerate(view.levels):
-            for kind, appearance in level.appearances.items():
-                tensors |= {f"{name}/{i}/{kind}.{k}": v for k, v in _appearance_tensors(appearance).items()}
-    for prefix, owner, kind in parts:
-        if owner is not None:
-            tensors |= {f"{prefix}.{key}": getattr(owner, key) for key in file.STORED[kind]}
-    if model.light is not None:  # its modes are 0 far from the object
-        known = model.light.modes.any(axis=(0, 3))
-        about = {"known": np.packbits(known), **_mode_tensors(model.light.modes[:, known])}
-        tensors |= {f"light.{key}": value for key, value in about.items()}
-    return {key: np.ascontiguousarray(np.atleast_1d(value)) for key, value in tensors.items() if value is not None}
+        tensors |= _named(f"{name}/", _view_tensors(view))
+    return {name: np.ascontiguousarray(np.atleast_1d(value)) for name, value in tensors.items() if value is not None}
+
+
+def _view_tensors(view: View) -> dict[str, np.ndarray | None]:
+    tensors = _named("shape.", _stored_fields(view.shape_model, "shape"))
+    for method, reliability in view.reliabilities.items():
+        tensors |= _named(f"{file.calibration_of(method)}.", _stored_fields(reliability, "reliability"))
+    for i, level in enumerate(view.levels):
+        for kind, appearance in level.appearances.items():
+            tensors |= _named(f"{i}/{kind}.", _appearance_tensors(appearance))
+    return tensors
 
 
 def _appearance_tensors(appearance: AppearanceModel) -> dict[str, np.ndarray | None]:
     """Return the tensors that hold an appearance exactly, as few and as narrow as that is possible."""
     known = appearance.known
-    if known.sum() < file.LEAST_SHARE * len(known):
+    if known.sum() < file.LEAST_SHARE * len(known):  # readers refuse so few; the others are stored too, as zeros
         known = np.ones(len(known), bool)
-    errors = appearance.unexplained
-    if errors is not None:
-        rows, columns = np.triu_indices(errors.shape[1])
-        errors = _half_if_exact(errors[known][:, rows, columns])
+    unexplained = None
+    if appearance.unexplained is not None:
+        unexplained = _half_if_exact(_upper_triangles(appearance.unexplained[known]))
     return {
         "known": None if known.all() else np.packbits(known),
         "mean": _half_if_exact(appearance.mean[known]),
         **_mode_tensors(appearance.modes[:, known]),
         "eigenvalues": appearance.eigenvalues,
         "usable": _half_if_exact(appearance.usable[known]),
-        "unexplained": errors,
+        "unexplained": unexplained,
     }
+
+
+def _light_tensors(light: LightBasis) -> dict[str, np.ndarray]:
+    """Return the tensors of a light basis, whose modes (k, side, side, 3) are 0 far from the object."""
+    known = light.modes.any(axis=(0, 3))
+    return {
+        **_stored_fields(light, "light"),
+        "known": np.packbits(known),
+        **_mode_tensors(light.modes[:, known]),
+    }
+
+
+def _stored_fields(part: object, kind: str) -> dict[str, Any]:
+    """Return the fields of a part of a model that a file holds as they are, by their names."""
+    return {field: getattr(part, field) for field in file.STORED[kind]}
+
+
+def _named(prefix: str, tensors: Mapping[str, Value]) -> dict[str, Value]:
+    """Put a prefix before the names of tensors."""
+    return {f"{prefix}{name}": value for name, value in tensors.items()}
 
 
 def _mode_tensors(modes: np.ndarray) -> dict[str, np.ndarray]:
     """Return modes rounded to 8 bits as codes and steps, and others in 16 bits if that is exact, or as they are."""
-    found = encoded(modes)
-    return {"modes": _half_if_exact(modes)} if found is None else dict(zip(("modes", "steps"), found, strict=True))
+    rounded = encoded(modes)
+    if rounded is None:
+        return {"modes": _half_if_exact(modes)}
+    codes, steps = rounded
+    return {"modes": codes, "steps": steps}
 
 
 def _half_if_exact(values: np.ndarray) -> np.ndarray:
+    """Return values in half precision if none of them changes, or as they are."""
     with np.errstate(over="ignore"):
         half = values.astype(np.float16)
     return half if np.array_equal(half, values) else values
+
+
+def _upper_triangles(matrices: np.ndarray) -> np.ndarray:
+    """Return the upper triangles (n, c (c + 1) / 2), row by row, of symmetric matrices (n, c, c)."""
+    rows, columns = np.triu_indices(matrices.shape[1])
+    return matrices[:, rows, columns]

@@ -1,17 +1,28 @@
 """Overlays of fits on images, and figures of models, lamps, cameras and videos."""
 
-from liaam.plotting import photometry as photometry, video as video
+from liaam.plotting import photometry, video
 from liaam.plotting.figures import (
-    figure_of_fits as figure_of_fits,
-    figure_of_lamps as figure_of_lamps,
-    figure_of_model as figure_of_model,
-    figure_of_pictures as figure_of_pictures,
-    save_figure as save_figure,
-    show_picture as show_picture,
-    subplots as subplots,
+    figure_of_fits,
+    figure_of_lamps,
+    figure_of_model,
+    figure_of_pictures,
+    save_figure,
+    show_picture,
+    subplots,
 )
-from liaam.plotting.overlays import (
-    enlarged as enlarged,
-    overlay as overlay,
-    overlay_of_faults as overlay_of_faults,
-)
+from liaam.plotting.overlays import enlarged, overlay, overlay_of_faults
+
+__all__ = [
+    "enlarged",
+    "figure_of_fits",
+    "figure_of_lamps",
+    "figure_of_model",
+    "figure_of_pictures",
+    "overlay",
+    "overlay_of_faults",
+    "photometry",
+    "save_figure",
+    "show_picture",
+    "subplots",
+    "video",
+]

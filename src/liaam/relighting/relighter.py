@@ -33,9 +33,30 @@ GRAIN = 1.0  # Standard deviation of the Gaussian that separates the noise, pixe
 Light = Sequence[float] | Lamp | Sequence[Lamp]
 Steadied = Callable[[Shading], Shading]
 
-NOTHING = np.zeros((0, 0, 3), np.float32)
-NO_SURROUNDINGS = Surroundings(np.zeros((0, 0), bool), NOTHING, NOTHING, NOTHING, NOTHING, 0.0)
-UNSEEN = (Region.of(np.zeros((1, 2)), (slice(0, 0), slice(0, 0))), NOTHING, NOTHING, NO_SURROUNDINGS)
+
+@dataclass(frozen=True, eq=False)
+class FlatRegion:
+    """The part of an image that may change, in its own light and under that of training; as in :class:`Relighter`."""
+
+    region: Region
+    log_flat: np.ndarray
+    log_own: np.ndarray
+    surroundings: Surroundings
+
+    @classmethod
+    def empty(cls) -> "FlatRegion":
+        """Return the region of an object outside the image, which has no pixels."""
+        no_pixels = np.zeros((0, 0, 3), np.float32)
+        surroundings = Surroundings(
+            inside=np.zeros((0, 0), bool),
+            belongs=no_pixels,
+            gloss=no_pixels,
+            share=no_pixels,
+            seen=no_pixels,
+            reach=0.0,
+        )
+        region = Region.of(shape=np.zeros((1, 2)), box=(slice(0, 0), slice(0, 0)))
+        return cls(region=region, log_flat=no_pixels, log_own=no_pixels, surroundings=surroundings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,19 +129,32 @@ class Relighter:
         """
         check_method(fitter, result)
         fitter = fitter.lit_part_for(result)  # without a basis of light, beards count as shade
-        (image, name), model = load_picture(image, name), fitter.model
+        model = fitter.model
+        image, name = load_picture(image, name)
         refuse_grey(image, name, "relighting needs colours; give a colour image", MethodError)
-        response, shape = (fitter.camera or model.camera).response, result.landmarks
-        eight = image.dtype == np.uint8
-        picture = image.copy() if eight else np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
-        if not len(seen_triangles(image, shape, model)):
-            known = model.levels[-1].appearances["log"]
-            shading = Shading(np.zeros(len(light_on_frame(model)[0])), np.zeros_like(known.mean), known.mean[:, 0] * 0)
-            return cls(model, shape, response, picture, ShadowFree.unseen(known), shading, *UNSEEN)
-        appearance, shading = find_shading(model, image, shape, response)
-        shading = shading if steadied is None else steadied(shading)
-        rest = _removed(model, image, shape, response, shading)
-        return cls(model, shape, response, picture, appearance, shading, *rest)
+        camera = fitter.camera or model.camera
+        shape = result.landmarks
+        if len(seen_triangles(image, shape, model)):
+            appearance, shading = find_shading(model, image, shape, camera.response)
+            if steadied is not None:
+                shading = steadied(shading)
+            flat = _without_light(model, image, shape, camera.response, shading)
+        else:  # the object is outside the image, which is left unchanged
+            appearance = ShadowFree.unseen(model.levels[-1].appearances["log"])
+            shading = _no_shading(model)
+            flat = FlatRegion.empty()
+        return cls(
+            model=model,
+            shape=shape,
+            response=camera.response,
+            picture=_in_eight_bits(image),
+            appearance=appearance,
+            frame_shading=shading,
+            region=flat.region,
+            log_flat=flat.log_flat,
+            log_own=flat.log_own,
+            surroundings=flat.surroundings,
+        )
 
     def flat(self) -> np.ndarray:
         """Return the image with the object under the training light, (h, w, 3) uint8."""
@@ -128,9 +162,10 @@ class Relighter:
 
     def shading(self) -> np.ndarray:
         """Return the removed shading, (h, w, 3) float32: log(image / flat image), 0 outside the mesh."""
-        whole = np.zeros(self.picture.shape, np.float32)
-        whole[self.region.box] = self.covered[..., None] * (self.log_own - np.minimum(self.log_flat, 0.0))
-        return whole
+        shading = np.zeros(self.picture.shape, np.float32)
+        log_flat = np.minimum(self.log_flat, 0.0)  # what is brighter than white is stored as white
+        shading[self.region.box] = self.covered[..., None] * (self.log_own - log_flat)
+        return shading
 
     def certainty(self) -> np.ndarray:
         """Return how well the removed light is known, (h, w) float32: 0 to 1 inside the mesh, NaN outside it.
@@ -138,14 +173,14 @@ class Relighter:
         It is exp(-d), where d is the standard deviation of the logarithm of the light: 0.8 means to about 20 %. It is
         lower where noise would have been amplified more than three times.
         """
-        whole = np.full(self.picture.shape[:2], np.nan, np.float32)
-        if self.inside.any():
-            deviation = self.frame_shading.deviation[:, None]
-            known = np.exp(-paint(self.inside, self.region.shape, self.model, deviation)[0])
-            excess = self._excess(eight_bits(self.log_flat, self.response))
-            known = self.region.enlarged(known).reshape(self.covered.shape) * (1.0 - excess)
-            whole[self.region.box] = np.where(self.covered, known, np.nan)
-        return whole
+        certainty = np.full(self.picture.shape[:2], np.nan, np.float32)
+        if not self.inside.any():
+            return certainty
+        deviation, _ = paint(self.inside, self.region.shape, self.model, self.frame_shading.deviation[:, None])
+        of_light = self.region.enlarged(np.exp(-deviation)).reshape(self.covered.shape)
+        excess = self._excess(eight_bits(self.log_flat, self.response))
+        certainty[self.region.box] = np.where(self.covered, of_light * (1.0 - excess), np.nan)
+        return certainty
 
     @cached_property
     def certain(self) -> float:
@@ -177,9 +212,11 @@ class Relighter:
         check_ambient(ambient)
         if not self.inside.any():
             return self.picture.copy()
-        made, frontal = (light_of(given, self.normals, ambient) for given in (lamps, [Lamp((0.0, 0.0, 1.0))]))
-        exposure = min(float(frontal[self.inside].mean() / made[self.inside].mean()) ** 0.5, LONGEST)
-        return self._changed(self.surroundings.share * np.log(exposure * made / frontal))
+        under_lamps = light_of(lamps, self.normals, ambient)
+        frontal = light_of([Lamp((0.0, 0.0, 1.0))], self.normals, ambient)
+        loss = float(frontal[self.inside].mean() / under_lamps[self.inside].mean())
+        exposure = min(loss**0.5, LONGEST)
+        return self._changed(self.surroundings.share * np.log(exposure * under_lamps / frontal))
 
     def like(self, other: "Relighter") -> np.ndarray:
         """Return the image with the object under the light of another fitted image, (h, w, 3) uint8.
@@ -193,14 +230,16 @@ class Relighter:
             raise LiaamError("the two images were fitted with different models; fit both with the same model")
         if not self.inside.any():
             return self.picture.copy()
-        shading, region = other.frame_shading, self.region
-        values, _ = paint(self.inside, region.shape, self.model, shading.log)
-        return self._changed(self.surroundings.spread(values, light_on_image(self.model, shading.coordinates, region)))
+        shading = other.frame_shading
+        on_mesh, _ = paint(self.inside, self.region.shape, self.model, shading.log)
+        around = light_on_image(self.model, shading.coordinates, self.region)
+        return self._changed(self.surroundings.spread(on_mesh, around))
 
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays of the picture."""
-        return sum(getattr(each, "nbytes", 0) for part in (self, self.surroundings) for each in vars(part).values())
+        values = [*vars(self).values(), *vars(self.surroundings).values()]
+        return sum(value.nbytes for value in values if isinstance(value, np.ndarray))
 
     @property
     def inside(self) -> np.ndarray:
@@ -210,18 +249,22 @@ class Relighter:
     @cached_property
     def normals(self) -> np.ndarray:
         """Normals of the inflated surface, rotated with the object, (lh, lw, 3) float32."""
-        pose, radius = align(self.model.shape_model.mean, self.shape), 2.0 * self.region.reach
-        values, _ = paint(self.inside, self.region.shape, self.model, normals_of(self.model.frame))
-        known = self.inside[..., None]
-        normals = np.where(known, values, averages(values, known, radius) if known.size else values)
-        normals[..., :2] = normals[..., :2] @ (pose.matrix / pose.scale).T.astype(np.float32)
+        normals, _ = paint(self.inside, self.region.shape, self.model, normals_of(self.model.frame))
+        is_inside = self.inside[..., None]
+        if is_inside.size:
+            # Beyond the mesh, the surface continues as within two reaches.
+            normals = np.where(is_inside, normals, averages(normals, is_inside, 2.0 * self.region.reach))
+        pose = align(self.model.shape_model.mean, self.shape)
+        rotation = pose.matrix / pose.scale
+        normals[..., :2] = normals[..., :2] @ rotation.T.astype(np.float32)
         return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
 
     @cached_property
     def covered(self) -> np.ndarray:
         """Pixels of the box inside the mesh, (bh, bw) bool."""
-        known = np.ones((self.model.n_pixels, 1), np.float32)
-        return paint(self.picture, self.shape, self.model, known)[1][self.region.box]
+        ones = np.ones((self.model.n_pixels, 1), np.float32)
+        _, inside = paint(self.picture, self.shape, self.model, ones)
+        return inside[self.region.box]
 
     @cached_property
     def _grain(self) -> np.ndarray:
@@ -229,42 +272,74 @@ class Relighter:
         light = to_linear(stored_values(self.picture[self.region.box]), self.response)
         deviation = noise_of_log(light, noise_deviation(self.picture, self.response))
         fine = self.log_own - cv2.GaussianBlur(self.log_own, (0, 0), GRAIN)
-        return fine * np.exp(-0.5 * np.square(fine / (2.0 * np.maximum(deviation, 1e-6)))).astype(np.float32)
+        # Fine structure of far more than two standard deviations of the noise is the object's own.
+        relative = fine / (2.0 * np.maximum(deviation, 1e-6))
+        share = np.exp(-0.5 * np.square(relative)).astype(np.float32)
+        return fine * share
 
     def _changed(self, change: np.ndarray | None = None) -> np.ndarray:
         """Return the flat image, with a change of log light (lh, lw, 1 or 3); noise stays low."""
-        picture, log_rgb = self.picture.copy(), self.log_flat
+        picture = self.picture.copy()
         if not self.inside.any():
             return picture
+        log_rgb = self.log_flat
         if change is not None:
             log_rgb = log_rgb + self.region.enlarged(change).reshape(*log_rgb.shape[:2], -1)
-        made = eight_bits(log_rgb, self.response)
-        excess = self._excess(made)
+        stored = eight_bits(log_rgb, self.response)
+        excess = self._excess(stored)
         if (excess > 0.0).any():
-            made = eight_bits(log_rgb - excess[..., None] * self._grain, self.response)
-        picture[self.region.box] = made
+            stored = eight_bits(log_rgb - excess[..., None] * self._grain, self.response)
+        picture[self.region.box] = stored
         return picture
 
-    def _excess(self, made: np.ndarray) -> np.ndarray:
+    def _excess(self, stored: np.ndarray) -> np.ndarray:
         """Return the share, (bh, bw), of noise that new stored values (bh, bw, 3) amplify too much."""
-        grey = (cv2.cvtColor(each, cv2.COLOR_RGB2GRAY) for each in (self.picture[self.region.box], made))
-        before, after = (np.maximum(each, np.float32(1.0)) for each in grey)
+        before = _stored_brightness(self.picture[self.region.box])
+        after = _stored_brightness(stored)
         return 1.0 - np.minimum(MOST_NOISE * before / after, 1.0)
 
 
-def _removed(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading) -> tuple:
-    """Warp the light to the image, continue it beyond the mesh, and remove it; return a relighter's last fields."""
-    margin = FARTHEST * (REACH * diagonal_of(shape) + 1.0)
-    reached, margin = (shape, margin) if model.light is None else (align(model.light.mean, shape)(SQUARE), 0.0)
-    region = Region.of(shape, box_of(reached, margin, image.shape))
-    painted, inside = paint(np.empty(region.small[::-1], np.uint8), region.shape, model, shading.log)
+def _stored_brightness(picture: np.ndarray) -> np.ndarray:
+    """Return the luminance of stored values (h, w, 3) uint8, (h, w) float32, at least one step."""
+    return np.maximum(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.float32(1.0))
+
+
+def _in_eight_bits(image: np.ndarray) -> np.ndarray:
+    """Return a copy of an image with stored values of 8 bits."""
+    if image.dtype == np.uint8:
+        return image.copy()
+    return np.rint(255 * np.clip(stored_values(image), 0.0, 1.0)).astype(np.uint8)
+
+
+def _no_shading(model: AAM) -> Shading:
+    """Return the light of training, without any uncertainty."""
+    modes, _ = light_on_frame(model)
+    mean = model.levels[-1].appearances["log"].mean
+    return Shading(coordinates=np.zeros(len(modes)), log=np.zeros_like(mean), deviation=np.zeros_like(mean[:, 0]))
+
+
+def _without_light(
+    model: AAM, image: np.ndarray, shape: np.ndarray, response: Response, shading: Shading
+) -> FlatRegion:
+    """Warp the light to the image, continue it beyond the mesh, and remove it."""
+    if model.light is None:
+        # Light fades out around the mesh within FARTHEST reaches, each of at least a pixel.
+        margin = FARTHEST * (REACH * diagonal_of(shape) + 1.0)
+        box = box_of(shape, margin, image.shape)
+    else:  # the basis of light has a square around the object
+        box = box_of(align(model.light.mean, shape)(SQUARE), 0.0, image.shape)
+    region = Region.of(shape, box)
+    of_size = np.empty(region.small[::-1], np.uint8)
+    on_mesh, inside = paint(of_size, region.shape, model, shading.log)
     if not inside.any():
-        return UNSEEN
-    own, lit = log_light(image[region.box], response), light_on_image(model, shading.coordinates, region)
-    small = region.reduced(own)
-    surroundings = Surroundings.of(inside, small - lit, region.reach)
-    light, whole = spared(own, small, surroundings.spread(painted, lit), surroundings, region)
-    return region, below_white(whole - region.enlarged(light), whole), own, surroundings
+        return FlatRegion.empty()
+    log_own = log_light(image[region.box], response)
+    reduced = region.reduced(log_own)
+    around = light_on_image(model, shading.coordinates, region)
+    surroundings = Surroundings.of(inside, reduced - around, region.reach)
+    light, whole = spared(log_own, reduced, surroundings.spread(on_mesh, around), surroundings, region)
+    log_flat = below_white(whole - region.enlarged(light), whole)
+    return FlatRegion(region=region, log_flat=log_flat, log_own=log_own, surroundings=surroundings)
 
 
 def relight(
@@ -325,8 +400,9 @@ def relight(
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
     check_ambient(ambient)
-    fitter, other = Fitter.of(model, method, known=relight, **settings), None
+    fitter = Fitter.of(model, method, known=relight, **settings)
     check_colour(fitter.model)
+    other = None
     if like is not None:
         other, result = separated(fitter, like, like_init, "like")
         _warn(result, "like")
@@ -354,7 +430,9 @@ def shown(
     """Show an object under lamps, or the light of another image, or that of training."""
     if other is not None:
         return relighter.like(other)
-    return relighter.flat() if lamps is None else relighter.under(lamps, ambient)
+    if lamps is not None:
+        return relighter.under(lamps, ambient)
+    return relighter.flat()
 
 
 def separated(fitter: Fitter, image, init=None, name: str = "image") -> tuple[Relighter, FitResult]:

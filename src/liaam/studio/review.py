@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -28,17 +29,21 @@ UNDONE = {
 }
 """Actions, the actions that they undo, and why there may be nothing to undo."""
 
-ACTIONS = (*(done for done, _ in UNDONE.values()), *UNDONE, "accepted", "scaled", "unscaled")
-
 OPPOSITE = {done: undo for undo, (done, _) in UNDONE.items()}
+"""The action that undoes each of those that can be undone."""
 
-WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")  # actions that write landmark files
-LONGEST_NAME = 60
+ACTIONS = (*OPPOSITE, *UNDONE, "accepted", "scaled", "unscaled")
+"""All actions that the page may send."""
+
+WRITING = ("accepted", "deleted", "undeleted", "scaled", "unscaled")
+"""Actions that write landmark files."""
+
+LONGEST_NAME = 60  # largest number of characters of a person's name
 SHOWN = 20  # number of entries of a picture that the page shows
 SAME_WORK = timedelta(minutes=10)  # changes of a picture by one person within this time are one entry
 
-Bar = dict[str, Any] | None
-Size = tuple[int, int] | None
+Bar = dict[str, Any] | None  # a scale bar as the page sends it, or none
+Size = tuple[int, int] | None  # width and height of a picture, pixels, or none
 
 
 class ReviewLog:
@@ -51,7 +56,7 @@ class ReviewLog:
             self._entries[entry["picture"]].append(entry)
 
     def add(self, did: str, who: str, pictures: Mapping[str, str | None]) -> None:
-        """Append an entry for each picture, given with the revision of what was done to."""
+        """Append an entry for each picture, given with the revision of what the action was done to."""
         facts = {"time": datetime.now(UTC).isoformat(timespec="seconds"), "who": who, "did": did}
         entries = [{**facts, "picture": name, "revision": revision} for name, revision in pictures.items()]
         self._store.append("review", entries)
@@ -60,25 +65,41 @@ class ReviewLog:
 
     def add_change(self, who: str, name: str, did: str, revision: str | None) -> None:
         """Append that the points of a picture were placed or cleared, once for all changes in a few minutes."""
-        last = next(iter(self.history(name)), {"who": None, "did": None, "time": "0001-01-01T00:00+00:00"})
-        is_recent = datetime.now(UTC) - datetime.fromisoformat(last["time"]) < SAME_WORK
-        if not (is_recent and (last["who"], last["did"]) == (who, did)):
+        if not self._is_same_work(who, name, did):
             self.add(did, who, {name: revision})
+
+    def _is_same_work(self, who: str, name: str, did: str) -> bool:
+        """Whether the last entry of a picture is of the same person and action, a few minutes ago."""
+        entries = self._entries.get(name)
+        if not entries:
+            return False
+        last = entries[-1]
+        age = datetime.now(UTC) - datetime.fromisoformat(last["time"])
+        return age < SAME_WORK and last["who"] == who and last["did"] == did
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return the last entries of a picture, newest first."""
-        return self._entries.get(name, [])[: -SHOWN - 1 : -1]
+        newest_first = reversed(self._entries.get(name, []))
+        return list(islice(newest_first, SHOWN))
 
     def standing(self, name: str, did: str) -> dict[str, Any] | None:
         """Return the last entry of an action, unless it was undone later."""
-        both = (did, OPPOSITE[did])
-        last = next((entry for entry in reversed(self._entries.get(name, ())) if entry["did"] in both), None)
-        return last if last is not None and last["did"] == did else None
+        for entry in reversed(self._entries.get(name, [])):
+            if entry["did"] == did:
+                return entry
+            if entry["did"] == OPPOSITE[did]:
+                return None
+        return None
 
     def who(self, did: str, name: str, revision: str | None = None) -> str | None:
-        """Return whose action stands for a picture; if a ``revision`` is given, for this one."""
-        last = self.standing(name, did)
-        return None if last is None or last["revision"] != revision else last["who"] or "someone"
+        """Return whose action stands for a revision of a picture; None if there is none.
+
+        Actions on a picture as a whole, such as leaving it out, have no revision.
+        """
+        entry = self.standing(name, did)
+        if entry is None or entry["revision"] != revision:
+            return None
+        return entry["who"] or "someone"  # who did not enter a name
 
 
 @dataclass(eq=False)
@@ -97,24 +118,36 @@ class PictureStates:
 
     def ranks(self) -> dict[str, int]:
         """Rank the pictures that have only a proposal; 1 is the most useful to annotate (:func:`teaching_order`)."""
-        unplaced = (file for file in self.listing.pictures if not self.landmarks.of(file).n_placed)
-        waiting = {file.name: proposal for file in unplaced if (proposal := self.proposal_of(file)) is not None}
+        waiting = {}
+        for file in self.listing.pictures:
+            if self.landmarks.of(file).n_placed:
+                continue
+            proposal = self.proposal_of(file)
+            if proposal is not None:
+                waiting[file.name] = proposal
         return {name: rank for rank, name in enumerate(teaching_order(waiting), 1)}
 
     def as_json(self, file: File, ranks: Mapping[str, int] | None) -> dict[str, Any]:
         """Return one picture as JSON for the page; without ``ranks``, one whose files have not been read yet."""
         if ranks is None:
             return {"name": file.name, "tag": file.tag, "state": "reading", "placed": 0, "doubtful": False}
-        size, marks = self.listing.size_of(file), self.landmarks.of(file)
-        fault, (width, height) = (size, (None, None)) if isinstance(size, str) else (None, size)
-        proposal = None if marks.n_placed or fault is not None else self.proposal_of(file)
-        if fault is not None:
-            state = "broken"
-        elif marks.n_placed:
-            state = "done" if self.is_done(file) else "partial"
+        marks = self.landmarks.of(file)
+        size = self.listing.size_of(file)
+        if isinstance(size, str):  # why the picture cannot be read
+            fault = size
+            width = height = None
         else:
-            state = "proposed" if proposal else "unchecked" if self.unchecked.get(file.name) == file.tag else "new"
-        slip, wrong = self.slip_of(file) if state == "done" else (None, [])
+            fault = None
+            width, height = size
+        proposal = None
+        if fault is None and not marks.n_placed:
+            proposal = self.proposal_of(file)
+        state = "broken" if fault is not None else self._state_of(file, marks, proposal)
+        checked_by = slip = None
+        wrong_points: list[int] = []
+        if state == "done":
+            checked_by = self.log.who("checked", file.name, marks.placement)
+            slip, wrong_points = self.slip_of(file)
         return {
             "name": file.name,
             "tag": file.tag,
@@ -127,25 +160,39 @@ class PictureStates:
             "quality": proposal["quality"] if proposal else None,
             "doubtful": bool(proposal and proposal["doubtful"]),
             "rank": ranks.get(file.name) if proposal else None,
-            "checked": self.log.who("checked", file.name, marks.placement) if state == "done" else None,
+            "checked": checked_by,
             "slip": slip,
-            "slip_points": wrong,
+            "slip_points": wrong_points,
             "left_out": self.log.who("left out", file.name),
             "revision": marks.revision,
         }
 
+    def _state_of(self, file: File, marks: Marks, proposal: Mapping[str, Any] | None) -> str:
+        """Return the state of a picture that can be read, by which the page groups pictures."""
+        if marks.n_placed:
+            return "done" if self.is_done(file) else "partial"
+        if proposal:
+            return "proposed"
+        if self.unchecked.get(file.name) == file.tag:
+            return "unchecked"
+        return "new"
+
     def marks_json(self, file: File) -> dict[str, Any]:
         """Return the landmarks of a picture as JSON for the page: from its file, from a proposal, or none."""
         width, height = self.listing.usable_size(file)
-        template, marks = self.templates.current, self.landmarks.of(file)
+        template = self.templates.current
+        marks = self.landmarks.of(file)
+        n_points = 0 if template is None else len(template)
         answer: dict[str, Any] = {
-            "points": [None] * (0 if template is None else len(template)),
+            "points": [None] * n_points,
             "invisible": [],
             "revision": marks.revision,
             "source": "none",
             "tag": file.tag,
             "file": marks.file or None,
-            **dict.fromkeys(("covariances", "quality", "status")),
+            "covariances": None,
+            "quality": None,
+            "status": None,
             "doubtful": False,
             "error": marks.error,
             "width": width,
@@ -153,26 +200,40 @@ class PictureStates:
             "bar": self.landmarks.scale_bar(file)["bar"],
         }
         if marks.landmarks is not None and marks.n_placed:
-            answer |= {"points": marks.points, "invisible": list(marks.landmarks.invisible), "source": "file"}
+            answer["source"] = "file"
+            answer["points"] = marks.points
+            answer["invisible"] = list(marks.landmarks.invisible)
         elif (proposal := self.proposal_of(file)) is not None:
-            shown = ("points", "covariances", "quality", "status", "doubtful")
-            answer |= {"source": "proposal", **{key: proposal[key] for key in shown}}
+            answer["source"] = "proposal"
+            for key in ("points", "covariances", "quality", "status", "doubtful"):
+                answer[key] = proposal[key]
         return answer
 
     def proposal_of(self, file: File) -> dict[str, Any] | None:
         """Return the proposal for a picture, unless it does not fit the template or was discarded."""
-        template, proposal = self.templates.current, self.proposals.of(file)
-        if proposal is None or template is None or len(proposal["points"] or ()) != len(template):
+        template = self.templates.current
+        proposal = self.proposals.of(file)
+        if proposal is None or template is None:
+            return None
+        points = proposal["points"]  # None if the fit failed
+        if points is None or len(points) != len(template):
             return None
         discarded = self.log.standing(file.name, "discarded")
-        return None if discarded and discarded["revision"] == revision_of_proposal(proposal) else proposal
+        if discarded and discarded["revision"] == revision_of_proposal(proposal):
+            return None
+        return proposal
 
     def slip_of(self, file: File) -> tuple[str | None, list[int]]:
         """Return the slip that was found in the landmarks of a picture, and its points; None once they are checked."""
+        if file.name not in self.slips:
+            return None, []
+        version, slip, wrong_points = self.slips[file.name]
         marks = self.landmarks.of(file)
-        revision, slip, wrong = self.slips.get(file.name, (None, None, []))
-        is_open = revision == self.version_of(marks) and not self.log.who("checked", file.name, marks.placement)
-        return (slip, wrong) if is_open else (None, [])
+        has_changed = version != self.version_of(marks)
+        is_checked = self.log.who("checked", file.name, marks.placement) is not None
+        if has_changed or is_checked:
+            return None, []
+        return slip, wrong_points
 
     def version_of(self, marks: Marks) -> str:
         """Return a value that changes with what a model is trained on: points and template, but not the scale."""
@@ -180,15 +241,17 @@ class PictureStates:
 
     def is_done(self, file: File) -> bool:
         """Whether all points of a picture are placed, most of them inside it."""
-        template, marks = self.templates.current, self.landmarks.of(file)
-        is_complete = template is not None and marks.fits(template) and marks.n_placed == len(template)
-        return is_complete and self._misplaced(file, marks) is None
+        template = self.templates.current
+        marks = self.landmarks.of(file)
+        if template is None or not marks.fits(template) or marks.n_placed < len(template):
+            return False
+        return self._misplaced(file, marks) is None
 
     def _error_of(self, file: File, marks: Marks) -> str | None:
-        template = self.templates.current
+        """Return what is wrong with the landmarks of a usable picture, or why the model proposed none."""
         if not marks.file:
-            proposal = self.proposals.of(file) or {"points": ()}
-            return self.landmarks.fault_of(file) or (str(proposal["message"]) if proposal["points"] is None else None)
+            return self.landmarks.fault_of(file) or self._failure_of_fit(file)
+        template = self.templates.current
         if marks.landmarks is not None and template is not None and len(marks.landmarks) != len(template):
             return (
                 f"{marks.file} has {len(marks.landmarks)} points where the template has {len(template)}: "
@@ -196,13 +259,22 @@ class PictureStates:
             )
         return marks.error or self._misplaced(file, marks)
 
+    def _failure_of_fit(self, file: File) -> str | None:
+        """Return why the fit that would be proposed for a picture failed; None if it did not, or there was none."""
+        proposal = self.proposals.of(file)
+        if proposal is None or proposal["points"] is not None:
+            return None
+        return str(proposal["message"])
+
     def _misplaced(self, file: File, marks: Marks) -> str | None:
         """Return an error if most points lie outside the picture, as after it was replaced."""
         size = self.listing.size_of(file)
         if isinstance(size, str) or marks.landmarks is None:
             return None
         placed = marks.landmarks.points[~marks.landmarks.missing]
-        n_outside = int(((placed < -0.5) | (placed > np.array(size) - 0.5)).any(axis=1).sum())
+        # Coordinates are of pixel centres, so the picture ends half a pixel beyond the last.
+        is_outside = (placed < -0.5) | (placed > np.array(size) - 0.5)
+        n_outside = int(is_outside.any(axis=1).sum())
         if 2 * n_outside <= len(placed):
             return None
         return (
@@ -229,66 +301,91 @@ class PictureStates:
             self.log.add(did, who, revisions)
         if did == "accepted" and revisions:
             self.templates.keep()  # the first save fixes a template that was taken from a file or offered
-        written = [file for file in files if file.name in revisions] if did in WRITING else []
+        changed = [file for file in files if file.name in revisions]
+        written = changed if did in WRITING else []
         if did in ("scaled", "unscaled"):
             self.landmarks.share_bar(written, bar)
         for file in written:
-            marks, template = self.landmarks.of(file), self.templates.current
-            if did in ("scaled", "unscaled"):
-                has_place = self.landmarks.target(file).suffix.lower() != ".pts"
-                if template is not None and marks.landmarks is not None and marks.fits(template) and has_place:
-                    self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
-                continue
-            template = self.templates.needed
-            if did == "undeleted":
-                copy = self._copy_of(revisions[file.name] or "")
-                points = [None if x != x else (x, y) for x, y in copy.points.tolist()]
-                self.landmarks.save(file, template, points, copy.invisible, copy.scale)
-            else:
-                points = (self.proposal_of(file) or {})["points"] if did == "accepted" else [None] * len(template)
-                self.landmarks.save(file, template, points, ())
-        now = {file.name: self.landmarks.of(file).revision for file in written}
-        return {"changed": list(revisions), "refused": refused, "revisions": now}
+            self._write(file, did, revisions[file.name])
+        return {
+            "changed": list(revisions),
+            "refused": refused,
+            "revisions": {file.name: self.landmarks.of(file).revision for file in written},
+        }
 
     def _revision(self, file: File, did: str, bar: Bar, like: Size) -> str | None:
-        """Return the revision of what an action is done to; refuse one that changes nothing."""
-        marks, proposal = self.landmarks.of(file), self.proposal_of(file)
+        """Return the revision of what an action is done to. Refuse an action that changes nothing.
+
+        What is done to are the landmarks, their placement if they are checked, or the proposal; None if a picture is
+        left out. An action that undoes another is done to the same. Deleted landmarks are kept in the store.
+        """
         if did in ("scaled", "unscaled"):
-            known, size = self.landmarks.scale_bar(file), self.listing.usable_size(file)
-            shares = "before" in known  # it was drawn on another picture
-            if bar is None and not shares:
-                raise Refusal(409, "the scale was not set together with others")
-            if like and self.landmarks.scale_of(file) is not None and not shares:
-                raise Refusal(409, "has a scale of its own")
-            if like and sorted(size) != sorted(like):
-                raise Refusal(409, "has another size in pixels, so perhaps another scale")
-            if bar and known["bar"] == bar:
-                raise Refusal(409, "has this scale already")
-            return marks.revision
+            return self._revision_to_scale(file, bar, like)
+        if did in UNDONE:
+            return self._revision_to_undo(file, did)
+        if did in ("accepted", "discarded"):
+            return self._revision_of_waiting_proposal(file)
+        if did == "left out":
+            if self.log.who("left out", file.name) is not None:
+                raise Refusal(409, "left out of training already")
+            return None
+        if did == "checked":
+            return self._revision_to_check(file)
+        return self._revision_to_delete(file)
+
+    def _revision_to_scale(self, file: File, bar: Bar, like: Size) -> str | None:
+        """Return the revision of the landmarks of a picture whose scale is set.
+
+        Refuse to replace a scale of the picture's own, and to share one among pictures of several sizes.
+        """
+        scale_bar = self.landmarks.scale_bar(file)
+        size = self.listing.usable_size(file)
+        is_shared = "before" in scale_bar  # it was drawn on another picture
+        if bar is None and not is_shared:
+            raise Refusal(409, "the scale was not set together with others")
+        if like and self.landmarks.scale_of(file) is not None and not is_shared:
+            raise Refusal(409, "has a scale of its own")
+        if like and sorted(size) != sorted(like):  # a picture that was turned has the same scale
+            raise Refusal(409, "has another size in pixels, so perhaps another scale")
+        if bar and scale_bar["bar"] == bar:
+            raise Refusal(409, "has this scale already")
+        return self.landmarks.of(file).revision
+
+    def _revision_to_undo(self, file: File, did: str) -> str | None:
+        """Return the revision of what the action was done to that is undone.
+
+        Refuse if no such action stands, or if deleted landmarks have no place any more.
+        """
+        marks = self.landmarks.of(file)
         if did == "undeleted" and marks.n_placed:
             raise Refusal(409, "there are landmarks again")
-        if did in UNDONE:
-            done, why_not = UNDONE[did]
-            last = self.log.standing(file.name, done)
-            if last is None or (done == "checked" and last["revision"] != marks.placement):
-                raise Refusal(409, why_not)
-            if done == "deleted" and len(self._copy_of(last["revision"])) != len(self.templates.needed):
-                raise Refusal(409, "the deleted landmarks belong to an earlier template")
-            return last["revision"]
-        if did in ("accepted", "discarded"):
-            if proposal is None or marks.n_placed:
-                raise Refusal(409, "no proposed points")
-            return revision_of_proposal(proposal)
-        if did == "left out":
-            if self.log.who("left out", file.name) is None:
-                return None
-            raise Refusal(409, "left out of training already")
-        if did == "checked":
-            if not self.is_done(file):
-                raise Refusal(409, "not all points are placed: place them first")
-            if self.log.who("checked", file.name, marks.placement):
-                raise Refusal(409, "checked already")
-            return marks.placement
+        done, why_not = UNDONE[did]
+        last = self.log.standing(file.name, done)
+        if last is None or (done == "checked" and last["revision"] != marks.placement):
+            raise Refusal(409, why_not)
+        if done == "deleted" and len(self._copy_of(last["revision"])) != len(self.templates.needed):
+            raise Refusal(409, "the deleted landmarks belong to an earlier template")
+        return last["revision"]
+
+    def _revision_of_waiting_proposal(self, file: File) -> str:
+        """Return the revision of a proposal. Refuse if there is none, or landmarks have been placed since."""
+        proposal = self.proposal_of(file)
+        if proposal is None or self.landmarks.of(file).n_placed:
+            raise Refusal(409, "no proposed points")
+        return revision_of_proposal(proposal)
+
+    def _revision_to_check(self, file: File) -> str | None:
+        """Return the placement of the landmarks of a picture. Refuse if it is not complete, or checked already."""
+        if not self.is_done(file):
+            raise Refusal(409, "not all points are placed: place them first")
+        placement = self.landmarks.of(file).placement
+        if self.log.who("checked", file.name, placement):
+            raise Refusal(409, "checked already")
+        return placement
+
+    def _revision_to_delete(self, file: File) -> str:
+        """Keep a copy of the landmarks in the store, and return its revision. Refuse if there are none."""
+        marks = self.landmarks.of(file)
         if marks.landmarks is None or not marks.n_placed:
             raise Refusal(409, "no landmarks")
         text = text_of(marks.landmarks, ".ljson")
@@ -296,13 +393,38 @@ class PictureStates:
         self.store.put("deleted", {revision: text})
         return revision
 
+    def _write(self, file: File, did: str, revision: str | None) -> None:
+        """Write the landmarks of a picture, as an action wants them."""
+        if did in ("scaled", "unscaled"):
+            self._write_scale(file)
+            return
+        template = self.templates.needed
+        if did == "accepted":
+            proposal = self.proposal_of(file) or {}
+            self.landmarks.save(file, template, proposal["points"], ())
+        elif did == "undeleted":
+            copy = self._copy_of(revision or "")
+            points = [None if x != x else (x, y) for x, y in copy.points.tolist()]  # of a missing point, x is NaN
+            self.landmarks.save(file, template, points, copy.invisible, copy.scale)
+        else:  # deleted
+            self.landmarks.save(file, template, [None] * len(template), ())
+
+    def _write_scale(self, file: File) -> None:
+        """Write the scale of a picture into its landmark file, unless that is a .pts, which holds none."""
+        marks = self.landmarks.of(file)
+        template = self.templates.current
+        can_hold_scale = self.landmarks.target(file).suffix.lower() != ".pts"
+        if can_hold_scale and template is not None and marks.landmarks is not None and marks.fits(template):
+            self.landmarks.save(file, template, marks.points, marks.landmarks.invisible)
+
     def _copy_of(self, revision: str) -> Landmarks:
         """Return deleted landmarks; raise LandmarkError if they are gone."""
         text = self.store.get("deleted", revision)
-        landmarks = None if text is None else parse_landmark_data("copy.ljson", text.encode())
-        if not isinstance(landmarks, Landmarks):
-            raise LandmarkError("the deleted landmarks are not kept any more")
-        return landmarks
+        if text is not None:
+            landmarks = parse_landmark_data("copy.ljson", text.encode())
+            if isinstance(landmarks, Landmarks):
+                return landmarks
+        raise LandmarkError("the deleted landmarks are not kept any more")
 
 
 def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -316,15 +438,22 @@ def teaching_order(proposals: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
     def key(name: str) -> tuple[int, float]:
         proposal = proposals[name]
-        group = 2 if not proposal["found"] else int(bool(proposal["ok"]))
-        return group, -(proposal["uncertainty"] or 0.0)
+        if not proposal["found"]:
+            group = 2
+        elif proposal["ok"]:
+            group = 1
+        else:
+            group = 0
+        uncertainty = proposal["uncertainty"] or 0.0
+        return group, -uncertainty
 
     return sorted(proposals, key=key)
 
 
 def parse_who(name: Any) -> str:
     """Check the name of the person who works in the page; "" if it is not known."""
-    name = "" if name is None else name
+    if name is None:
+        return ""
     if not isinstance(name, str) or len(name) > LONGEST_NAME or not name.isprintable():
         raise Refusal(422, f"your name is not valid: enter at most {LONGEST_NAME} printable characters")
     return name.strip()

@@ -1,5 +1,7 @@
 """Tracking of an object through a video: prediction, loss and search, and smoothing with the fits' covariances."""
 
-from liaam.tracking import files as files, shading as shading
-from liaam.tracking.frames import TrackedFrame as TrackedFrame, TrackStatus as TrackStatus
-from liaam.tracking.tracker import Tracker as Tracker, TrackingOptions as TrackingOptions, track_video as track_video
+from liaam.tracking import files, shading
+from liaam.tracking.frames import TrackedFrame, TrackStatus
+from liaam.tracking.tracker import Tracker, TrackingOptions, track_video
+
+__all__ = ["TrackStatus", "TrackedFrame", "Tracker", "TrackingOptions", "files", "shading", "track_video"]

@@ -18,10 +18,26 @@ from liaam.io.atomic import write_text_atomically
 from liaam.io.files import AnyPath, existing_file
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
 from liaam.io.landmarks import formats, writers
-from liaam.io.landmarks.base import Contour as Contour, Landmarks, Placing, Size
-from liaam.io.landmarks.formats import FORMATS as FORMATS, LANDMARK_SUFFIXES as LANDMARK_SUFFIXES
+from liaam.io.landmarks.base import Contour, Landmarks, Placing, Size
+from liaam.io.landmarks.formats import FORMATS, LANDMARK_SUFFIXES
 from liaam.io.landmarks.matching import ImageNames
 from liaam.io.landmarks.reading import LACKING, USUAL, Notes, Reading, Source, read_text
+
+__all__ = [
+    "FORMATS",
+    "LANDMARK_SUFFIXES",
+    "Contour",
+    "LandmarkFile",
+    "Landmarks",
+    "Notes",
+    "Reading",
+    "collection_text",
+    "parse_landmark_data",
+    "read_collection",
+    "read_landmarks",
+    "write_collection",
+    "write_landmarks",
+]
 
 _FRACTION = 1.5  # largest fraction of an image's size of a point beyond its border, or of half its size
 _SMALL = 16  # width and height in pixels up to which all landmarks may lie within one pixel

@@ -1,7 +1,8 @@
 """The table of landmark formats. Documentation, help, messages, the studio and tests are made from it.
 
-A new format is a function that makes landmarks of a `Source`, as those of :mod:`~liaam.io.landmarks.plain` do, a row in
-`FORMATS`, and, if others have its suffix, what tells it from those that come later, in `_TOLD`.
+A new format is a function that makes landmarks of a `Source`, as those of :mod:`~liaam.io.landmarks.plain` do, and a
+row in `FORMATS`. If others have its suffix, the row also has a function that tells the format from those that come
+later.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,75 +10,262 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from liaam.errors import LandmarkError
-from liaam.io.landmarks import annotations as an, plain, tables, writers as out
+from liaam.io.landmarks import annotations, plain, tables, writers
 from liaam.io.landmarks.base import Landmarks
 from liaam.io.landmarks.reading import Source, UnrecognisedError
 
 
-@dataclass(frozen=True)
-class Format:
-    """A landmark file format."""
+def _any_file(_: Source) -> bool:
+    """Accept every file of the suffix that the formats before did not accept."""
+    return True
 
-    title: str  # name of the format
-    suffixes: tuple[str, ...]  # suffixes of its files, lower case
-    origin: str  # what its numbers count from, for the documentation
-    many: bool  # whether one file can hold many images
-    contours: bool
-    names: bool
-    parse: Callable[[Source], list[Landmarks]]  # make the landmarks of each object, as the file counts them
-    # The text of one image's landmarks, and of those of many images of these sizes; None if it is not written.
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A landmark file format.
+
+    Attributes
+    ----------
+    title : str
+        Name of the format.
+    suffixes : tuple of str
+        Suffixes of its files, lower case.
+    origin : str
+        What its numbers count from, for the documentation.
+    parse : callable
+        Makes the landmarks of each object in a file, as the file counts them.
+    is_format_of : callable
+        Whether a file is of this format, and not of one with the same suffix that comes later in `FORMATS`.
+    many : bool
+        Whether one file can hold many images.
+    contours, names : bool
+        Whether the format holds contours, and names of landmarks.
+    text : callable, optional
+        Formats the landmarks of one image as the content of a file. None if the format is not written, or only for
+        many images.
+    text_of_many : callable, optional
+        Formats the landmarks of many images, and the sizes of these images. None if the format is not written for many.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    origin: str
+    parse: Callable[[Source], list[Landmarks]]
+    is_format_of: Callable[[Source], bool] = _any_file
+    many: bool = False
+    contours: bool = False
+    names: bool = False
     text: Callable[[Landmarks], str] | None = None
-    text_of_many: Callable[[Mapping[str, Landmarks], out.Sizes], str] | None = None
+    text_of_many: Callable[[Mapping[str, Landmarks], writers.Sizes], str] | None = None
+
+
+def _is_labelme(source: Source) -> bool:
+    return isinstance(source.object.get("shapes"), list)
+
+
+def _is_cvat(source: Source) -> bool:
+    return source.xml.tag == "annotations"
+
+
+def _is_label_studio(source: Source) -> bool:
+    """Whether it is a list of tasks, as Label Studio exports them, or one task."""
+    return isinstance(source.json, list) or {"data", "annotations"} <= source.object.keys()
+
+
+def _is_coco(source: Source) -> bool:
+    return "images" in source.object or "annotations" in source.object
+
+
+def _is_fit(source: Source) -> bool:
+    return annotations.is_fit(source.object)
+
+
+def _is_stereomorph(source: Source) -> bool:
+    return "<landmarks.pixel" in source.text
+
+
+def _is_deeplabcut(source: Source) -> bool:
+    _, first_row = source.rows[0]
+    return first_row[:1] == ["scorer"]
+
+
+def _is_table_of_images(source: Source) -> bool:
+    """Whether the first row names columns of x and y for several landmarks."""
+    _, header = source.rows[0]
+    return len(tables.pairs_of(header)) > 1
+
+
+def _is_table_of_points(source: Source) -> bool:
+    return tables.has_points(source.header)
+
+
+def _is_lines_of_points(source: Source) -> bool:
+    return bool(plain.lines_of(source))
 
 
 _CENTRES = "centres counted from 0"
-_TAKEN = f"taken as {_CENTRES}"
-_FIRST = "(1, 1) is the centre of the top-left pixel"
-_PERCENT, _FRACTIONS = "percent of width and height", "fractions of width and height; needs the image"
-_UP = "(0, 0) is the centre of the bottom-left pixel, y upwards; needs the image"
-_IMAGEJ = f"{_CENTRES}; ImageJ's results: corners"
-_MENPO = f"[y, x], {_CENTRES}"
-_TABLES = (".csv", ".tsv", ".txt")
-_IMAGES, _LINES, _NAMES = True, True, True  # whether a format holds many images, contours, names
+_TAKEN_AS_CENTRES = f"taken as {_CENTRES}"  # of formats that do not say what their numbers count from
+_SUFFIXES_OF_TABLES = (".csv", ".tsv", ".txt")
 
 FORMATS: tuple[Format, ...] = (
-    Format("300-W points", (".pts",), _FIRST, False, False, False, plain.parse_pts, out.pts_text),
-    Format("menpo landmarks", (".ljson",), _MENPO, False, _LINES, _NAMES, an.parse_ljson, out.ljson_text),
-    Format("WebMorph template", (".tem",), _TAKEN, False, _LINES, False, plain.parse_tem),
-    Format("AAM-API shape", (".asf",), _FRACTIONS, False, _LINES, False, plain.parse_asf),
-    Format("LabelMe", (".json",), _TAKEN, False, False, _NAMES, an.parse_labelme),
-    Format("CVAT for images", (".xml",), _TAKEN, _IMAGES, False, _NAMES, an.parse_cvat),
-    Format("dlib imglab", (".xml",), _CENTRES, _IMAGES, False, _NAMES, an.parse_dlib),
-    Format("Label Studio", (".json",), _PERCENT, _IMAGES, False, _NAMES, an.parse_label_studio),
-    Format("COCO keypoints", (".json",), _TAKEN, _IMAGES, _LINES, _NAMES, an.parse_coco, None, out.coco_of_many),
-    Format("fit by liaam", (".json",), _CENTRES, False, _LINES, _NAMES, an.parse_fit),
-    Format("tpsDig points", (".tps",), _UP, _IMAGES, _LINES, False, plain.parse_tps, out.tps_text, out.tps_of_many),
-    Format("NTSYS matrix", (".nts",), "as .tps", _IMAGES, False, False, plain.parse_nts),
-    Format("StereoMorph shapes", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_shapes),
-    Format("DeepLabCut table", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_dlc),
-    Format("table of one row an image", _TABLES, _CENTRES, _IMAGES, False, _NAMES, tables.parse_wide),
-    Format("table", _TABLES, _IMAGEJ, _IMAGES, False, _NAMES, tables.parse_long, out.csv_text, out.csv_of_many),
-    Format("list of lines with an image's name", (".txt", ".csv"), _CENTRES, _IMAGES, False, False, tables.parse_list),
-    Format("lines of x and y, HELEN's", (".txt",), _CENTRES, False, False, _NAMES, plain.parse_lines),
+    Format(
+        title="300-W points",
+        suffixes=(".pts",),
+        origin="(1, 1) is the centre of the top-left pixel",
+        parse=plain.parse_pts,
+        text=writers.pts_text,
+    ),
+    Format(
+        title="menpo landmarks",
+        suffixes=(".ljson",),
+        origin=f"[y, x], {_CENTRES}",
+        contours=True,
+        names=True,
+        parse=annotations.parse_ljson,
+        text=writers.ljson_text,
+    ),
+    Format(
+        title="WebMorph template",
+        suffixes=(".tem",),
+        origin=_TAKEN_AS_CENTRES,
+        contours=True,
+        parse=plain.parse_tem,
+    ),
+    Format(
+        title="AAM-API shape",
+        suffixes=(".asf",),
+        origin="fractions of width and height; needs the image",
+        contours=True,
+        parse=plain.parse_asf,
+    ),
+    Format(
+        title="LabelMe",
+        suffixes=(".json",),
+        origin=_TAKEN_AS_CENTRES,
+        names=True,
+        is_format_of=_is_labelme,
+        parse=annotations.parse_labelme,
+    ),
+    Format(
+        title="CVAT for images",
+        suffixes=(".xml",),
+        origin=_TAKEN_AS_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=_is_cvat,
+        parse=annotations.parse_cvat,
+    ),
+    Format(
+        title="dlib imglab",
+        suffixes=(".xml",),
+        origin=_CENTRES,
+        many=True,
+        names=True,
+        parse=annotations.parse_dlib,
+    ),
+    Format(
+        title="Label Studio",
+        suffixes=(".json",),
+        origin="percent of width and height",
+        many=True,
+        names=True,
+        is_format_of=_is_label_studio,
+        parse=annotations.parse_label_studio,
+    ),
+    Format(
+        title="COCO keypoints",
+        suffixes=(".json",),
+        origin=_TAKEN_AS_CENTRES,
+        many=True,
+        contours=True,
+        names=True,
+        is_format_of=_is_coco,
+        parse=annotations.parse_coco,
+        text_of_many=writers.coco_of_many,
+    ),
+    Format(
+        title="fit by liaam",
+        suffixes=(".json",),
+        origin=_CENTRES,
+        contours=True,
+        names=True,
+        is_format_of=_is_fit,
+        parse=annotations.parse_fit,
+    ),
+    Format(
+        title="tpsDig points",
+        suffixes=(".tps",),
+        origin="(0, 0) is the centre of the bottom-left pixel, y upwards; needs the image",
+        many=True,
+        contours=True,
+        parse=plain.parse_tps,
+        text=writers.tps_text,
+        text_of_many=writers.tps_of_many,
+    ),
+    Format(
+        title="NTSYS matrix",
+        suffixes=(".nts",),
+        origin="as .tps",
+        many=True,
+        parse=plain.parse_nts,
+    ),
+    Format(
+        title="StereoMorph shapes",
+        suffixes=(".txt",),
+        origin=_CENTRES,
+        names=True,
+        is_format_of=_is_stereomorph,
+        parse=plain.parse_shapes,
+    ),
+    Format(
+        title="DeepLabCut table",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=_is_deeplabcut,
+        parse=tables.parse_dlc,
+    ),
+    Format(
+        title="table of one row an image",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=_CENTRES,
+        many=True,
+        names=True,
+        is_format_of=_is_table_of_images,
+        parse=tables.parse_wide,
+    ),
+    Format(
+        title="table",
+        suffixes=_SUFFIXES_OF_TABLES,
+        origin=f"{_CENTRES}; ImageJ's results: corners",
+        many=True,
+        names=True,
+        is_format_of=_is_table_of_points,
+        parse=tables.parse_long,
+        text=writers.csv_text,
+        text_of_many=writers.csv_of_many,
+    ),
+    Format(
+        title="list of lines with an image's name",
+        suffixes=(".txt", ".csv"),
+        origin=_CENTRES,
+        many=True,
+        is_format_of=tables.is_list,
+        parse=tables.parse_list,
+    ),
+    Format(
+        title="lines of x and y, HELEN's",
+        suffixes=(".txt",),
+        origin=_CENTRES,
+        names=True,
+        is_format_of=_is_lines_of_points,
+        parse=plain.parse_lines,
+    ),
 )
 """Formats, in order of preference where an image has several files, and in the order that they are tried for a suffix.
 
 A file of its own takes precedence over one for many images."""
-
-_TOLD: dict[str, Callable[[Source], object]] = {
-    "LabelMe": lambda file: isinstance(file.object.get("shapes"), list),
-    "CVAT for images": lambda file: file.xml.tag == "annotations",
-    "Label Studio": lambda file: isinstance(file.json, list) or {"data", "annotations"} <= file.object.keys(),
-    "COCO keypoints": lambda file: {"images", "annotations"} & file.object.keys(),
-    "fit by liaam": lambda file: an.is_fit(file.object),
-    "StereoMorph shapes": lambda file: "<landmarks.pixel" in file.text,
-    "DeepLabCut table": lambda file: file.rows[0][1][:1] == ["scorer"],
-    "table of one row an image": lambda file: len(tables.pairs_of(file.rows[0][1])) > 1,
-    "table": lambda file: tables.has_points(file.header),
-    "list of lines with an image's name": tables.is_list,
-    "lines of x and y, HELEN's": plain.lines_of,
-}
-"""What tells a file of a format from others of its suffix that come later."""
 
 LANDMARK_SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
 """Suffixes (lower case) of the landmark files that can be read, in order of preference."""
@@ -88,24 +276,31 @@ def titles_of(suffix: str) -> str:
     return ", ".join(form.title for form in FORMATS if suffix in form.suffixes)
 
 
-_GROUPS = {form.suffixes: [own.title for own in FORMATS if own.suffixes == form.suffixes] for form in FORMATS}
-KNOWN_FILES = "; ".join(f"{', '.join(suffixes)} ({', '.join(titles)})" for suffixes, titles in _GROUPS.items())
+def _formats_by_suffixes() -> str:
+    """List the suffixes with the names of their formats, as ``.xml (CVAT for images, dlib imglab); ...``."""
+    titles: dict[tuple[str, ...], list[str]] = {}
+    for form in FORMATS:
+        titles.setdefault(form.suffixes, []).append(form.title)
+    return "; ".join(f"{', '.join(suffixes)} ({', '.join(names)})" for suffixes, names in titles.items())
+
+
+KNOWN_FILES = _formats_by_suffixes()
 """All formats by suffix, for help and messages."""
 
 
 def formats_of(path: Path) -> list[Format]:
     """Return the formats of a file's suffix. Raise if there are none."""
-    found = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
-    if not found:
+    formats = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
+    if not formats:
         fault = f"has the extension '{path.suffix}', not that of a landmark format"
         raise LandmarkError(f"{path} {fault}: use {KNOWN_FILES}.")
-    return found
+    return formats
 
 
 def format_of(source: Source) -> Format:
     """Return the format that a file has, of those of its suffix. Raise if it has none."""
     for form in formats_of(source.path):
-        if form.title not in _TOLD or _TOLD[form.title](source):
+        if form.is_format_of(source):
             return form
     suffix = source.path.suffix.lower()
     if suffix == ".json":
@@ -121,19 +316,25 @@ def may_hold_many(path: Path) -> bool:
 
 def writer_of(path: Path, many: bool = False) -> Callable[..., str]:
     """Return the function that formats the landmarks of one image, or of many, for a suffix. Raise if there is none."""
-    known = formats_of(path)
-    writers = {form: form.text_of_many if many else form.text for form in FORMATS}
-    for form in known:
-        if (text := writers[form]) is not None:
-            return text
-    use = ", ".join(form.suffixes[0] for form, text in writers.items() if text is not None)
+    formats = formats_of(path)
+    for form in formats:
+        writer = form.text_of_many if many else form.text
+        if writer is not None:
+            return writer
     if many:
-        raise LandmarkError(f"{path} cannot be written: only {use} hold many images. Use such an extension.")
-    holds_many = any(form.text_of_many is not None for form in known)
-    fault = "holds many images, so it is written by write_collection" if holds_many else "is only read"
-    raise LandmarkError(f"{path} cannot be written: {path.suffix} {fault}. Use {use}.")
+        suffixes = ", ".join(form.suffixes[0] for form in FORMATS if form.text_of_many is not None)
+        raise LandmarkError(f"{path} cannot be written: only {suffixes} hold many images. Use such an extension.")
+    suffixes = ", ".join(form.suffixes[0] for form in FORMATS if form.text is not None)
+    if any(form.text_of_many is not None for form in formats):
+        fault = "holds many images, so it is written by write_collection"
+    else:
+        fault = "is only read"
+    raise LandmarkError(f"{path} cannot be written: {path.suffix} {fault}. Use {suffixes}.")
 
 
 def rank_of(landmarks: Landmarks) -> int:
-    """Return the place of landmarks' format in the order of preference."""
-    return next((i for i, form in enumerate(FORMATS) if form.title == landmarks.format), len(FORMATS))
+    """Return the place of landmarks' format in the order of preference; the last if it is none of these formats."""
+    for rank, form in enumerate(FORMATS):
+        if form.title == landmarks.format:
+            return rank
+    return len(FORMATS)
