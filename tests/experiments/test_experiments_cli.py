@@ -12,7 +12,7 @@ from scenes import Head, make_set
 def person(tmp_path_factory):
     """Six landmarked pictures of one head."""
     folder = tmp_path_factory.mktemp("person")
-    for i, scene in enumerate(make_set(6, Head(5), size=(160, 120))):
+    for i, scene in enumerate(make_set(6, Head(5), size=(100, 75))):
         write_image(folder / f"p{i}.png", scene.image)
         write_landmarks(folder / f"p{i}.pts", Landmarks(scene.landmarks))
     return folder
