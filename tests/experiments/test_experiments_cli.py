@@ -12,7 +12,7 @@ from scenes import Head, make_set
 def person(tmp_path_factory):
     """Six landmarked pictures of one head."""
     folder = tmp_path_factory.mktemp("person")
-    for i, scene in enumerate(make_set(6, Head(5), size=(100, 75))):
+    for i, scene in enumerate(make_set(6, Head(5), size=(160, 120))):
         write_image(folder / f"p{i}.png", scene.image)
         write_landmarks(folder / f"p{i}.pts", Landmarks(scene.landmarks))
     return folder
@@ -26,7 +26,7 @@ def person(tmp_path_factory):
     ],
 )
 def test_medians_are_printed_and_files_written(run_experiments, person, tmp_path, name, column, by):
-    options = ("--data", person, "--methods", "grey,li", "--trials", 1, "--jobs", 1)
+    options = ("--data", person, "--methods", "grey,li", "--trials", 1, "--solver", "paper-100px", "--jobs", 1)
     code, out, err = run_experiments(name, "--out", tmp_path / "o", *options)
     assert (code, err) == (0, "")
     assert f"px, by {by}" in out
