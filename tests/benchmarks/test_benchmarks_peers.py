@@ -117,7 +117,7 @@ def test_one_core_is_given_back():
 
 
 def test_the_model_file_for_opencv_has_what_opencv_reads(small_heads, tmp_path):
-    model = fit.make_model()
+    model = fit.make_model(60.0)
     path = tmp_path / "aam.yaml"
     n_pixels = peer_opencv.write_model(path, model, fit.make_pictures()[0], 3)
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)

@@ -31,9 +31,7 @@ SMALL = (160, 120)
 @pytest.fixture(autouse=True)
 def rendered_anew(monkeypatch):
     """Render the pictures of sets here, too, instead of taking those of another test."""
-    module = sys.modules["scenes.render"]
-    module._figure.cache_clear()
-    monkeypatch.setattr(module, "render", render)
+    monkeypatch.setattr(sys.modules["scenes.render"], "render", render)
 
 
 @lru_cache

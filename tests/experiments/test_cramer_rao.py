@@ -141,7 +141,7 @@ def test_orientations_of_gradients_are_refused(sharp, picture):
 
 # The bound against what fits reach
 
-N_DRAWS = 120
+N_DRAWS = 48
 
 GAUSS_NEWTON = SolverOptions(damping=0.0, shape_prior=0.0, tolerance=1e-3)
 

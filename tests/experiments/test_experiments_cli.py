@@ -26,7 +26,7 @@ def person(tmp_path_factory):
     ],
 )
 def test_medians_are_printed_and_files_written(run_experiments, person, tmp_path, name, column, by):
-    options = ("--data", person, "--methods", "grey,li", "--trials", 1, "--jobs", 1)
+    options = ("--data", person, "--methods", "grey,li", "--trials", 1, "--solver", "paper-100px", "--jobs", 1)
     code, out, err = run_experiments(name, "--out", tmp_path / "o", *options)
     assert (code, err) == (0, "")
     assert f"px, by {by}" in out
