@@ -7,6 +7,7 @@ all linear filters, this one separates the mean from them best. Random images ar
 """
 
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
@@ -97,11 +98,11 @@ def _covariances(blur: float, reach: int) -> np.ndarray:
     """
     from scipy import fft  # heavy: imported when first needed
 
-    size = fft.next_fast_len(SIDE + reach, real=True)
+    size = cast("int", fft.next_fast_len(SIDE + reach, real=True))
     power: np.ndarray | float = 0.0
     for image in _random_images():
         field = soft_directions(image, blur)
-        spectrum = fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size))
+        spectrum = np.asarray(fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size)))
         power = power + spectrum[:, None] * spectrum[None].conj()
     apart = np.minimum(np.arange(size), size - np.arange(size))
     pairs = np.maximum(SIDE - apart, 1)
