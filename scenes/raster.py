@@ -13,7 +13,13 @@ def transform(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
 def coordinates(points: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Apply an affine map (3, 4) to points that are given by coordinate, (3, n), as is the result."""
     x, y, z = points
-    return np.stack([a * x + b * y + c * z + d for a, b, c, d in frame.tolist()])
+    found, term = np.empty((len(frame), len(x))), np.empty(len(x))  # filled in place: new memory costs as much again
+    for own, (a, b, c, d) in zip(found, frame.tolist(), strict=True):
+        np.multiply(x, a, out=own)
+        own += np.multiply(y, b, out=term)
+        own += np.multiply(z, c, out=term)
+        own += d
+    return found
 
 
 def draw(

@@ -1,6 +1,7 @@
 """Residuals and their derivatives, for every method and engine: finite differences, and dense products of columns."""
 
 from dataclasses import replace
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -45,11 +46,14 @@ def engine(request) -> str:
     return request.param
 
 
+objective_of = lru_cache(maxsize=None)(finest_objective)  # most of the time, were each test to make its own
+
+
 class Setting:
     """A fit away from its minimum: lambda, angles and p all off, and weights as they are while it runs."""
 
     def __init__(self, model, scene, method, engine: str, rng: np.random.Generator) -> None:
-        self.engine, self.objective = engine, finest_objective(model, method)
+        self.engine, self.objective = engine, objective_of(model, method)
         self.image, p = make_level(model, scene.image, disturb(scene.landmarks), self.objective)
         angles = self.objective.start(p).angles + np.array([0.1, -0.2])
         self.state = State(p, angles, 0.5 * rng.normal(size=self.objective.n_lambda))

@@ -7,6 +7,7 @@ all linear filters, this one separates the mean from them best. Random images ar
 """
 
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 
@@ -91,16 +92,21 @@ class FilterLearner:
 
 @lru_cache(maxsize=4)
 def _covariances(blur: float, reach: int) -> np.ndarray:
-    """Return the covariances (2, 2, 2 reach, 2 reach) of orientations by their distance along y and x, cyclic."""
-    size = SIDE + reach
+    """Return the covariances (2, 2, size, size) of orientations by their distance along y and x, cyclic.
+
+    The size is a product of small primes: transforms of others take ten times as long.
+    """
+    from scipy import fft  # heavy: imported when first needed
+
+    size = cast("int", fft.next_fast_len(SIDE + reach, real=True))
     power: np.ndarray | float = 0.0
     for image in _random_images():
         field = soft_directions(image, blur)
-        spectrum = np.fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size))
+        spectrum = np.asarray(fft.rfft2(np.stack([np.real(field), np.imag(field)]), (size, size)))
         power = power + spectrum[:, None] * spectrum[None].conj()
     apart = np.minimum(np.arange(size), size - np.arange(size))
     pairs = np.maximum(SIDE - apart, 1)
-    return np.fft.irfft2(power / LEAVES, (size, size)) / (pairs[:, None] * pairs)
+    return fft.irfft2(power / LEAVES, (size, size)) / (pairs[:, None] * pairs)
 
 
 @lru_cache(maxsize=1)
