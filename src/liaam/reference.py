@@ -8,8 +8,11 @@ import numpy as np
 CHANNELS = 8  # Channels of an encoded pixel; the last is its weight
 ALL = 0.999  # Fraction of a block's pixels above which the whole block counts as usable
 UNUSABLE = 1e-3  # Weight of an unusable pixel in a blur; usable pixels have about 1
-LOG_FLOOR, SOFTNESS, FLAT = 0.004, 0.1, 1e-4  # See encoding
-BRIGHTNESS, LUMINANCE = np.full(3, 1.0 / 3.0), np.array([0.2126, 0.7152, 0.0722])  # Weights of R, G and B
+# Light added before the logarithm of brightness, and softness of the gradients (see soft_directions) of the encodings
+# soft and orientation. liaam.photometry.encoding has the reasons.
+LOG_FLOOR, SOFTNESS, FLAT = 0.004, 0.1, 1e-4
+BRIGHTNESS = np.full(3, 1.0 / 3.0)  # Weights of R, G and B in the brightness of soft
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Weights of R, G and B in luminance
 REACH = 3.0  # Standard deviations at which a Gaussian is truncated
 ON_EDGE = 1e-9  # Tolerance on negative barycentric weights of pixels on an edge
 VALUE, LOG, ORIENTATION, SOFT = range(4)  # Numbers of the encodings, as in ENCODINGS
@@ -19,10 +22,11 @@ def _block_means(values: np.ndarray, start: float, size: float, count: int) -> n
     """Average blocks along the first axis: differences of the cumulative sum, which is linear within a pixel."""
     n = len(values)
     edges = np.minimum(start + size * np.arange(count + 1), n)
-    whole = np.minimum(edges.astype(int), n - 1)
-    before = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
-    rest = (edges - whole).reshape(-1, *[1] * (values.ndim - 1))
-    return np.diff(before[whole] + rest * values[whole], axis=0) / size
+    pixels = np.minimum(edges.astype(int), n - 1)  # that the edges cut
+    sums_before = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=np.float64)])
+    parts = (edges - pixels).reshape(-1, *[1] * (values.ndim - 1))
+    sums = sums_before[pixels] + parts * values[pixels]
+    return np.diff(sums, axis=0) / size
 
 
 def value_means(values: np.ndarray, x: float, y: float, size: float, rows: int, columns: int) -> np.ndarray:
@@ -68,8 +72,10 @@ def blur_planes(planes: np.ndarray, sigma: float) -> np.ndarray:
     """Blur planes (n, h, w) with standard deviation ``sigma``; border pixels are replicated."""
     from scipy.ndimage import gaussian_filter  # heavy: imported when first needed
 
-    sigmas, reach = (0.0, sigma, sigma), int(np.ceil(REACH * sigma))
-    return gaussian_filter(planes, sigmas, output=np.float64, mode="nearest", radius=reach).astype(np.float32)
+    radius = int(np.ceil(REACH * sigma))
+    sigmas = (0.0, sigma, sigma)  # each plane is blurred by itself
+    blurred = gaussian_filter(planes, sigmas, output=np.float64, mode="nearest", radius=radius)
+    return blurred.astype(np.float32)
 
 
 def soft_directions(plane: np.ndarray, turn, softness: float) -> np.ndarray:
@@ -78,10 +84,17 @@ def soft_directions(plane: np.ndarray, turn, softness: float) -> np.ndarray:
     ``softness`` is the gradient per pixel for which the squared length is normalised to one half, and ``turn`` (4,) the
     rotation from the image's to the object's axes.
     """
-    # Central differences, and those to the one neighbour at the border.
-    slopes = [np.gradient(plane, axis=axis) if plane.shape[axis] > 1 else np.zeros_like(plane) for axis in (1, 0)]
-    gradient = np.stack(slopes, axis=2) @ np.reshape(turn, (2, 2)).T
-    return (gradient / np.sqrt(np.square(gradient).sum(axis=2) + softness**2)[..., None]).astype(np.float32)
+    by_x, by_y = _slope(plane, axis=1), _slope(plane, axis=0)
+    gradient = np.stack([by_x, by_y], axis=2) @ np.reshape(turn, (2, 2)).T
+    length = np.sqrt(np.square(gradient).sum(axis=2) + softness**2)
+    return (gradient / length[..., None]).astype(np.float32)
+
+
+def _slope(plane: np.ndarray, axis: int) -> np.ndarray:
+    """Central differences along an axis, and those to the one neighbour at the border; 0 for a single pixel."""
+    if plane.shape[axis] < 2:
+        return np.zeros_like(plane)
+    return np.gradient(plane, axis=axis)
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:
@@ -106,34 +119,45 @@ def encode(
     logarithms, ``blur`` a standard deviation in pixels, ``turn`` and ``pixel`` see
     :func:`liaam.photometry.encoding.encode`.
     """
-    colours, usable = light[..., :3].astype(np.float64), (light[..., 3] > ALL).astype(float)
-    oriented = encoding in (ORIENTATION, SOFT)
-    if encoding in (LOG, SOFT):
-        bright = np.log(colours @ BRIGHTNESS + LOG_FLOOR)
-        known = np.zeros_like(usable) if grey else usable
-        colours = np.log(np.maximum(colours, floor))
-        valid = np.ones_like(usable) if finite is None else (finite > ALL).astype(float)
-        by_bright, by_colour = finite is not None, finite is not None or not known.all()
-    else:
-        colours, valid = srgb(colours), usable
-        bright, known = colours @ LUMINANCE, np.zeros_like(usable) if oriented else usable
-        colours = np.zeros_like(colours) if oriented else colours
-        by_bright, by_colour = oriented and not usable.all(), not oriented and not usable.all()
-    # Pixels count in the blur by their weights plus a little.
-    bright = _weighted_blur(bright[None], valid if by_bright else None, blur)[0]
-    colours = np.moveaxis(_weighted_blur(np.moveaxis(colours, 2, 0), known if by_colour else None, blur), 0, 2)
+    colours = light[..., :3].astype(np.float64)
+    usable = (light[..., 3] > ALL).astype(float)
     channels = np.zeros((*usable.shape, CHANNELS), np.float32)
-    channels[..., -1] = valid if oriented else known
-    if not oriented:
-        channels[..., :3] = colours
+    if encoding == VALUE:
+        channels[..., :3] = _blurred_colours(srgb(colours), None if usable.all() else usable, blur)
+        channels[..., -1] = usable
         return channels
-    softness = SOFTNESS * pixel if encoding == SOFT else FLAT
-    channels[..., :2] = soft_directions(bright, turn, softness)
-    channels[..., 2:5], channels[..., 5] = colours, known
+    if encoding == ORIENTATION:
+        luminance = srgb(colours) @ LUMINANCE
+        luminance = _weighted_blur(luminance[None], None if usable.all() else usable, blur)[0]
+        channels[..., :2] = soft_directions(luminance, turn, FLAT)
+        channels[..., -1] = usable
+        return channels
+    # Brightness counts wherever the image is finite; colour where it is usable, and nowhere in grey images.
+    valid = np.ones_like(usable) if finite is None else (finite > ALL).astype(float)
+    has_colour = np.zeros_like(usable) if grey else usable
+    is_weighted = finite is not None or not has_colour.all()
+    logs = _blurred_colours(np.log(np.maximum(colours, floor)), has_colour if is_weighted else None, blur)
+    if encoding == LOG:
+        channels[..., :3] = logs
+        channels[..., -1] = has_colour
+        return channels
+    brightness = np.log(colours @ BRIGHTNESS + LOG_FLOOR)
+    brightness = _weighted_blur(brightness[None], None if finite is None else valid, blur)[0]
+    channels[..., :2] = soft_directions(brightness, turn, SOFTNESS * pixel)
+    channels[..., 2:5] = logs
+    channels[..., 5] = has_colour
+    channels[..., -1] = valid
     return channels
 
 
+def _blurred_colours(colours: np.ndarray, weights: np.ndarray | None, sigma: float) -> np.ndarray:
+    """Blur colours (h, w, 3), of which pixels count by weights (h, w), if there are any."""
+    planes = np.moveaxis(colours, 2, 0)
+    return np.moveaxis(_weighted_blur(planes, weights, sigma), 0, 2)
+
+
 def _weighted_blur(planes: np.ndarray, weights: np.ndarray | None, sigma: float) -> np.ndarray:
+    """Blur planes (n, h, w), in which pixels count by their weights (h, w) plus a little; None for equal weights."""
     if sigma <= 0.0 or weights is None:
         return blur_planes(planes, sigma)
     total = weights + UNUSABLE
@@ -155,13 +179,21 @@ def sample(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     safe = np.where(inside[:, None], points, 0.0)
     x, y = np.minimum(np.floor(safe), [width - 2, height - 2]).astype(int).T
     u, v = (safe - np.stack([x, y], axis=1)).T[..., None]
-    pixels, corner = channels.reshape(-1, depth), y * width + x
+    pixels = channels.reshape(-1, depth)
+    corner = y * width + x
+    # The four pixels around: top left, top right, bottom left, bottom right.
     c00, c10, c01, c11 = (pixels.take(corner + by, axis=0).astype(np.float64) for by in (0, 1, width, width + 1))
     usable = (c00[:, -1] > 0) & (c10[:, -1] > 0) & (c01[:, -1] > 0) & (c11[:, -1] > 0) & inside
-    upper, lower = c10 - c00, c11 - c01
-    along_y = c01 + u * lower - (top := c00 + u * upper)
-    values, gradients = top + v * along_y, np.stack([upper + v * (lower - upper), along_y], axis=1)
-    values[~inside], gradients[~inside] = 0.0, 0.0
+    by_x_top = c10 - c00
+    by_x_bottom = c11 - c01
+    top = c00 + u * by_x_top
+    bottom = c01 + u * by_x_bottom
+    by_x = by_x_top + v * (by_x_bottom - by_x_top)
+    by_y = bottom - top
+    values = top + v * by_y
+    gradients = np.stack([by_x, by_y], axis=1)
+    values[~inside] = 0.0
+    gradients[~inside] = 0.0
     return values, gradients, usable.astype(float)
 
 
@@ -171,9 +203,10 @@ def sample_channels(channels: np.ndarray, points: np.ndarray) -> tuple[np.ndarra
     The last channel is the weight of the pixel; that of a sample is the least of the four pixels around.
     """
     values, _, _ = sample(channels, points)
-    with np.errstate(invalid="ignore"):
-        inside = np.asarray(((points >= 0) & (points <= np.array(channels.shape[1::-1]) - 1)).all(axis=1))
-    x, y = np.minimum(np.where(inside[:, None], points, 0.0).astype(int), np.array(channels.shape[1::-1]) - 2).T
+    size = np.array(channels.shape[1::-1])  # width and height
+    with np.errstate(invalid="ignore"):  # points may be NaN
+        inside = np.asarray(((points >= 0) & (points <= size - 1)).all(axis=1))
+    x, y = np.minimum(np.where(inside[:, None], points, 0.0).astype(int), size - 2).T
     weights = channels[..., -1]
     least = np.min([weights[y + i, x + j] for i in (0, 1) for j in (0, 1)], axis=0)
     return values[:, :-1].astype(np.float32), np.where(inside, least, 0.0).astype(np.float32)
@@ -184,21 +217,24 @@ def correlate(image: np.ndarray, templates: np.ndarray, product: np.ndarray) -> 
 
     The result (h, w, 2) is written to ``product``.
     """
-    left, right = (spectra.view(np.complex64)[..., 0] for spectra in (image, templates))
-    product.view(np.complex64)[..., 0] = left[0] * right[0].conj() + left[1] * right[1].conj()
+    of_image = image.view(np.complex64)[..., 0]
+    of_templates = templates.view(np.complex64)[..., 0]
+    total = of_image[0] * of_templates[0].conj() + of_image[1] * of_templates[1].conj()
+    product.view(np.complex64)[..., 0] = total
 
 
 def best_peaks(image: np.ndarray, count: int, least: float, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Find up to `count` local maxima above `least` of a finite image (h, w), the largest first; ties in raster order.
+    """Find up to ``count`` local maxima above ``least`` of a finite image, the largest first; ties in raster order.
 
-    No pixel within a square of `reach` pixels around a maximum is larger. Return rows and columns (k, 2), and values
-    (k,).
+    The image is (h, w). No pixel within a square of ``reach`` pixels around a maximum is larger. Return rows and
+    columns (k, 2), and values (k,).
     """
-    import cv2
+    import cv2  # heavy: imported when first needed
 
     size = 2 * reach + 1
-    around = cv2.dilate(np.ascontiguousarray(image), np.ones((size, size), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    rows, columns = np.nonzero((image >= around) & (image > np.float32(least)))
+    square = np.ones((size, size), np.uint8)
+    largest_around = cv2.dilate(np.ascontiguousarray(image), square, borderType=cv2.BORDER_REPLICATE)
+    rows, columns = np.nonzero((image >= largest_around) & (image > np.float32(least)))
     best = np.argsort(-image[rows, columns], kind="stable")[:count]
     places = np.column_stack([rows, columns])[best]
     return places, image[places[:, 0], places[:, 1]]
@@ -213,24 +249,31 @@ def draw_triangles(
     of equal ones the first. Return the index of each pixel's triangle, (height, width) int32, -1 where there is none,
     and the values, (height, width, c), 0 there.
     """
-    owner, drawn = np.full((height, width), -1, np.int32), np.zeros((height, width, values.shape[1]))
+    owner = np.full((height, width), -1, np.int32)
+    drawn = np.zeros((height, width, values.shape[1]))
     nearness = np.full((height, width), -np.inf)
     for t, corners in enumerate(triangles):
         a, b, c = points[corners]
-        (x0, y0), (x1, y1) = (b - a)[:2], (c - a)[:2]
+        x0, y0 = (b - a)[:2]
+        x1, y1 = (c - a)[:2]
         determinant = x0 * y1 - x1 * y0
-        if determinant == 0:
+        if determinant == 0:  # the triangle has no area
             continue
         low = np.clip(np.floor(np.min([a, b, c], axis=0)[:2]), 0, [width, height]).astype(int)
         high = np.clip(np.ceil(np.max([a, b, c], axis=0)[:2]) + 1, 0, [width, height]).astype(int)
         x, y = np.mgrid[low[0] : high[0], low[1] : high[1]].reshape(2, -1)
-        dx, dy = x - a[0], y - a[1]
-        v, w = (y1 * dx - x1 * dy) / determinant, (x0 * dy - y0 * dx) / determinant
+        # Barycentric coordinates of the pixels in the box around the triangle.
+        dx = x - a[0]
+        dy = y - a[1]
+        v = (y1 * dx - x1 * dy) / determinant
+        w = (x0 * dy - y0 * dx) / determinant
         weights = np.column_stack([1.0 - v - w, v, w])
         near = weights @ [a[2], b[2], c[2]]
-        seen = (weights >= -ON_EDGE).all(axis=1) & (near > nearness[y, x])
-        at = y[seen], x[seen]
-        owner[at], nearness[at], drawn[at] = t, near[seen], weights[seen] @ values[corners]
+        is_visible = (weights >= -ON_EDGE).all(axis=1) & (near > nearness[y, x])
+        at = y[is_visible], x[is_visible]
+        owner[at] = t
+        nearness[at] = near[is_visible]
+        drawn[at] = weights[is_visible] @ values[corners]
     return owner, drawn
 
 
@@ -240,8 +283,13 @@ def filter_rows_and_columns(layers: np.ndarray, across: np.ndarray, down: np.nda
     ``across`` (h, w - 1) and ``down`` (h - 1, w) are the feedback between neighbours (domain transform, Gastal and
     Oliveira, ACM TOG 2011).
     """
-    for lines, kept in ((layers.swapaxes(0, 1), across.T), (layers, down)):
-        for i in range(1, len(lines)):
-            lines[i] += kept[i - 1][:, None] * (lines[i - 1] - lines[i])
-        for i in range(len(lines) - 2, -1, -1):
-            lines[i] += kept[i][:, None] * (lines[i + 1] - lines[i])
+    _filter_lines(layers.swapaxes(0, 1), across.T)
+    _filter_lines(layers, down)
+
+
+def _filter_lines(lines: np.ndarray, feedback: np.ndarray) -> None:
+    """Filter lines (n, m, c) forward and backward in place; ``feedback`` (n - 1, m) is that between neighbours."""
+    for i in range(1, len(lines)):
+        lines[i] += feedback[i - 1][:, None] * (lines[i - 1] - lines[i])
+    for i in range(len(lines) - 2, -1, -1):
+        lines[i] += feedback[i][:, None] * (lines[i + 1] - lines[i])

@@ -57,7 +57,7 @@ def test_training_asks_the_landmarker(seen, scenes):
     from liaam.training.entries import read_entries
     from liaam.training.points import map_of_points
 
-    entries = read_entries((scene.image, scene.landmarks) for scene in scenes)[0]
+    entries = read_entries((scene.image, scene.landmarks) for scene in scenes).entries
     assert map_of_points("mediapipe", entries, scenes[0].landmarks).n_theirs == 3
     assert len(seen) == len(scenes)
 

@@ -85,15 +85,15 @@ def test_two_objects_in_one_picture(finder):
 
 def fits_counted(finder, monkeypatch, image, **options):
     """What is found, and at how many places the small model was fitted."""
-    fit, places = Finder._fitted, []
+    fit, places = Finder._fit_place, []
 
-    def counted(self, linear, centre, scale, template, field):
-        places.append((*centre, scale, id(template)))
-        return fit(self, linear, centre, scale, template, field)
+    def counted(self, linear, place):
+        places.append((*place.centre, place.scale, id(place.template)))
+        return fit(self, linear, place)
 
-    monkeypatch.setattr(Finder, "_fitted", counted)
+    monkeypatch.setattr(Finder, "_fit_place", counted)
     found = finder.find(image, **options)
-    monkeypatch.setattr(Finder, "_fitted", fit)
+    monkeypatch.setattr(Finder, "_fit_place", fit)
     assert len(set(places)) == len(places)
     return found, len(places)
 

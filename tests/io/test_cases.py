@@ -175,13 +175,13 @@ def test_specimens_are_read_without_images(cases: Path, name: str, count: int) -
 
 def test_an_image_with_a_missing_landmark_is_left_out_of_training(cases: Path) -> None:
     with pytest.warns(UserWarning, match="1 image has missing landmarks and is left out: img"):
-        entries = read_entries(load_folder(cases / "59-train-missing"))[0]
+        entries = read_entries(load_folder(cases / "59-train-missing")).entries
     assert len(entries) == 9
 
 
 def test_landmarks_missing_in_each_image_are_placed_by_the_others(cases: Path) -> None:
     with pytest.warns(UserWarning, match="10 images have missing landmarks, which are placed where the other images"):
-        entries = read_entries(load_folder(cases / "G5-missing-in-each"))[0]
+        entries = read_entries(load_folder(cases / "G5-missing-in-each")).entries
     assert len(entries) == 10
     truth = load_folder(cases / "07-tps-curves")[0].landmarks.points
     assert np.abs(entries[0].points[0] - truth[0]).max() < 8

@@ -19,7 +19,7 @@ def heads(n: int, points=lambda shape: shape) -> list[Sample]:
 
 
 def found(samples: list[Sample]) -> Lamps | None:
-    entries = read_entries(samples)[0]
+    entries = read_entries(samples).entries
     mean = scaled_mean(np.array([entry.points for entry in entries]), 100.0)
     return face_lamps(entries, mean, CameraModel())
 

@@ -50,7 +50,7 @@ def offset_of(frontal):
     shapes = train(frontal, copies=0, **FAST).views[SURROUNDINGS]
     order = mirror_order(shapes.shape_model.mean)
     assert order is not None
-    return lambda pairs: sideways_offset(read_entries(pairs)[0], order, shapes.warp, CameraModel(), 0.5)
+    return lambda pairs: sideways_offset(read_entries(pairs).entries, order, shapes.warp, CameraModel(), 0.5)
 
 
 @pytest.mark.parametrize("offset", [-0.6, 1.0])

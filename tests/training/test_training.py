@@ -227,8 +227,17 @@ def test_images_with_missing_landmarks_are_left_out(pairs):
     pairs = [*pairs[:3], (pairs[0][0], pairs[0][1].copy())]
     pairs[2][1][[4, 9]] = np.nan
     with pytest.warns(UserWarning, match="1 image has missing landmarks and is left out: image 3"):
-        entries = read_entries(pairs)[0]
+        entries = read_entries(pairs).entries
     assert [entry.name for entry in entries] == ["image 1", "image 2", "image 4"]
+
+
+def test_warnings_of_samples_name_the_line_that_calls_train(scenes):
+    pairs = [(scene.image, scene.landmarks.copy()) for scene in scenes[:5]]
+    pairs[2][1][[4, 9]] = np.nan
+    with pytest.warns(UserWarning, match="missing landmarks") as caught:
+        train(pairs, diagonal=40.0, camera=LINEAR, blurs=(0.0,), leave_out=False)
+    (warning,) = [each for each in caught if "missing landmarks" in str(each.message)]
+    assert warning.filename == __file__
 
 
 def test_too_few_complete_images_have_their_landmarks_placed_by_the_others(pairs):
@@ -236,7 +245,7 @@ def test_too_few_complete_images_have_their_landmarks_placed_by_the_others(pairs
     for i, (_, points) in enumerate(pairs):
         points[i] = np.nan
     with pytest.warns(UserWarning, match="are placed where the other images suggest"):
-        entries = read_entries(pairs)[0]
+        entries = read_entries(pairs).entries
     assert len(entries) == len(pairs)
     assert np.linalg.norm(entries[0].points[0] - true[0]) < 0.1 * np.ptp(true, axis=0).max()
     np.testing.assert_array_equal(entries[0].points[1:], true[1:])
@@ -267,8 +276,8 @@ def test_samples_that_fold_the_mesh_are_left_out_by_name(scenes, rng, monkeypatc
     pairs[4] = (pairs[4][0], pairs[4][1] * [-1, 1] + [179, 0])
     pairs[6] = (pairs[6][0], rng.permutation(pairs[6][1]))
     options = {"diagonal": 40.0, "camera": LINEAR, "blurs": (0.0,), "leave_out": False}
-    read, checked = Counter(), images_of_training._look
-    monkeypatch.setattr(images_of_training, "_look", lambda *given: read.update([given[-1].name]) or checked(*given))
+    read, inspect = Counter(), images_of_training._inspect
+    monkeypatch.setattr(images_of_training, "_inspect", lambda *given: read.update([given[-1].name]) or inspect(*given))
     with pytest.warns(
         UserWarning, match=r"2 of 8 images fold the mesh .*image 5 \(.*image 7 \(.*left out.*not mirrored"
     ):
@@ -347,13 +356,13 @@ def test_landmarks_go_by_their_names(pairs):
     for i in range(2):
         pairs[i] = (pairs[i][0], Landmarks(pairs[i][1], names=tuple(names)))
     pairs[2] = (pairs[2][0], Landmarks(true[order], names=tuple(names[i] for i in order)))
-    entries, _, _, found = read_entries(pairs)
-    assert found == tuple(names)
-    np.testing.assert_array_equal(entries[2].points, true)
+    data = read_entries(pairs)
+    assert data.landmark_names == tuple(names)
+    np.testing.assert_array_equal(data.entries[2].points, true)
     pairs[2] = (pairs[2][0], Landmarks(true, names=("other", *names[1:])))
     refused(pairs, "image 3: its names lack point 0")
     pairs[2] = (pairs[2][0], Landmarks(true, names=tuple(f"other {i}" for i in range(n))))
-    assert read_entries(pairs)[3] == ()  # images do not agree
+    assert read_entries(pairs).landmark_names == ()  # images do not agree
 
 
 def test_values_of_twelve_bits_in_sixteen_are_refused_by_name(pairs):

@@ -27,6 +27,21 @@ from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
 
+# Margin of fits from another landmarker's points, besides NEAR: their errors in standard deviations.
+MAPPED_DEVIATIONS = 2.0
+
+OWN_SETTINGS = ("camera", "rotations", "restarts", "margin")  # Fields of a fitter that users set by name
+
+
+@dataclass(frozen=True, eq=False)
+class _FirstFit:
+    """A fit from the first start, before other places and starts are tried."""
+
+    fitter: "Fitter"  # of the model's part
+    result: FitResult
+    target: Target
+    detection: Detection | None  # if the start is one
+
 
 @dataclass(frozen=True, eq=False)
 class Fitter(Prepared):
@@ -77,17 +92,17 @@ class Fitter(Prepared):
         ``model`` may be the name of one that comes with liaam. An unknown setting raises an error that also suggests
         the parameters of the function ``known``, to which the settings were given.
         """
-        names = ("camera", "rotations", "restarts", "margin")
-        own = {name: settings.pop(name) for name in names if name in settings}
-        options = [each.name for each in fields(SolverOptions)]
-        if not settings.keys() <= set(options):
+        own = {name: settings.pop(name) for name in OWN_SETTINGS if name in settings}
+        solver_settings = [field.name for field in fields(SolverOptions)]
+        if not settings.keys() <= set(solver_settings):
             parameters = () if known is None else signature(known).parameters.values()
-            more = [each.name for each in parameters if each.kind != each.VAR_KEYWORD]
-            check_options(settings, [*dict.fromkeys([*more, *names, *options])])
+            of_function = [each.name for each in parameters if each.kind != each.VAR_KEYWORD]
+            check_options(settings, [*dict.fromkeys([*of_function, *OWN_SETTINGS, *solver_settings])])
         return cls(named_model(model), method, SolverOptions(**settings), **own)
 
     def __post_init__(self) -> None:
-        self.finder  # noqa: B018 (raise errors now, not at the first image)
+        """Raise errors now, not at the first image, where these attributes are first needed."""
+        self.finder  # noqa: B018
         if self.camera is not None:
             check_camera(self.camera)
         for part in self.parts:
@@ -131,15 +146,15 @@ class Fitter(Prepared):
             If there are none; the message has the best score.
         """
         image, name = load_picture(image, name)
-        found = self.find(image, limit=None, name=name)
-        sure = [detection for detection in found if not detection.doubtful]
-        if not sure:
+        detections = self.find(image, limit=None, name=name)
+        certain = [detection for detection in detections if not detection.doubtful]
+        if not certain:
             raise StartError(
-                f"{name}: no object was found (the best score is {found[0].score:.2f}, {DOUBTFUL:g} is needed); "
+                f"{name}: no object was found (the best score is {detections[0].score:.2f}, {DOUBTFUL:g} is needed); "
                 "give a start (--init), search for rotated objects (--rotations all), or fit the best place anyway "
                 "(without --all)"
             )
-        return sure
+        return certain
 
     def fit(self, image, init=None, name: str = "image") -> FitResult:
         """Fit the model to one image.
@@ -165,22 +180,21 @@ class Fitter(Prepared):
         ImageError, StartError
             For invalid input.
         """
-        path, given = path_of(image), init.landmarks if isinstance(init, Detection) else init
-        own = part_of_start(self.model, given, name)
-        parts = self.parts if own is None else self.parts[own : own + 1]
-        if len(parts) > 1:
+        path = path_of(image)
+        start = init.landmarks if isinstance(init, Detection) else init
+        part = part_of_start(self.model, start, name)
+        fitters = self.parts if part is None else (self.parts[part],)
+        if len(fitters) > 1:
             image, name = load_picture(image, name)  # once for all
-        firsts = []
-        for part in parts:
-            target, found = part.target(image, init, name)
-            firsts.append((part.fit_target(target), part, target, found))
+        first_fits = [fitter._first_fit(image, init, name) for fitter in fitters]
         results = []
-        for first, part, target, found in sorted(firsts, key=lambda each: likeliness(each[0]), reverse=True):
-            results.append(replace(part._completed(first, target, found, init), part=self.parts.index(part)))
-            if results[-1].status.ok:
+        for first in sorted(first_fits, key=lambda each: likeliness(each.result), reverse=True):
+            result = first.fitter._completed(first, init)
+            results.append(replace(result, part=self.parts.index(first.fitter)))
+            if result.status.ok:  # the other parts are less likely
                 break
-        result = max(results, key=lambda each: (each.status.ok, *likeliness(each)))
-        return replace(result, image=path)
+        best = max(results, key=lambda each: (each.status.ok, *likeliness(each)))
+        return replace(best, image=path)
 
     def fit_all(self, image, name: str = "image") -> list[FitResult]:
         """Fit every object that the search finds in an image, the best detection first.
@@ -192,7 +206,7 @@ class Fitter(Prepared):
         """
         path = path_of(image)
         image, name = load_picture(image, name)
-        return [replace(self.fit(image, found, name), image=path) for found in self.find_all(image, name)]
+        return [replace(self.fit(image, detection, name), image=path) for detection in self.find_all(image, name)]
 
     @property
     def parts(self) -> tuple["Fitter", ...]:
@@ -201,55 +215,88 @@ class Fitter(Prepared):
 
     @cached_property
     def _several(self) -> tuple["Fitter", ...]:
-        return tuple(replace(self, model=part) for part in self.model.parts) if self.model.others else ()
+        """A fitter for each shape of a model of several shapes; empty for other models."""
+        if not self.model.others:
+            return ()
+        return tuple(replace(self, model=part) for part in self.model.parts)
 
     def part_for(self, fit: FitResult | np.ndarray) -> "Fitter":
         """Return the fitter of the model's part that made a fit, or to which a shape (n, 2) belongs."""
         if not self._several:
             return self
-        return self.parts[fit.part if isinstance(fit, FitResult) else self.model.part_of(fit)]
+        part = fit.part if isinstance(fit, FitResult) else self.model.part_of(fit)
+        return self.parts[part]
 
     def lit_part_for(self, fit: FitResult) -> "Fitter":
         """Return the part that relights a fit: that which made it, or the first one if only that has learnt light."""
-        part, first = self.part_for(fit), self.parts[0]
-        return first if part.model.light is None and first.model.light is not None else part
+        part = self.part_for(fit)
+        first = self.parts[0]
+        only_first_has_light = part.model.light is None and first.model.light is not None
+        return first if only_first_has_light else part
 
-    def _completed(self, result: FitResult, target: Target, found: Detection | None, init) -> FitResult:
+    def _first_fit(self, image, init, name: str) -> _FirstFit:
+        """Fit from the first start; see :meth:`fit`."""
+        target, detection = self.target(image, init, name)
+        return _FirstFit(self, self.fit_target(target), target, detection)
+
+    def _completed(self, first: _FirstFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
-        prior, region = 1.0, region_of(init, target.image)
-        if self.known_for(result) is not None and region is not None and (init is None or self.restarts):
-            result, prior, (target, found) = likeliest(self, self.finder, result, (target, found), region)
+        result, target, detection = first.result, first.target, first.detection
+        prior = 1.0  # factor on the odds that the fit is right, by its place
+        region = region_of(init, target.image)
+        may_look_elsewhere = init is None or self.restarts
+        if region is not None and may_look_elsewhere and self.reliability_for(result) is not None:
+            result, prior, (target, detection) = likeliest(self, self.finder, result, (target, detection), region)
         if self.restarts and self.falls_short(with_prior(result, prior)):
             result = fit_again(self, target, result)
-        result, model, known = with_prior(result, prior), self.model, self.reliability
-        if known is not None and (found is None or not found.doubtful):
-            likely = {"quality": known.with_prior(result.quality), "least_quality": known.with_prior(LEAST_QUALITY)}
-            result = replace(result, **likely)
-        return replace(result, found=found, contours=model.contours, landmark_names=model.landmark_names)
+        result = with_prior(result, prior)
+        if detection is None or not detection.doubtful:  # the start is near the object
+            result = self._with_prior_near(result)
+        return replace(result, found=detection, contours=self.model.contours, landmark_names=self.model.landmark_names)
+
+    def _with_prior_near(self, result: FitResult) -> FitResult:
+        """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""
+        reliability = self.reliability
+        if reliability is None:
+            return result
+        return replace(
+            result,
+            quality=reliability.with_prior(result.quality),
+            least_quality=reliability.with_prior(LEAST_QUALITY),
+        )
 
     def target(self, image, init=None, name: str = "image") -> tuple[Target, Detection | None]:
         """Check image and start (see :meth:`fit`); return them as a target, and the detection if there was a search."""
         image, name = load_picture(image, name)
-        refuse_unscaled(image, name, self.image_camera.response)
-        # An image of one value (black, white) is not refused: the status of its fit is more specific.
+        camera = self.image_camera
+        refuse_unscaled(image, name, camera.response)
+        self._refuse_grey(image, name)
+        linear = self.linear(image)
+        if init is None:
+            init = self.finder.find_in(linear)[0]
+        detection = init if isinstance(init, Detection) else None
+        points = init if detection is None else detection.landmarks
+        mapped = mapped_points(self.model, points, name)
+        height, width = image.shape[:2]
+        start = start_shape(self.model, points if mapped is None else mapped, (width, height), name)
+        target = Target(linear, start, noise=camera.noise, theta=camera.theta, margin=self.margin)
+        point_map = self.model.points
+        if mapped is not None and point_map is not None:
+            margin = NEAR + MAPPED_DEVIATIONS * point_map.deviation / self.model.diagonal
+            target = target._replace(mapped=mapped, pull=self._pull, margin=min(self.margin, margin))
+        return target, detection
+
+    def _refuse_grey(self, image: np.ndarray, name: str) -> None:
+        """Raise an error if an image is grey and the method needs colours.
+
+        An image of one value (black, white) is not refused: the status of its fit is more specific.
+        """
         method = self.objectives[0].method
         if method.needs_colour and is_grey(image) and np.ptp(stored_values(image)) > 0:
             raise ImageError(
                 f"{name}: the image is grey (three equal channels), but method {method.name} "
                 "compares colours; use method 'soft-li' or 'grey'"
             )
-        camera, linear = self.image_camera, self.linear(image)
-        init = self.finder.find_in(linear)[0] if init is None else init
-        found = init if isinstance(init, Detection) else None
-        given = init if found is None else found.landmarks
-        mapped = mapped_points(self.model, given, name)
-        start = start_shape(self.model, given if mapped is None else mapped, (image.shape[1], image.shape[0]), name)
-        target = Target(linear, start, camera.noise, camera.theta, self.margin)
-        points = self.model.points
-        if mapped is None or points is None:
-            return target, found
-        margin = min(self.margin, NEAR + 2.0 * points.deviation / self.model.diagonal)
-        return target._replace(mapped=mapped, pull=self._pull, margin=margin), found
 
     @cached_property
     def _pull(self) -> np.ndarray | None:

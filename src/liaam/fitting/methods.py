@@ -13,6 +13,7 @@ from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS
 from liaam.model.appearance import APPEARANCES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
 from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, name_of
+from liaam.reference import CHANNELS
 
 LOSSES = ("huber", "l1", "cauchy", "geman-mcclure", "tukey", "learnt")
 """Robust losses as weights of iteratively reweighted least squares, in the order of the core's. Theobald, Matthews and
@@ -55,12 +56,20 @@ ENCODING_OF = {
 }
 """Encoding of each appearance; ``features`` is any function of the user."""
 
+PROJECTED_APPEARANCES = ("invariant", "orientation", "soft", "features")
+"""Appearances that are learnt after the projection, so that P(theta_1) is not applied to them again."""
+
+LEARNT_FROM_RELIT = {"varied", "illumination"}
+"""Appearances that are learnt from relit copies of the images."""
+
 BIASES = ("none", "common", "rows")
+"""Which channels get a constant: none, all the same one, or each its own."""
 
 WEIGHTS = ("model", "noise", "rows")
-"""In the order of the core's."""
+"""Whose variances weigh the pixels, in the order of the core's."""
 
 STEPS = ("own", "scored", "expected")
+"""Whose gradient the steps use: the image's own, first that and then the model's, or the one that the model expects."""
 
 CHOICES: dict[str, Any] = {
     "encoding": ENCODINGS,
@@ -134,44 +143,54 @@ class Method:
     view: str = MESH
 
     def __post_init__(self) -> None:
-        for name, known in CHOICES.items():
+        """Raise an error if a value is unknown, or if some do not go together."""
+        for name, choices in CHOICES.items():
             value = getattr(self, name)
-            if not callable(value) and value not in known:
-                raise MethodError(f"unknown {name} {value!r}; choose from {', '.join(known)}")
-        encoding, appearance, metric = self.encoding_name, self.appearance, self.metric
-        apart = any((metric == name) != (encoding == name) for name in ("orientation", "soft", "features"))
-        for is_wrong, why in (
-            (metric not in INVARIANT_AT and self.free_angles != "none", f"metric {metric} has no angle to free"),
-            # L . 1 = 0 (and C . 1 = 0): a constant common to all log channels is a null vector.
-            (self.needs_colour and self.bias == "common", f"a common bias is invisible to metric {metric}"),
-            (self.gain and metric == "invariant", "a gain on logarithms does not model any change of light"),
-            (ENCODING_OF[appearance] != encoding, f"{encoding} images do not suit a {appearance} appearance"),
-            (apart, f"metric {metric} does not suit encoding {encoding}"),
-            (self.weights == "rows" and encoding != "soft", "weights by rows are for encoding soft"),
-            (
-                self.weights == "noise" and encoding != "log",
+            if not callable(value) and value not in choices:
+                raise MethodError(f"unknown {name} {value!r}; choose from {', '.join(choices)}")
+        conflict = self._metric_conflict() or self._encoding_conflict() or self._appearance_conflict()
+        if conflict is not None:
+            raise MethodError(f"method {self.name}: {conflict}")
+
+    def _metric_conflict(self) -> str | None:
+        """Describe what the metric cannot show; None if there is no conflict."""
+        if self.metric not in INVARIANT_AT and self.free_angles != "none":
+            return f"metric {self.metric} has no angle to free"
+        # L . 1 = 0 (and C . 1 = 0): a constant common to all log channels is a null vector.
+        if self.needs_colour and self.bias == "common":
+            return f"a common bias is invisible to metric {self.metric}"
+        if self.gain and self.metric == "invariant":
+            return "a gain on logarithms does not model any change of light"
+        return None
+
+    def _encoding_conflict(self) -> str | None:
+        """Describe what is for another encoding, or for other weights; None if there is no conflict."""
+        encoding = self.encoding_name
+        if ENCODING_OF[self.appearance] != encoding:
+            return f"{encoding} images do not suit a {self.appearance} appearance"
+        for name in ("orientation", "soft", "features"):  # each of these is an encoding and its only metric
+            if (self.metric == name) != (encoding == name):
+                return f"metric {self.metric} does not suit encoding {encoding}"
+        if self.weights == "rows" and encoding != "soft":
+            return "weights by rows are for encoding soft"
+        if self.weights == "noise" and encoding != "log":
+            return (
                 "noise weights are for methods that compare logarithms, whose noise depends on brightness; the noise "
-                "of values is uniform",
-            ),
-            (
-                self.weights != "model" and self.loss == "learnt",
-                f"weights by {self.weights} already include the model's errors; leave out 'learnt'",
-            ),
-            (
-                (self.illumination or self.normalise) and encoding != "value",
-                "an illumination basis and normalisation need encoding value",
-            ),
-            (
-                appearance == "invariant" and metric != "invariant",
-                "the invariant appearance needs the invariant metric",
-            ),
-            (
-                appearance in ("invariant", "soft") and self.free_angles in ("both", "shared"),
-                "theta_1 is fixed by an appearance projected before the PCA",
-            ),
-        ):
-            if is_wrong:
-                raise MethodError(f"method {self.name}: {why}")
+                "of values is uniform"
+            )
+        if self.weights != "model" and self.loss == "learnt":
+            return f"weights by {self.weights} already include the model's errors; leave out 'learnt'"
+        if (self.illumination or self.normalise) and encoding != "value":
+            return "an illumination basis and normalisation need encoding value"
+        return None
+
+    def _appearance_conflict(self) -> str | None:
+        """Describe what does not suit an appearance that was projected before it was learnt; None if all does."""
+        if self.appearance == "invariant" and self.metric != "invariant":
+            return "the invariant appearance needs the invariant metric"
+        if self.appearance in ("invariant", "soft") and self.free_angles in ("both", "shared"):
+            return "theta_1 is fixed by an appearance projected before the PCA"
+        return None
 
     @property
     def encoding_name(self) -> str:
@@ -229,16 +248,17 @@ class Method:
     def metric_parts(self) -> np.ndarray:
         """Parts of P(theta_2) = parts[0] + cos(theta_2) parts[1] + sin(theta_2) parts[2], (3, k, 8) float64.
 
-        Encoded images have 8 channels; the last one is the weight.
+        Encoded images have eight channels; the last one is the weight.
         """
         rows = self._rows
-        parts = np.zeros((3, len(rows), 8))
+        parts = np.zeros((3, len(rows), CHANNELS))
         parts[0, :, : rows.shape[1]] = rows
         if self.has_angles:
             row, first = INVARIANT_AT[self.metric]
+            # L(theta) = (cos, sin, -cos - sin), on three channels
             parts[0, row] = 0.0
-            # L(theta) = (cos, sin, -cos - sin)
-            parts[1, row, first : first + 3], parts[2, row, first : first + 3] = (1.0, 0.0, -1.0), (0.0, 1.0, -1.0)
+            parts[1, row, first : first + 3] = (1.0, 0.0, -1.0)
+            parts[2, row, first : first + 3] = (0.0, 1.0, -1.0)
         return parts
 
     @property
@@ -247,8 +267,10 @@ class Method:
 
         It is the identity for an appearance that was projected before it was learnt.
         """
-        if self.appearance in ("invariant", "orientation", "soft", "features"):
-            return np.stack([np.eye(self.n_rows), *np.zeros((2, self.n_rows, self.n_rows))])
+        if self.appearance in PROJECTED_APPEARANCES:
+            parts = np.zeros((3, self.n_rows, self.n_rows))
+            parts[0] = np.eye(self.n_rows)
+            return parts
         return self.metric_parts[:, :, : self._rows.shape[1]]
 
     def model_metric(self, theta: float) -> np.ndarray:
@@ -262,8 +284,8 @@ class Method:
 
 def at_angle(parts: np.ndarray, theta: float) -> np.ndarray:
     """Combine parts (3, ...) that are constant and multiplied by cos and sin of an angle."""
-    at = np.array([1.0, np.cos(theta), np.sin(theta)], parts.dtype)
-    return np.ascontiguousarray(np.tensordot(at, parts, axes=1))
+    factors = np.array([1.0, np.cos(theta), np.sin(theta)], parts.dtype)
+    return np.ascontiguousarray(np.tensordot(factors, parts, axes=1))
 
 
 class MethodTable(dict[str, Method]):
@@ -274,47 +296,124 @@ class MethodTable(dict[str, Method]):
         return "\n".join(f"{name:{width}}  {method.summary}" for name, method in self.items())
 
 
-_SOFT: dict[str, Any] = {"encoding": "soft", "appearance": "soft", "metric": "soft", "view": SURROUNDINGS}
-_ORIENTATION: dict[str, Any] = {"encoding": "orientation", "appearance": "orientation", "metric": "orientation"}
-_PLAIN: dict[str, Any] = {"encoding": "value", "appearance": "value", "metric": "luminance"}
-_GREY: dict[str, Any] = {**_PLAIN, "gain": True, "bias": "common"}
-_LI: dict[str, Any] = {"encoding": "log", "appearance": "log", "metric": "invariant", "step": "scored"}
-
-_ROWS: dict[str, tuple[str, dict[str, Any]]] = {
-    "soft-li": (
+_TABLE = (
+    Method(
+        "soft-li",
         "gradients of log brightness and of the invariant, by estimated variance; the default, for any light",
-        {**_SOFT, "weights": "rows", "step": "expected"},
+        encoding="soft",
+        appearance="soft",
+        metric="soft",
+        weights="rows",
+        step="expected",
+        view=SURROUNDINGS,
     ),
-    "grey": ("luminance; drifts when the light changes", _GREY),
-    "rgb": ("colour values; drifts when the light changes", {**_GREY, "metric": "rgb"}),
-    "li": (
+    Method(
+        "grey",
+        "luminance; drifts when the light changes",
+        encoding="value",
+        appearance="value",
+        metric="luminance",
+        gain=True,
+        bias="common",
+    ),
+    Method(
+        "rgb",
+        "colour values; drifts when the light changes",
+        encoding="value",
+        appearance="value",
+        metric="rgb",
+        gain=True,
+        bias="common",
+    ),
+    Method(
+        "li",
         "light-invariant projection; estimates the image's angle (paper section 4)",
-        {**_LI, "free_angles": "image"},
+        encoding="log",
+        appearance="log",
+        metric="invariant",
+        free_angles="image",
+        step="scored",
     ),
-    "li-lit": (
+    Method(
+        "li-lit",
         "as li, with an appearance learnt after the projection",
-        {**_LI, "free_angles": "image", "appearance": "invariant"},
+        encoding="log",
+        appearance="invariant",
+        metric="invariant",
+        free_angles="image",
+        step="scored",
     ),
-    "li-pc": ("as li; estimates the angles of both cameras", {**_LI, "free_angles": "both"}),
-    "li-pcs": ("as li-pc, with one angle for both cameras", {**_LI, "free_angles": "shared"}),
-    "chroma": (
+    Method(
+        "li-pc",
+        "as li; estimates the angles of both cameras",
+        encoding="log",
+        appearance="log",
+        metric="invariant",
+        free_angles="both",
+        step="scored",
+    ),
+    Method(
+        "li-pcs",
+        "as li-pc, with one angle for both cameras",
+        encoding="log",
+        appearance="log",
+        metric="invariant",
+        free_angles="shared",
+        step="scored",
+    ),
+    Method(
+        "chroma",
         "log-chromaticity: invariant to intensity; assumes one colour of light for the whole object",
-        {**_LI, "metric": "chromaticity", "bias": "rows"},
+        encoding="log",
+        appearance="log",
+        metric="chromaticity",
+        bias="rows",
+        step="scored",
     ),
-    "grey-plain": ("unmodified luminance: even a change of exposure is an error", _PLAIN),
-    "grey-norm": (
+    Method(
+        "grey-plain",
+        "unmodified luminance: even a change of exposure is an error",
+        encoding="value",
+        appearance="value",
+        metric="luminance",
+    ),
+    Method(
+        "grey-norm",
         "luminance normalised to the model's mean and standard deviation (affine photometric normalisation)",
-        {**_PLAIN, "normalise": True},
+        encoding="value",
+        appearance="value",
+        metric="luminance",
+        normalise=True,
     ),
-    "varied": ("as grey, learnt from relit images too (train with --lamps)", {**_GREY, "appearance": "varied"}),
-    "aia": (
+    Method(
+        "varied",
+        "as grey, learnt from relit images too (train with --lamps)",
+        encoding="value",
+        appearance="varied",
+        metric="luminance",
+        gain=True,
+        bias="common",
+    ),
+    Method(
+        "aia",
         "active illumination: as grey, plus an illumination basis (train with --lamps)",
-        {**_GREY, "illumination": True},
+        encoding="value",
+        appearance="value",
+        metric="luminance",
+        gain=True,
+        bias="common",
+        illumination=True,
     ),
-    "igo": ("orientation of the luminance gradient: ignores its magnitude", _ORIENTATION),
-}
+    Method(
+        "igo",
+        "orientation of the luminance gradient: ignores its magnitude",
+        encoding="orientation",
+        appearance="orientation",
+        metric="orientation",
+    ),
+)
 
-METHODS = MethodTable((name, Method(name, summary, **row)) for name, (summary, row) in _ROWS.items())
+METHODS = MethodTable((method.name, method) for method in _TABLE)
 """All methods by name, in the order of the table."""
 
 
@@ -330,8 +429,10 @@ def features_method(function: FeatureFunction, **changes) -> Method:
         Fields of :class:`Method`, such as ``loss="huber"``.
     """
     name = name_of(function)
-    fields = {"summary": f"channels of the function {name}", "appearance": "features", "metric": "features"}
-    return Method(**{"name": name, "encoding": function, **fields, **changes})
+    method = Method(
+        name, f"channels of the function {name}", encoding=function, appearance="features", metric="features"
+    )
+    return replace(method, **changes)
 
 
 DEFAULT_METHOD = "soft-li"
@@ -359,28 +460,34 @@ def get_method(method: str | Method) -> Method:
     base, *suffixes = method.split("+")
     if base not in METHODS:
         raise MethodError(f"unknown method {method!r}; choose from {', '.join(METHODS)} (see 'liaam fit --help')")
-    changes: dict = {}
+    changes: dict[str, str] = {}
     for suffix in suffixes:
-        key, value = ("weights", "noise") if suffix == NOISE_SUFFIX else ("loss", suffix)
-        if key in changes or (key == "loss" and suffix not in LOSSES):
+        field_name, value = ("weights", "noise") if suffix == NOISE_SUFFIX else ("loss", suffix)
+        if field_name in changes or (field_name == "loss" and suffix not in LOSSES):
             raise MethodError(
                 f"method {method!r}: the suffix +{suffix} is unknown or repeated; use +{NOISE_SUFFIX} and at most one "
                 f"of {', '.join(f'+{name}' for name in LOSSES)}"
             )
-        changes[key] = value
+        changes[field_name] = value
     return replace(METHODS[base], name=method, **changes) if changes else METHODS[base]
 
 
 def needed_by(method: Method) -> set[str]:
     """Return the names of the appearances that a method needs at each level of its view."""
-    return {method.appearance, *(("illumination",) if method.illumination else ())}
+    names = {method.appearance}
+    if method.illumination:
+        names.add("illumination")
+    return names
 
 
 def _missing(model: AAM, method: Method) -> set[str]:
     """Return the names of the appearances that the model lacks."""
     if method.view not in model.views:
         return needed_by(method)
-    return set().union(*(needed_by(method) - set(level.appearances) for level in model.views[method.view].levels))
+    missing: set[str] = set()
+    for level in model.views[method.view].levels:
+        missing |= needed_by(method) - set(level.appearances)
+    return missing
 
 
 def methods_of(model: AAM) -> tuple[str, ...]:
@@ -396,7 +503,7 @@ def check_holds(model: AAM, method: Method) -> None:
             f"'{'li' if model.is_colour else 'grey'}'"
         )
     missing = _missing(model, method)
-    if missing & {"varied", "illumination"} and not model.n_lamps:
+    if missing & LEARNT_FROM_RELIT and not model.n_lamps:
         raise MethodError(
             f"method {method.name} needs a model trained on relit images; train it with lamps "
             "and at least one copy of each image ('liaam train --lamps', or train(..., lamps=...))"
@@ -415,5 +522,5 @@ def gaussian_median(k: int) -> float:
     """Return the median root mean square of k standard normal variables; 1 / 1.4826 for one."""
     from scipy.special import gammaincinv
 
-    # From the median of the chi-squared distribution.
-    return float((2.0 * gammaincinv(k / 2, 0.5) / k) ** 0.5)
+    chi_squared_median = 2.0 * gammaincinv(k / 2, 0.5)
+    return float((chi_squared_median / k) ** 0.5)

@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from liaam.errors import LandmarkError, TrainingError
 from liaam.io import Landmarks, image_size, read_image, read_landmarks
 from liaam.io.files import count_of, some_names
-from liaam.io.landmarks.base import contour_of
+from liaam.io.landmarks.base import Contour, contour_of
 from liaam.model.file import MAX_POINTS
 from liaam.model.mesh import FOLD_TOLERANCE, delaunay, folded_share, signed_areas, triangles_from_edges
 from liaam.model.shape import align, procrustes_mean
@@ -22,9 +23,15 @@ from liaam.model.shape import align, procrustes_mean
 # Least ratio of the landmarks' minor to major spread: that of a rod 80 times as long as wide. Measured on generated
 # rods: the search finds those up to 20 times as long as wide, and fits from a start converge up to 40 times.
 FLATTEST = 0.02
-
-
 FEWEST = 3  # Fewest images to learn from
+FEWEST_LANDMARKS = 3  # Fewest landmarks of a mesh, which is then one triangle
+# Least extent of the landmarks in pixels: less is no object, but coordinates in other units, such as fractions.
+LEAST_EXTENT = 2.0
+# Formats of landmark files whose coordinates are relative to the image, or count from its lower border.
+NEED_IMAGE_SIZE = (".asf", ".tps", ".nts")
+
+IndexedContours = tuple[tuple[tuple[int, ...], bool], ...]
+"""Lines through landmarks: the indices of these in turn, and whether the line is closed."""
 
 
 @dataclass(frozen=True)
@@ -36,93 +43,160 @@ class Entry:
     points: np.ndarray
 
 
-def read_entries(
-    data: Iterable, contours: Iterable | None = None, strict: bool = False
-) -> tuple[list[Entry], tuple, np.ndarray, tuple[str, ...]]:
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """Validated samples, and what is known of the landmarks that all have.
+
+    Attributes
+    ----------
+    entries : list of Entry
+    contours : tuple of (indices, closed)
+        Lines through landmarks.
+    edges : (e, 2) int
+        Pairs of landmarks that the contours of the landmark files connect. They may form a mesh.
+    landmark_names : tuple of str
+        Names of the landmarks; empty if the samples have none, or do not agree.
+    """
+
+    entries: list[Entry]
+    contours: IndexedContours
+    edges: np.ndarray
+    landmark_names: tuple[str, ...]
+
+    @property
+    def shapes(self) -> np.ndarray:
+        """Landmarks of all samples, (m, n, 2)."""
+        return np.array([entry.points for entry in self.entries])
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the samples."""
+        return [entry.name for entry in self.entries]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """A sample as it was read, also the contours and the names of its landmarks; both are empty if there are none."""
+
+    entry: Entry
+    contours: IndexedContours
+    landmark_names: tuple[str, ...]
+
+
+def read_entries(data: Iterable, contours: Iterable | None = None, strict: bool = False) -> TrainingData:
     """Read and validate samples.
 
-    Also return the contours and connectivity of the first sample that has any, and the names of the landmarks if all
-    samples that name them agree. ``contours``, if given, replace those of the samples. ``strict``
-    refuses samples with missing landmarks.
+    Parameters
+    ----------
+    data : Dataset, or iterable of Sample or (image, landmarks) pairs
+    contours : iterable of sequences of int, optional
+        Lines through landmarks, which replace those of the samples. By default those of the first sample with any.
+    strict : bool
+        Whether to refuse samples with missing landmarks.
+
+    Returns
+    -------
+    TrainingData
+        Landmarks with names are put in the order of the first sample with names.
     """
-    entries: list[Entry] = []
-    found: tuple = ()
-    named: dict[tuple[str, ...], tuple[tuple[str, ...], str]] = {}  # names and first image, by the names in any order
     if isinstance(data, (str, os.PathLike)) or not isinstance(data, Iterable):
         raise TrainingError(f"{data!r} is not a set of landmarked images; for a folder give liaam.load_folder(folder)")
+    entries: list[Entry] = []
+    contours_of_files: IndexedContours = ()
+    orders: dict[tuple[str, ...], tuple[str, ...]] = {}  # by the same names sorted: those in the first sample's order
     for i, item in enumerate(data):
-        entry, own, names = _entry(item, i, next(iter(named.values()))[0] if named else ())
+        sample = _read_sample(item, i, next(iter(orders.values()), ()))
+        entry = sample.entry
         if entries and len(entry.points) != len(entries[0].points):
             raise TrainingError(
                 f"{entry.name} has {len(entry.points)} landmarks but {entries[0].name} has {len(entries[0].points)}; "
                 "every image needs the same points in the same order"
             )
         entries.append(entry)
-        found = found or own
-        if names:
-            named.setdefault(tuple(sorted(names)), (names, entry.name))
+        contours_of_files = contours_of_files or sample.contours
+        if sample.landmark_names:
+            orders.setdefault(tuple(sorted(sample.landmark_names)), sample.landmark_names)
     entries = _complete(entries, strict)
     if len(entries) < FEWEST:
         few = count_of(len(entries), "landmarked image")
-        raise TrainingError(f"{few}: too few to learn from; at least 3 are needed, 5 to 20 are better")
-    edges = [pair for indices, closed in found for pair in pairwise([*indices, indices[0]] if closed else indices)]
-    names = next(iter(named.values()))[0] if len(named) == 1 else ()
-    known = found if contours is None else contours_of(contours, len(entries[0].points))
-    return entries, known, np.array(edges, dtype=int).reshape(-1, 2), names
+        raise TrainingError(f"{few}: too few to learn from; at least {FEWEST} are needed, 5 to 20 are better")
+    return TrainingData(
+        entries=entries,
+        contours=contours_of_files if contours is None else contours_of(contours, len(entries[0].points)),
+        edges=_edges_of(contours_of_files),
+        landmark_names=next(iter(orders.values())) if len(orders) == 1 else (),
+    )
 
 
-def contours_of(given: Iterable, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:
+def _edges_of(contours: IndexedContours) -> np.ndarray:
+    """Return the pairs of neighbours along contours, (e, 2)."""
+    edges: list[tuple[int, int]] = []
+    for indices, is_closed in contours:
+        edges += pairwise([*indices, indices[0]] if is_closed else indices)
+    return np.array(edges, dtype=int).reshape(-1, 2)
+
+
+def contours_of(given: Iterable, n: int) -> IndexedContours:
     """Return contours as (indices, closed); given so, or as indices of which a repeated first closes a line.
 
     Raises a TrainingError if one is not a line through some of n landmarks.
     """
-    known = []
+    contours = []
     for each in given:
-        try:
-            indices, closed = each if len(each) == 2 and np.ndim(each[0]) == 1 else (each, False)
-            line = contour_of([int(i) for i in indices], bool(closed))
-        except (TypeError, ValueError):
-            line = None
-        if line is None or not all(0 <= i < n for i in line.indices):
+        contour = _as_contour(each)
+        if contour is None or not all(0 <= i < n for i in contour.indices):
             raise TrainingError(
                 f"contour {each!r}: give the indices of the landmarks along it, 0 to {n - 1}, with the first once more "
                 "at the end if it is closed"
             )
-        known.append((line.indices, line.closed))
-    return tuple(known)
+        contours.append((contour.indices, contour.closed))
+    return tuple(contours)
+
+
+def _as_contour(given: Any) -> Contour | None:
+    """Return a contour that was given as (indices, closed) or as indices; None if it is neither."""
+    try:
+        is_pair = len(given) == 2 and np.ndim(given[0]) == 1
+        indices, is_closed = given if is_pair else (given, False)
+        return contour_of([int(i) for i in indices], bool(is_closed))
+    except (TypeError, ValueError):
+        return None
 
 
 def _complete(entries: list[Entry], strict: bool) -> list[Entry]:
     """Leave out the samples with missing landmarks; if too few are complete, place these as the others suggest.
 
-    Warns, in one line, about what was done.
+    Warns the caller of train, which is decorated, of what was done. If ``strict``, such samples are refused instead.
     """
-    lacking = [entry for entry in entries if np.isnan(entry.points).any()]
-    if not lacking:
+    incomplete = [entry for entry in entries if np.isnan(entry.points).any()]
+    if not incomplete:
         return entries
     complete = [entry for entry in entries if not np.isnan(entry.points).any()]
-    names = some_names([entry.name for entry in lacking])
+    names = some_names([entry.name for entry in incomplete])
     if strict:
         raise TrainingError(
-            f"landmarks are missing in {count_of(len(lacking), 'image')} ({names}): place them, or train without "
+            f"landmarks are missing in {count_of(len(incomplete), 'image')} ({names}): place them, or train without "
             "--strict (strict=False)"
         )
-    have, are = ("image has", "is") if len(lacking) == 1 else ("images have", "are")
+    if len(incomplete) == 1:
+        images_have, are = "1 image has", "is"
+    else:
+        images_have, are = f"{len(incomplete)} images have", "are"
     if len(complete) >= FEWEST:
-        warnings.warn(f"{len(lacking)} {have} missing landmarks and {are} left out: {names}", stacklevel=4)
+        warnings.warn(f"{images_have} missing landmarks and {are} left out: {names}", stacklevel=5)
         return complete
     points = placed_by_others(np.array([entry.points for entry in entries]))
     if np.isnan(points).any():
         raise TrainingError(
-            f"{len(lacking)} of {len(entries)} images have missing landmarks ({names}), too many to place them by the "
-            "other images; place them, or remove these images"
+            f"{len(incomplete)} of {len(entries)} images have missing landmarks ({names}), too many to place them by "
+            "the other images; place them, or remove these images"
         )
     warnings.warn(
-        f"{len(lacking)} {have} missing landmarks, which are placed where the other images suggest, because only "
+        f"{images_have} missing landmarks, which are placed where the other images suggest, because only "
         f"{len(complete)} are complete: {names}",
-        stacklevel=4,
+        stacklevel=5,
     )
-    return [replace(entry, points=own) for entry, own in zip(entries, points, strict=True)]
+    return [replace(entry, points=placed) for entry, placed in zip(entries, points, strict=True)]
 
 
 def placed_by_others(shapes: np.ndarray) -> np.ndarray:
@@ -130,35 +204,26 @@ def placed_by_others(shapes: np.ndarray) -> np.ndarray:
 
     NaN remains where fewer than three landmarks of a shape are known, or where none has the landmark.
     """
-    known = ~np.isnan(shapes).any(axis=2)
-    if (known.sum(axis=1) < 3).any() or not known.any(axis=0).all():
+    is_placed = ~np.isnan(shapes).any(axis=2)
+    if (is_placed.sum(axis=1) < 3).any() or not is_placed.any(axis=0).all():
         return shapes
     mean = procrustes_mean(shapes)
-    return np.where(np.isnan(shapes), [align(mean, shape)(mean) for shape in shapes], shapes)
+    expected = [align(mean, shape)(mean) for shape in shapes]
+    return np.where(np.isnan(shapes), expected, shapes)
 
 
-def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[str, ...]]:
+def _read_sample(item: Any, i: int, order: tuple[str, ...]) -> _Sample:
+    """Read and validate item ``i`` of the training data, a Sample or a pair (image, landmarks).
+
+    ``order`` are the names of the landmarks in the order of earlier samples; empty if none had names.
+    """
     if hasattr(item, "landmarks"):
-        name, landmarks, read = item.name, item.landmarks, item.read_image
+        name, read, landmarks = item.name, item.read_image, item.landmarks
     else:
-        try:
-            image, landmarks = item
-        except (TypeError, ValueError):
-            raise TrainingError(
-                f"training item {i + 1} is not an (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
-            ) from None
-        name, read, file_name = f"image {i + 1}", lambda: image, None
-        if isinstance(image, str | os.PathLike):
-            path, read = Path(image), partial(read_image, image)
-            file_name, name = path.name, str(path.parent / path.stem)
+        image, landmarks = _pair_of(item, i)
+        name, read = _image_of_pair(image, i)
         if isinstance(landmarks, str | os.PathLike) and Path(landmarks).suffix:
-            size = None
-            if Path(landmarks).suffix.lower() in (".asf", ".tps", ".nts"):  # they need that of the image
-                if isinstance(image, str | os.PathLike):
-                    size = image_size(image)
-                elif np.ndim(image) > 1 and np.shape(image)[1]:
-                    size = np.shape(image)[1], np.shape(image)[0]
-            landmarks = read_landmarks(landmarks, size, file_name)
+            landmarks = _read_landmarks_of(image, landmarks)
     if order and isinstance(landmarks, Landmarks):
         try:
             landmarks = landmarks.in_order_of(order)
@@ -168,20 +233,68 @@ def _entry(item, i: int, order: tuple[str, ...]) -> tuple[Entry, tuple, tuple[st
         points = np.array(getattr(landmarks, "points", landmarks), dtype=np.float64)
     except (TypeError, ValueError):
         raise TrainingError(f"{name}: the landmarks are not numbers; give (n, 2) points") from None
-    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
-        raise TrainingError(f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least 3")
+    _check_points(points, name)
+    contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
+    return _Sample(Entry(name, read, points), contours, tuple(getattr(landmarks, "names", ())))
+
+
+def _pair_of(item: Any, i: int) -> tuple[Any, Any]:
+    """Return image and landmarks of item ``i`` of the training data."""
+    try:
+        image, landmarks = item
+    except (TypeError, ValueError):
+        raise TrainingError(
+            f"training item {i + 1} is not an (image, landmarks) pair; for a folder give liaam.load_folder(folder)"
+        ) from None
+    return image, landmarks
+
+
+def _image_of_pair(image: Any, i: int) -> tuple[str, Callable[[], np.ndarray]]:
+    """Return a name for the image of item ``i``, an array or a path, and a function that reads it."""
+    if isinstance(image, str | os.PathLike):
+        path = Path(image)
+        return str(path.parent / path.stem), partial(read_image, image)
+    return f"image {i + 1}", lambda: image
+
+
+def _read_landmarks_of(image: Any, path: str | os.PathLike) -> Landmarks:
+    """Read a landmark file, and of several records in it that of the image's file."""
+    image_name = Path(image).name if isinstance(image, str | os.PathLike) else None
+    return read_landmarks(path, _size_for(path, image), image_name)
+
+
+def _size_for(path: str | os.PathLike, image: Any) -> tuple[int, int] | None:
+    """Return (width, height) of an image, (h, w, ...) or a path, if the format of a landmark file needs it."""
+    if Path(path).suffix.lower() not in NEED_IMAGE_SIZE:
+        return None
+    if isinstance(image, str | os.PathLike):
+        return image_size(image)
+    if np.ndim(image) < 2:
+        return None
+    height, width = np.shape(image)[:2]
+    return (width, height) if width else None
+
+
+def _check_points(points: np.ndarray, name: str) -> None:
+    """Raise unless the points of the sample of a name are usable as landmarks, some of which may be missing (NaN)."""
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < FEWEST_LANDMARKS:
+        raise TrainingError(
+            f"{name}: landmarks of shape {points.shape} are not (n, 2) points with n of at least {FEWEST_LANDMARKS}"
+        )
     if len(points) > MAX_POINTS:
         raise TrainingError(
             f"{name}: {len(points)} landmarks are more than {MAX_POINTS}: remove the same landmarks in all images"
         )
-    if np.isinf(points).any() or (np.isnan(points).any(axis=1) != np.isnan(points).all(axis=1)).any():
+    is_missing = np.isnan(points).all(axis=1)
+    lacks_one = np.isnan(points).any(axis=1) != is_missing
+    if np.isinf(points).any() or lacks_one.any():
         raise TrainingError(f"{name}: a landmark is infinite, or has only one of x and y; give NaN for missing ones")
-    if np.isnan(points).all():
+    if is_missing.all():
         raise TrainingError(f"{name}: all of its {len(points)} landmarks are missing (NaN); place them, or remove it")
-    if np.ptp(points[~np.isnan(points[:, 0])], axis=0).max() < 2:
-        raise TrainingError(f"{name}: all landmarks lie within 2 pixels of each other; are they in pixels?")
-    contours = tuple((tuple(c.indices), bool(c.closed)) for c in getattr(landmarks, "contours", ()))
-    return Entry(name, read, points), contours, tuple(getattr(landmarks, "names", ()))
+    if np.ptp(points[~is_missing], axis=0).max() < LEAST_EXTENT:
+        raise TrainingError(
+            f"{name}: all landmarks lie within {LEAST_EXTENT:g} pixels of each other; are they in pixels?"
+        )
 
 
 def image_of(name: str) -> str:
@@ -191,33 +304,40 @@ def image_of(name: str) -> str:
 
 def check_flat(mean: np.ndarray, shapes: np.ndarray) -> None:
     """Raise if the mean of shapes (m, n, 2) is so flat that its mesh has hardly any pixels."""
-    along, across = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
-    if across < FLATTEST * along:
-        spreads = np.linalg.svd(shapes - shapes.mean(axis=1, keepdims=True), compute_uv=False)
-        if np.median(spreads[:, 1] / spreads[:, 0]) > 2 * FLATTEST:
-            raise TrainingError(
-                "the landmarks of each image are spread out, but their mean lies on one line: many images seem to be "
-                "mirrored, or to have their landmarks in another order; 'liaam check' shows them"
-            )
+    major, minor = np.linalg.svd(mean - mean.mean(axis=0), compute_uv=False)
+    if minor >= FLATTEST * major:
+        return
+    spreads = np.linalg.svd(shapes - shapes.mean(axis=1, keepdims=True), compute_uv=False)
+    # If most shapes are clearly less flat than the limit, their mean is flat only because they do not correspond.
+    if np.median(spreads[:, 1] / spreads[:, 0]) > 2 * FLATTEST:
         raise TrainingError(
-            "the landmarks lie on one line or at one point, or almost so (their minor spread is "
-            f"{across / along:.1%} of the major one, {FLATTEST:.0%} are needed); check their order and units, or add "
-            "landmarks off that line"
+            "the landmarks of each image are spread out, but their mean lies on one line: many images seem to be "
+            "mirrored, or to have their landmarks in another order; 'liaam check' shows them"
         )
+    raise TrainingError(
+        "the landmarks lie on one line or at one point, or almost so (their minor spread is "
+        f"{minor / major:.1%} of the major one, {FLATTEST:.0%} are needed); check their order and units, or add "
+        "landmarks off that line"
+    )
 
 
 def mesh_of(mean: np.ndarray, given: np.ndarray | None, edges: np.ndarray) -> np.ndarray:
-    """Triangles: the given ones, or the landmark files' connectivity if it is a mesh, or the Delaunay triangulation."""
+    """Return the triangles of a mesh of landmarks, (t, 3) int32, with positive areas on their mean shape (n, 2).
+
+    These are the given ones, or the landmark files' connectivity (``edges``) if it is a mesh, or the Delaunay
+    triangulation.
+    """
     if given is None:
         mesh = triangles_from_edges(mean, edges) if len(edges) else None
         return delaunay(mean) if mesh is None else mesh
     triangles = np.asarray(given)
-    right = triangles.ndim == 2 and triangles.shape[1] == 3 and triangles.dtype.kind in "iu" and len(triangles)
-    if not right or triangles.min() < 0 or triangles.max() >= len(mean):
+    has_form = triangles.ndim == 2 and triangles.shape[1] == 3 and triangles.dtype.kind in "iu" and len(triangles) > 0
+    if not has_form or triangles.min() < 0 or triangles.max() >= len(mean):
         raise TrainingError(f"triangles must be (t, 3) integers from 0 to {len(mean) - 1}")
     triangles = triangles.astype(np.int32)
-    # Triangles may have either orientation, as long as it is the same for all.
-    return triangles[:, ::-1].copy() if (signed_areas(mean, triangles) < 0).mean() > 0.5 else triangles
+    # Triangles may be given in either orientation, as long as it is the same for all.
+    are_reversed = (signed_areas(mean, triangles) < 0).mean() > 0.5
+    return triangles[:, ::-1].copy() if are_reversed else triangles
 
 
 def without_folded(
@@ -228,9 +348,9 @@ def without_folded(
     Raises a TrainingError if there are too few of them, if most samples fold the mesh, or, if ``strict``, if any does.
     """
     shares = np.array([folded_share(align(entry.points, mean)(entry.points), triangles) for entry in entries])
-    kept = np.flatnonzero(shares <= FOLD_TOLERANCE)
-    if len(kept) == len(entries):
-        return kept
+    sound = np.flatnonzero(shares <= FOLD_TOLERANCE)
+    if len(sound) == len(entries):
+        return sound
     folded = [f"{entries[i].name} ({shares[i]:.0%})" for i in np.flatnonzero(shares > FOLD_TOLERANCE).tolist()]
     fault = (
         f"the landmarks of {len(folded)} of {count_of(len(entries), 'image')} fold the mesh (share of its area that is "
@@ -240,7 +360,7 @@ def without_folded(
         "check that their points are in the same order as in the other images, that none is misplaced, and that the "
         "images are not mirrored ('liaam check' finds such points)"
     )
-    if strict or len(kept) < max(FEWEST, len(folded)):
+    if strict or len(sound) < max(FEWEST, len(folded)):
         raise TrainingError(f"{fault}; {remedy}")
     warnings.warn(f"{fault}, and are left out; {remedy}", stacklevel=5)  # the caller of train, which is decorated
-    return kept
+    return sound

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -23,20 +23,35 @@ LEAST_INSIDE = 0.5
 # usual in photographs that cut an object off, by up to half of it; farther ones are mistakes that distort the shapes.
 FAR = 0.35
 LEAST_USABLE = 0.2  # Least fraction of the object that is neither black nor saturated
-LEAST_COLOUR = 3  # Least number of colour images to learn colours from
+LEAST_COLOUR = 3  # Least number of colour images to learn colours from: as of images at all, see FEWEST
+
+
+@dataclass(frozen=True)
+class _Inspection:
+    """What was seen in an image: whether it is grey, and a message for each kind of fault, empty if there is none."""
+
+    is_grey: bool = False
+    damage: str = ""
+    outside: str = ""  # landmarks outside the image
+    exposure: str = ""
 
 
 def grey_use(grey: Sequence[str], colour: Sequence[str]) -> str:
     """Describe what training does with images of which some are grey, from the names of both."""
-    total = len(grey) + len(colour)
+    n_images = len(grey) + len(colour)
     if len(colour) < LEAST_COLOUR:
-        few = f"only {len(colour)} of {total} images {_is(colour)} in colour ({', '.join(colour)})"
-        return f"{few}; all are used as grey"
-    use = "soft-li learns from their brightness, the other methods leave them out"
-    return f"{len(grey)} of {total} images {_is(grey)} grey ({some_names(grey, 20)}): {use}"
+        return (
+            f"only {len(colour)} of {n_images} images {_is_or_are(colour)} in colour ({', '.join(colour)}); all are "
+            "used as grey"
+        )
+    return (
+        f"{len(grey)} of {n_images} images {_is_or_are(grey)} grey ({some_names(grey, 20)}): soft-li learns from their "
+        "brightness, the other methods leave them out"
+    )
 
 
-def _is(names: Sequence[str]) -> str:
+def _is_or_are(names: Sequence[str]) -> str:
+    """Return the verb for a list of names."""
     return "is" if len(names) == 1 else "are"
 
 
@@ -49,50 +64,73 @@ def check_images(
     if images cannot be read, and a TrainingError if objects, which the warp's mesh covers, are outside their images,
     black or saturated. The messages name all these images.
     """
+    inspections = in_threads(partial(_inspect, warp, response), entries)
+    _refuse_faults(inspections)
+    grey = np.array([inspection.is_grey for inspection in inspections])
+    if not grey.any() or grey.all():
+        return list(entries), grey
+    grey_names = [entry.name for entry, inspection in zip(entries, inspections, strict=True) if inspection.is_grey]
+    colour_names = [
+        entry.name for entry, inspection in zip(entries, inspections, strict=True) if not inspection.is_grey
+    ]
+    warnings.warn(grey_use(grey_names, colour_names), stacklevel=5)  # the caller of train, which is decorated
+    if len(colour_names) < LEAST_COLOUR:
+        converted = [replace(entry, read_image=partial(_read_grey, entry)) for entry in entries]
+        return converted, np.ones(len(entries), bool)
+    return list(entries), grey
 
-    def read_grey(entry: Entry) -> np.ndarray:
-        import cv2  # heavy: imported when first needed
 
+def _inspect(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> _Inspection:
+    """Read an image, and look for faults; a damaged one has no others."""
+    try:
         image = as_colour(entry.read_image(), entry.name)
-        return cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+        refuse_unscaled(image, entry.name, response)
+    except ImageError as fault:
+        return _Inspection(damage=str(fault))
+    pixels = warp.interpolate(entry.points)
+    outside = describe_outside(entry.points, image.shape, pixels)
+    exposure = _describe_exposure(image, pixels, response)
+    return _Inspection(
+        is_grey=is_grey(image),
+        outside=f"{entry.name}: {outside}" if outside else "",
+        exposure=f"{entry.name}: {exposure}" if exposure else "",
+    )
 
-    seen, *faults = zip(*in_threads(partial(_look, warp, response), entries), strict=True)
-    damaged, outside, exposure = ([fault for fault in each if fault] for each in faults)
+
+def _refuse_faults(inspections: Sequence[_Inspection]) -> None:
+    """Raise an error that lists all images with faults of one kind, the most basic first."""
+    damaged = [each.damage for each in inspections if each.damage]
     if damaged:
         raise ImageError(some_names(damaged, joint="; "))
+    outside = [each.outside for each in inspections if each.outside]
     if outside:
         raise TrainingError(
             f"{some_names(outside, joint='; ')}. Check that these landmarks belong to their images, and to images of "
             "this size; correct or remove them"
         )
+    exposure = [each.exposure for each in inspections if each.exposure]
     if exposure:
         raise TrainingError(f"{some_names(exposure, joint='; ')}. Remove these images or correct their exposure")
-    grey = np.array(seen)
-    if not grey.any() or grey.all():
-        return list(entries), grey
-    names, others = ([entry.name for entry, own in zip(entries, grey, strict=True) if own == g] for g in (True, False))
-    warnings.warn(grey_use(names, others), stacklevel=5)  # the caller of train, which is decorated
-    if len(others) < LEAST_COLOUR:
-        return [replace(entry, read_image=partial(read_grey, entry)) for entry in entries], np.ones(len(entries), bool)
-    return list(entries), grey
 
 
-def _look(warp: PiecewiseAffineWarp, response: Response, entry: Entry) -> tuple[bool, str, str, str]:
-    """Whether an image is grey, and its faults (empty if there are none): damage, landmarks outside, and exposure."""
-    try:
-        image = as_colour(entry.read_image(), entry.name)
-        refuse_unscaled(image, entry.name, response)
-    except ImageError as fault:
-        return False, str(fault), "", ""
-    points = warp.interpolate(entry.points)
-    outside, exposure = describe_outside(entry.points, image.shape, points), ""
-    x, y = np.clip(np.rint(points).astype(int), 0, np.array(image.shape[1::-1]) - 1).T
+def _read_grey(entry: Entry) -> np.ndarray:
+    """Read an image as three equal channels."""
+    import cv2  # heavy: imported when first needed
+
+    image = as_colour(entry.read_image(), entry.name)
+    return cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+
+
+def _describe_exposure(image: np.ndarray, points: np.ndarray, response: Response) -> str:
+    """Describe an object that is black or saturated at almost all points (k, 2) of its mesh. Empty otherwise."""
+    last = np.array(image.shape[1::-1]) - 1  # points outside the image count as the nearest pixel
+    x, y = np.clip(np.rint(points).astype(int), 0, last).T
     dark, clipped = exposure_faults(image[y, x], response)
     usable = max(0.0, 1.0 - dark - clipped)
-    if usable < LEAST_USABLE:
-        what = f"almost completely {'black' if dark >= clipped else 'saturated'}"
-        exposure = f"{entry.name}: the object is {what} ({usable:.0%} of its pixels are usable)"
-    return is_grey(image), "", f"{entry.name}: {outside}" if outside else "", exposure
+    if usable >= LEAST_USABLE:
+        return ""
+    fault = "black" if dark >= clipped else "saturated"
+    return f"the object is almost completely {fault} ({usable:.0%} of its pixels are usable)"
 
 
 def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.ndarray | None = None) -> str:
@@ -100,14 +138,18 @@ def describe_outside(landmarks: np.ndarray, shape: tuple[int, ...], points: np.n
 
     Most of the points (k, 2), pixels of the mesh, must lie inside; by default the landmarks, which is less strict.
     """
-    points, inside = landmarks if points is None else points, np.array(shape[1::-1]) - 0.5
-    beyond = np.maximum(-0.5 - landmarks, landmarks - inside).max(axis=1)
-    covered = float(((points > -0.5) & (points < inside)).all(axis=1).mean())
-    if covered >= LEAST_INSIDE and beyond.max() <= FAR * diagonal_of(landmarks):
+    if points is None:
+        points = landmarks
+    height, width = shape[:2]
+    # The borders of the first and of the last pixel, whose centres are 0 and the number of pixels less 1.
+    first, last = -0.5, np.array([width, height]) - 0.5
+    distances = np.maximum(first - landmarks, landmarks - last).max(axis=1)
+    inside = float(((points > first) & (points < last)).all(axis=1).mean())
+    if inside >= LEAST_INSIDE and distances.max() <= FAR * diagonal_of(landmarks):
         return ""
-    n, worst = int((beyond > 0).sum()), int(beyond.argmax())
-    size = "×".join(f"{side + 0.5:.0f}" for side in inside)
+    n_outside = int((distances > 0).sum())
+    farthest = int(distances.argmax())
     return (
-        f"{n} of {len(landmarks)} landmarks lie outside the image of {size} pixels (point {worst + 1} by "
-        f"{beyond[worst]:.0f} pixels)"
+        f"{n_outside} of {len(landmarks)} landmarks lie outside the image of {width}×{height} pixels (point "
+        f"{farthest + 1} by {distances[farthest]:.0f} pixels)"
     )

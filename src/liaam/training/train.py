@@ -1,24 +1,25 @@
 """Train an active appearance model from landmarked images."""
 
 import warnings
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
 from liaam.errors import TrainingError
+from liaam.fitting.methods import Method
 from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
-from liaam.model.shape import choose_recipe, mirror_order, scaled_mean, shape_model_on
+from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
 from liaam.photometry import CameraModel
 from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
 from liaam.training import faces
-from liaam.training.entries import Entry, check_flat, mesh_of, read_entries, without_folded
+from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, read_entries, without_folded
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.kept import ALL, chosen, keep_only, wanted
@@ -28,7 +29,7 @@ from liaam.training.points import Points, map_of_points, points_of
 from liaam.training.search_filter import FilterLearner
 from liaam.training.shapes import shape_groups
 from liaam.training.symmetry import describe_offset, sideways_offset
-from liaam.training.textures import FITTED, Steps, learning_cost, level_appearances, sample_all
+from liaam.training.textures import FITTED, Sampled, Steps, Wanted, learning_cost, level_appearances, sample_all
 from liaam.workers import one_blas_thread
 
 
@@ -100,103 +101,209 @@ def train(
     options = (options or TrainingOptions()).changed(changes)
     camera = camera or CameraModel()
     check_camera(camera)
-    entries, *about = read_entries(data, contours, options.strict)
-    shapes, names = np.array([entry.points for entry in entries]), [entry.name for entry in entries]
-    groups = shape_groups(shapes, names, options.shapes)
+    samples = read_entries(data, contours, options.strict)
+    groups = shape_groups(samples.shapes, samples.names, options.shapes)
     if len(groups) > 1 and not isinstance(lamps, str | PathLike | Lamps | None):
         lamps = list(lamps)  # every model learns from them
-    given = lamps, training_lamp, features
+    task = _Task(
+        options=options,
+        camera=camera,
+        lamps=lamps,
+        training_lamp=training_lamp,
+        features=features,
+        name=name,
+        progress=progress,
+    )
     models = []
     for group in groups:
-        theirs = points if len(groups) == 1 else points_of(points, group)
-        own = [entries[i] for i in group]
-        models.append(_train_one(own, about, options, camera, given, theirs, name, progress))
+        part = replace(samples, entries=[samples.entries[i] for i in group])
+        points_of_part = points if len(groups) == 1 else points_of(points, group)
+        models.append(_train_one(part, points_of_part, task))
     return replace(models[0], others=tuple(models[1:])) if len(groups) > 1 else models[0]
 
 
-def _train_one(
-    entries: list[Entry],
-    about: Sequence,
-    options: TrainingOptions,
-    camera: CameraModel,
-    given: tuple[Lamps | Iterable | None, str | None, FeatureFunction | None],
-    points: Points | None,
-    name: str,
-    progress: Progress | bool | None,
-    greys: np.ndarray | None = None,
-) -> AAM:
-    """Train a model of one kind of shape.
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What models of all kinds of shape are trained with: arguments of :func:`train`."""
 
-    ``about`` are the contours, edges and names of the landmarks, and ``given`` the lamps, the training lamp and the
-    features, as of :func:`train`. ``greys`` says which images are grey if they have been checked, (m,) bool.
+    options: TrainingOptions
+    camera: CameraModel
+    lamps: Lamps | Iterable | None
+    training_lamp: str | None
+    features: FeatureFunction | None
+    name: str
+    progress: Progress | bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Shapes:
+    """What training learns from landmarks alone.
+
+    Attributes
+    ----------
+    landmarks : (m, n, 2) float64
+        Landmarks of all images.
+    folds : list of arrays
+        Images that are left out together, by index.
+    mean : (n, 2) float64
+        Mean shape, pixels of the reference frame.
+    recipes : dict of Recipe
+        Settings of the covariance, by view.
+    models : dict of ShapeModel
+        Shape models, by view.
+    triangles : (t, 3) int32
     """
-    (contours, edges, names), (lamps, training_lamp, features) = about, given
-    shapes, folds = np.array([entry.points for entry in entries]), folds_of([entry.name for entry in entries])
 
-    priors = options.priors(shapes.shape[1])
-    mean = scaled_mean(shapes, options.diagonal)
-    recipes = {prior: choose_recipe(mean, shapes, prior, folds) for prior in dict.fromkeys(priors.values())}
-    learnt = {prior: shape_model_on(mean, shapes, options.variance, r, folds) for prior, r in recipes.items()}
-    check_flat(mean, shapes)
-    triangles = mesh_of(mean, options.triangles, edges)
+    landmarks: np.ndarray
+    folds: list[np.ndarray]
+    mean: np.ndarray
+    recipes: dict[str, Recipe]
+    models: dict[str, ShapeModel]
+    triangles: np.ndarray
 
-    model = AAM(
-        views={view: View(warp_of(learnt[priors[view]], triangles), ()) for view, warp_of in VIEWS.items()},
-        triangles=triangles,
-        camera=camera,
-        n_images=len(entries),
-        contours=contours,
-        landmark_names=names,
-        name=name,
-    )
-    checked, grey = check_images(entries, model.warp, camera.response) if greys is None else (entries, greys)
-    sound = without_folded(entries, mean, triangles, options.strict)
-    if len(sound) < len(entries):
-        rest, points = [checked[i] for i in sound], points_of(points, sound)
-        return _train_one(rest, about, options, camera, given, points, name, progress, grey[sound])
 
-    encoder = None if features is None else encoder_of(features, checked, mean, camera)
-    lit = _lamps(lamps, training_lamp, checked, mean, camera) if options.n_copies else None
-    symmetric = mirror_order(mean)
-    copied = _copies(lit, symmetric, checked, model, options)
-    if copied.offset:
-        warnings.warn(describe_offset(copied.offset), stacklevel=4)
+def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
+    """Train a model of one kind of shape; ``points`` are those of another landmarker, as of :func:`train`."""
+    options, camera = task.options, task.camera
+    shapes = _learn_shapes(data, options)
+    model = _without_appearances(data, shapes, task)
+    entries, grey = check_images(data.entries, model.warp, camera.response)
+    while True:
+        sound = without_folded(data.entries, shapes.mean, shapes.triangles, options.strict)
+        if len(sound) == len(entries):
+            break
+        # Learn again from the images that do not fold the mesh, which have been checked already.
+        entries, grey, points = [entries[i] for i in sound], grey[sound], points_of(points, sound)
+        data = replace(data, entries=entries)
+        shapes = _learn_shapes(data, options)
+        model = _without_appearances(data, shapes, task)
+
+    encoder = None if task.features is None else encoder_of(task.features, entries, shapes.mean, camera)
+    lamps = _lamps(task, entries, shapes.mean) if options.n_copies else None
+    mirrored = mirror_order(shapes.mean)
+    copies = _copies(lamps, mirrored, entries, model, options)
+    if copies.offset:
+        warnings.warn(describe_offset(copies.offset), stacklevel=4)  # the caller of train, which is decorated
     model = replace(
         model,
-        n_textures=len(copied.owners),
-        n_lamps=len(lit) if lit is not None and copied.are_relit else 0,
-        light=None if lit is None else lit.basis(symmetric is not None),
-        points=None if points is None else map_of_points(points, entries, mean),
+        n_textures=len(copies.owners),
+        n_lamps=len(lamps) if lamps is not None and copies.are_relit else 0,
+        light=None if lamps is None else lamps.basis(mirrored is not None),
+        points=None if points is None else map_of_points(points, data.entries, shapes.mean),
         features=None if encoder is None else encoder.features,
         is_colour=not grey.all(),
     )
-    blurs, kept = options.blurs_by_view, options.appearance_variances
-    methods = chosen(options.methods)
-    names = {view: [wanted(methods, view, i, len(blurs[view])) for i in range(len(blurs[view]))] for view in VIEWS}
-    if encoder is not None:
-        names[MESH] = [[*each, "features"] for each in names[MESH]]
-    with reported("training", progress) as report:
-        steps = _steps(model, options, folds, report)
+    names = _names_to_learn(options, has_features=encoder is not None)
+    blurs = options.blurs_by_view
+    with reported("training", task.progress) as report:
+        steps = _steps(model, options, shapes.folds, report)
         filters = FilterLearner(model, blurs[MESH][0])
-        sampled = sample_all(checked, grey, model, blurs, names, steps, copied, encoder, filters)
+        sampled = sample_all(entries, grey, model, blurs, names, steps, copies, encoder, filters)
         model = replace(model, search_filter=filters.learnt())
-        for view in VIEWS:
-            levels = []
-            for i, blur in enumerate(blurs[view]):
-                steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
-                found = level_appearances(sampled, names[view][i], i, camera.theta, kept[view], folds)
-                levels.append(Level(float(blur), found))
-            model = model.with_view(view, levels=tuple(levels))
+        model = _with_appearances(model, sampled, names, shapes.folds, options, steps)
         _check_cost(model)
-
         if options.leave_out:
-            settings: Settings = {view: (recipes[priors[view]], options.variance, kept[view]) for view in VIEWS}
-            named = chosen(() if options.methods == ALL else options.methods)  # of all, only the default one
-            known = list({method.name: method for method in named if can_be_calibrated(method)}.values())
-            model = calibrated(model, checked, shapes, sampled, copied, settings, known, folds, steps)
+            model = calibrated(
+                model,
+                entries=entries,
+                shapes=shapes.landmarks,
+                sampled=sampled,
+                copied=copies,
+                settings=_settings_of_parts(shapes, options),
+                methods=_methods_to_calibrate(options),
+                folds=shapes.folds,
+                steps=steps,
+            )
         steps.next("trained", 0)
-    # A model of exactly the training images is not rounded.
-    return model if options.keeps_all else keep_only(model, methods)
+    if options.keeps_all:  # a model of exactly the training images is not rounded
+        return model
+    return keep_only(model, chosen(options.methods))
+
+
+def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
+    """Learn mean, shape models and mesh from the landmarks of images."""
+    landmarks = data.shapes
+    folds = folds_of(data.names)
+    mean = scaled_mean(landmarks, options.diagonal)
+    prior_of = options.priors(landmarks.shape[1])
+    # Views with the same prior share recipe and shape model, which take time to learn.
+    recipes = {prior: choose_recipe(mean, landmarks, prior, folds) for prior in dict.fromkeys(prior_of.values())}
+    models = {
+        prior: shape_model_on(mean, landmarks, options.variance, recipe, folds) for prior, recipe in recipes.items()
+    }
+    check_flat(mean, landmarks)
+    return _Shapes(
+        landmarks=landmarks,
+        folds=folds,
+        mean=mean,
+        recipes={view: recipes[prior_of[view]] for view in VIEWS},
+        models={view: models[prior_of[view]] for view in VIEWS},
+        triangles=mesh_of(mean, options.triangles, data.edges),
+    )
+
+
+def _without_appearances(data: TrainingData, shapes: _Shapes, task: _Task) -> AAM:
+    """Return a model of shapes and mesh, whose views have no levels yet."""
+    views = {
+        view: View(warp=warp_of(shapes.models[view], shapes.triangles), levels=()) for view, warp_of in VIEWS.items()
+    }
+    return AAM(
+        views=views,
+        triangles=shapes.triangles,
+        camera=task.camera,
+        n_images=len(data.entries),
+        contours=data.contours,
+        landmark_names=data.landmark_names,
+        name=task.name,
+    )
+
+
+def _names_to_learn(options: TrainingOptions, has_features: bool) -> Wanted:
+    """Return the names of the appearances to learn, by view and level."""
+    methods = chosen(options.methods)
+    names = {}
+    for view in VIEWS:
+        n_levels = len(options.blurs_by_view[view])
+        names[view] = [wanted(methods, view, i, n_levels) for i in range(n_levels)]
+    if has_features:  # of a function of the user
+        names[MESH] = [[*of_level, "features"] for of_level in names[MESH]]
+    return names
+
+
+def _with_appearances(
+    model: AAM,
+    sampled: Sampled,
+    names: Wanted,
+    folds: list[np.ndarray],
+    options: TrainingOptions,
+    steps: Steps,
+) -> AAM:
+    """Learn the appearances of a model from sampled textures, and return it with all levels of its views."""
+    for view in VIEWS:
+        variance = options.appearance_variances[view]
+        levels = []
+        for i, blur in enumerate(options.blurs_by_view[view]):
+            steps.next(f"appearance of the {view}", learning_cost(model.n_textures))
+            appearances = level_appearances(sampled, names[view][i], i, model.camera.theta, variance, folds)
+            levels.append(Level(float(blur), appearances))
+        model = model.with_view(view, levels=tuple(levels))
+    return model
+
+
+def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> Settings:
+    """Return what models are trained with from which some images are left out: the same as the whole model."""
+    kept = options.appearance_variances
+    return {view: (shapes.recipes[view], options.variance, kept[view]) for view in VIEWS}
+
+
+def _methods_to_calibrate(options: TrainingOptions) -> list[Method]:
+    """Return the methods whose fits are calibrated: the default one and those that were asked for by name.
+
+    If all methods are asked for, only the default one: left-out images are fitted with each.
+    """
+    by_name = () if options.methods == ALL else options.methods
+    methods = [method for method in chosen(by_name) if can_be_calibrated(method)]
+    return list({method.name: method for method in methods}.values())  # each once
 
 
 def _check_cost(model: AAM) -> None:
@@ -211,48 +318,50 @@ def _check_cost(model: AAM) -> None:
 
 
 def _copies(
-    lit: Lamps | None, symmetric: np.ndarray | None, entries: list[Entry], model: AAM, options: TrainingOptions
+    lamps: Lamps | None, mirrored: np.ndarray | None, entries: list[Entry], model: AAM, options: TrainingOptions
 ) -> Copies:
-    """Return which copies of the images are made, and by how much the landmarks of mirrored ones are moved."""
-    each = options.n_copies
-    copied = Copies.of(lit, len(entries), each, symmetric if each else None)
-    if copied.order is None:
-        return copied
-    warp, blur = model.views[SURROUNDINGS].warp, float(options.blurs_by_view[SURROUNDINGS][-1])
-    return replace(copied, offset=sideways_offset(entries, copied.order, warp, model.camera, blur))
+    """Return which copies of the images are made, and by how much the landmarks of mirrored ones are moved.
+
+    ``mirrored`` (n,) is the index of each landmark's mirror image; None if the landmarks are not symmetric.
+    """
+    n_copies = options.n_copies
+    copies = Copies.of(lamps, len(entries), n_copies, mirrored if n_copies else None)
+    if copies.order is None:  # none is mirrored
+        return copies
+    # The sharpest level of the surroundings, with which the default method ends.
+    warp = model.views[SURROUNDINGS].warp
+    blur = float(options.blurs_by_view[SURROUNDINGS][-1])
+    return replace(copies, offset=sideways_offset(entries, copies.order, warp, model.camera, blur))
 
 
-def _steps(model: AAM, options: TrainingOptions, folds: list, progress: Progress) -> Steps:
+def _steps(model: AAM, options: TrainingOptions, folds: list[np.ndarray], progress: Progress) -> Steps:
     """Return the steps of training from its images on: sampling, learning, and fitting what is left out."""
     left_out = folds if options.leave_out else []
-    n_models = sum(map(len, options.blurs_by_view.values())) + len(left_out)
+    n_levels = sum(len(blurs) for blurs in options.blurs_by_view.values())
+    n_learnt = n_levels + len(left_out)  # a model without a fold takes about as long as a level
     n_fitted = sum(len(fitted_of(fold, folds)) for fold in left_out)
-    total = model.n_textures + learning_cost(model.n_textures) * n_models + FITTED * n_fitted
+    total = model.n_textures + learning_cost(model.n_textures) * n_learnt + FITTED * n_fitted
     return Steps(progress, total)
 
 
-def _lamps(
-    given: Lamps | Iterable | None,
-    training_lamp: str | None,
-    entries: list[Entry],
-    mean: np.ndarray,
-    camera: CameraModel,
-) -> Lamps | None:
-    """Return the lamps for copies of the images: given, learnt, or those of faces."""
-    if training_lamp is not None and (given is None or isinstance(given, str | Lamps)):
+def _lamps(task: _Task, entries: list[Entry], mean: np.ndarray) -> Lamps | None:
+    """Return the lamps for copies of the images: given, learnt, or those of faces; None for none."""
+    lamps, training_lamp, camera = task.lamps, task.training_lamp, task.camera
+    if training_lamp is not None and (lamps is None or isinstance(lamps, str | Lamps)):
         raise TrainingError(
             f"training_lamp {training_lamp!r} names the training light in lamp images; give these images as lamps=, or "
             "leave it out"
         )
-    if isinstance(given, str | PathLike):
-        if given != AUTO:
+    if lamps is None:
+        return None
+    if isinstance(lamps, str | PathLike):
+        if lamps != AUTO:
             raise TrainingError(
-                f"lamps {str(given)!r}: give 'auto', lamps, images to learn them from, or None; for a file give "
+                f"lamps {str(lamps)!r}: give 'auto', lamps, images to learn them from, or None; for a file give "
                 "liaam.lamps.load_lamps(file), for a folder liaam.load_folder(folder)"
             )
         return faces.face_lamps(entries, mean, camera)
-    if given is not None and not isinstance(given, Lamps):
-        given = learn_lamps(given, training_lamp, response=camera.response)
-    if given is not None:
-        given.check_landmarks(len(mean), "the images")
-    return given
+    if not isinstance(lamps, Lamps):
+        lamps = learn_lamps(lamps, training_lamp, response=camera.response)
+    lamps.check_landmarks(len(mean), "the images")
+    return lamps
