@@ -134,7 +134,7 @@ def turned(data: Sequence[Sample]) -> Iterator[Sample]:
 
 def lamps_of(data: Sequence[Sample], heads: Sequence[Sample]) -> Lamps:
     """Return the lamps of frontal faces, carried to turned ones."""
-    entries, *_ = read_entries(data)
+    entries = read_entries(data).entries
     means = [procrustes_mean(np.array([sample.landmarks.points for sample in each])) for each in (data, heads)]
     known, mean = face_lamps(entries, means[0], CameraModel()), unit_shape(means[1])
     if known is None:
