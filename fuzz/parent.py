@@ -25,7 +25,10 @@ _SCRATCH = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 """Parent of the children's folders, in memory for speed."""
 
 _PREPARING = 300.0
-"""Processor time limit for the preparation of a child, in seconds; ten times as much in wall time."""
+"""Limit on the processor time for the preparation of a child, in seconds."""
+
+_BUSY = 10.0
+"""Times as long as that which the preparation may take by the clock, on a busy machine."""
 
 _SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
@@ -182,7 +185,7 @@ class _Child:
         case, wall, processor = self._progress.case, self._progress.wall, self._progress.processor
         if case < 0:
             taken = time.monotonic() - self._begin
-            return taken > 10 * _PREPARING or (taken > _PREPARING and self._spent() > _PREPARING)
+            return taken > _BUSY * _PREPARING or (taken > _PREPARING and self._spent() > _PREPARING)
         taken = time.monotonic() - wall
         if taken < self.limits.seconds:
             return False
@@ -202,7 +205,10 @@ class _Child:
         self._process.join()
 
     def _trace(self) -> str:
-        lines = (Path(self._folder.name) / TRACE).read_text(errors="replace").splitlines()
+        path = Path(self._folder.name) / TRACE
+        if not path.exists():  # it was stopped before it could say where it is
+            return ""
+        lines = path.read_text(errors="replace").splitlines()
         innermost_last = bool(lines) and lines[0].startswith("Traceback")
         return "\n".join(line.strip() for line in (lines[-12:] if innermost_last else lines[:12]))
 
