@@ -92,17 +92,21 @@ class Bank:
         """
         import cv2  # heavy: imported when first needed
 
-        axis, most = int(size[1] >= size[0]), self.shapes.max(axis=0)
-        longest = max(SPECTRA_KEPT // int(size[1 - axis]), 4 * int(most[axis]))
-        own = size.copy()
-        own[axis] = min(size[axis], longest)
-        fast = int(cv2.getOptimalDFTSize(int(own[0]))), int(cv2.getOptimalDFTSize(int(own[1])))
-        if size[axis] <= longest:
+        axis = int(size[1] >= size[0])
+        length = int(size[axis])
+        longest_template = int(self.shapes[:, axis].max())
+        shortest_template = int(self.shapes[:, axis].min())
+        longest_tile = max(SPECTRA_KEPT // int(size[1 - axis]), 4 * longest_template)
+        tile_size = size.copy()
+        tile_size[axis] = min(length, longest_tile)
+        fast = int(cv2.getOptimalDFTSize(int(tile_size[0]))), int(cv2.getOptimalDFTSize(int(tile_size[1])))
+        if length <= longest_tile:
             return fast, [(slice(0, int(size[0])), slice(0, int(size[1])))]
-        step, last = fast[axis] + 1 - int(most[axis]), int(size[axis] - self.shapes[:, axis].min())
+        step = fast[axis] + 1 - longest_template
+        across = slice(0, int(size[1 - axis]))
         tiles = []
-        for first in range(0, last + 1, step):
-            along, across = slice(first, min(first + fast[axis], int(size[axis]))), slice(0, int(size[1 - axis]))
+        for first in range(0, length - shortest_template + 1, step):
+            along = slice(first, min(first + fast[axis], length))
             tiles.append((across, along) if axis else (along, across))
         return fast, tiles
 

@@ -428,7 +428,8 @@ def search_sizes(size: tuple[int, ...], diagonal: float) -> np.ndarray:
     Long images are therefore searched for fewer small objects, and extremely long ones for a single larger size.
     """
     shorter_side = min(size)
-    smallest, largest = max(SMALLEST * shorter_side, LEAST_PIXELS), LARGEST * shorter_side
+    smallest = max(SMALLEST * shorter_side, LEAST_PIXELS)
+    largest = LARGEST * shorter_side
     while _field_pixels(size, diagonal / largest) > MOST_PIXELS:  # extremely long: not even one field is allowed
         largest *= STEP
     if smallest >= largest:

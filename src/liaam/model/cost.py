@@ -35,11 +35,11 @@ class TooLargeError(ValueError):
 
 def check_cost(views: Collection[View]) -> None:
     """Raise TooLargeError if a fit with a model of one shape takes too long, or too much memory."""
-    work, memory = work_of(views), memory_of(views)
+    work = work_of(views)
     if work > MOST_WORK:
         fault = f"{work:.2g} multiplications a step, more than the {MOST_WORK:.2g} allowed"
         raise TooLargeError(f"a fit would take {fault}")
-    check_memory(memory)
+    check_memory(memory_of(views))
 
 
 def check_memory(memory: float) -> None:
@@ -55,12 +55,13 @@ def work_of(views: Collection[View]) -> float:
 
 
 def _work(view: View, kind: str) -> float:
-    n_levels, shapes = len(view.levels), view.shape_model
+    shapes = view.shape_model
     total = 0.0
     for i, level in enumerate(view.levels):
         if kind not in level.appearances:
             continue
-        appearance, finest = level.appearances[kind], i == n_levels - 1
+        appearance = level.appearances[kind]
+        finest = i == len(view.levels) - 1
         n_shape = len(shapes.modes) if finest else len(shapes.seen_at(level.blur).modes)
         n_starts = STARTS[0 if i == 0 else 2 if finest else 1] if view.reliabilities else 1
         n_modes = 1 + appearance.n_modes + n_shape + 4  # with the mean, and the similarities
