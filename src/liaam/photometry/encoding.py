@@ -301,7 +301,9 @@ def block_means(
 def light_of_floats(image: np.ndarray, encoding: Encoding, response: Response) -> Means:
     """Return the linear light of each pixel of an image of floats (h, w, 3)."""
     finite = np.asarray(np.isfinite(image).all(axis=-1))
-    stored = np.where(finite[..., None], np.clip(np.nan_to_num(image), 0.0, BRIGHTEST), np.float32(0.0))
+    stored = np.clip(image, 0.0, BRIGHTEST)
+    if not finite.all():
+        stored = np.where(finite[..., None], stored, np.float32(0.0))
     usable = finite
     if encoding in LOGARITHMIC:
         low, high = usable_range(response)
