@@ -5,6 +5,7 @@
 #include "image.hpp"
 #include "painting.hpp"
 #include "search.hpp"
+#include "splines.hpp"
 
 using namespace liaam;
 
@@ -201,6 +202,23 @@ void filter(nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> layer
     filter_columns(numbers, height, width, depth, by_row);
 }
 
+nb::object slopes_along(const Array<double, 2>& values, const Array<std::int32_t, 1>& order,
+                        const Array<std::uint8_t, 1>& joined) {
+    const std::size_t n = values.shape(0), width = values.shape(1);
+    require(order.shape(0) == n && joined.shape(0) == n, "each pixel is in the order once");
+    const auto pixels = span_of(order);
+    for (const std::int32_t pixel : pixels)
+        require(pixel >= 0 && static_cast<std::size_t>(pixel) < n, "the order names a pixel that does not exist");
+    std::vector<double> slopes(values.size(), 0.0);
+    const Rows<const double> numbers = rows_of(values);
+    const auto neighbours = span_of(joined);
+    {
+        const Unlocked unlocked;
+        spline_slopes(numbers, pixels, neighbours, {slopes.data(), n, width});
+    }
+    return owned(std::move(slopes), {n, width});
+}
+
 template <float function(float)>
 nb::object elementwise(const Array<float, 1>& numbers) {
     std::vector<float> out = numbers_of(numbers);
@@ -233,6 +251,7 @@ void bind_images(nb::module_& module) {
     module.def("correlate", correlate_spectra, "image"_a, "templates"_a, "product"_a.noconvert());
     module.def("best_peaks", peaks_of, "image"_a, "count"_a, "least"_a, "reach"_a);
     module.def("draw_triangles", draw, "points"_a, "triangles"_a, "values"_a, "height"_a, "width"_a);
+    module.def("spline_slopes", slopes_along, "values"_a, "order"_a, "joined"_a);
     module.def("filter_rows_and_columns", filter, "layers"_a.noconvert(), "across"_a, "down"_a);
     module.def("log", elementwise<log_of>, "numbers"_a);
     module.def("exp", elementwise<exp_of>, "numbers"_a);

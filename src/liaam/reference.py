@@ -277,6 +277,27 @@ def draw_triangles(
     return owner, drawn
 
 
+def spline_slopes(values: np.ndarray, order: np.ndarray, joined: np.ndarray) -> np.ndarray:
+    """Return slopes (n, k) of the cubic splines through values (n, k) float64 of runs of neighbouring pixels.
+
+    ``order`` (n,) int32 lists the pixels along the lines, and ``joined`` (n,) uint8 says whether one and the next of
+    the list are neighbours. The slopes m of a spline through f obey (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2;
+    the ends of a run have the difference to their neighbour, and pixels without one have 0.
+    """
+    from scipy.linalg import solve_banded  # heavy: imported when first needed
+
+    along = values[order]
+    place = np.arange(len(order))
+    after = joined.astype(bool)
+    before = np.roll(after, 1)
+    between = before & after
+    bands = np.stack([np.roll(between / 6, 1), np.where(between, 4 / 6, 1.0), np.roll(between / 6, -1)])
+    rises = np.where(between, 0.5, 1.0)[:, None] * (along[place + after] - along[place - before])
+    slopes = np.empty_like(along)
+    slopes[order] = solve_banded((1, 1), bands, rises, check_finite=False)
+    return slopes
+
+
 def filter_rows_and_columns(layers: np.ndarray, across: np.ndarray, down: np.ndarray) -> None:
     """Filter (h, w, c) recursively along rows and then columns, forward and backward, in place.
 

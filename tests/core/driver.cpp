@@ -13,6 +13,7 @@
 #include "fit.hpp"
 #include "painting.hpp"
 #include "search.hpp"
+#include "splines.hpp"
 
 using namespace liaam;
 
@@ -242,14 +243,28 @@ void draw_once(Rng& rng) {
     check(peaks.size() <= 5, "too many peaks");
 }
 
+void differentiate_once(Rng& rng) {
+    const std::size_t n = integer(rng, 1, 20), width = integer(rng, 0, 3);
+    const std::vector<double> values = normals<double>(rng, n * width);
+    std::vector<std::int32_t> order;
+    std::vector<std::uint8_t> joined;
+    for (std::size_t i = 0; i < n; ++i) {
+        order.push_back(integer(rng, 0, static_cast<int>(n) - 1));
+        joined.push_back(integer(rng, 0, 4) > 0);
+    }
+    std::vector<double> slopes(n * width);
+    spline_slopes({values.data(), n, width}, order, joined, {slopes.data(), n, width});
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
     const int cases = argc > 1 ? std::atoi(argv[1]) : 1000;
     Rng rng(argc > 2 ? std::strtoull(argv[2], nullptr, 10) : 1);
     for (int i = 0; i < cases; ++i) {
+        if (i % 4 == 1) differentiate_once(rng);
         if (i % 4 == 0) draw_once(rng);
-        else if (i % 2 == 0) solve_once(rng);
+        if (i % 2 == 0) solve_once(rng);
         else fit_once(rng);
     }
     std::printf("%d cases\n", cases);

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 
 from liaam import _core, reference
@@ -258,6 +259,23 @@ def test_recursive_filters_are_alike(size, depth, seed):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+@given(length=st.integers(1, 30), n_columns=st.integers(0, 3), seed=seeds)
+def test_slopes_are_those_of_clamped_cubic_splines(module, length, n_columns, seed):
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(length).astype(np.int32)
+    joined = rng.random(length) < 0.8
+    joined[-1] = False
+    values = rng.normal(size=(length, n_columns))
+    slopes = module.spline_slopes(values, order, joined.astype(np.uint8))
+    expected = np.zeros_like(values)
+    for run in np.split(order, np.flatnonzero(~joined)[:-1] + 1):
+        if len(run) > 1 and n_columns:
+            ends = values[run[1]] - values[run[0]], values[run[-1]] - values[run[-2]]
+            spline = CubicSpline(np.arange(len(run)), values[run], bc_type=((1, ends[0]), (1, ends[1])))
+            expected[run] = spline(np.arange(len(run)), 1)
+    np.testing.assert_allclose(slopes, expected, atol=1e-12)
+
+
 REFUSED = {
     "blocks beyond the image": lambda: _core.stored_means(np.zeros((9, 9, 3), np.uint8), TABLE, 0.0, 0.0, 2.0, 9, 2),
     "blocks of values below the image": lambda: _core.value_means(
@@ -277,6 +295,15 @@ REFUSED = {
     ),
     "feedback of another size": lambda: _core.filter_rows_and_columns(
         np.zeros((3, 3, 1), np.float32), np.zeros((3, 3), np.float32), np.zeros((2, 3), np.float32)
+    ),
+    "a pixel that does not exist": lambda: _core.spline_slopes(
+        np.zeros((2, 1)), np.array([0, 2], np.int32), np.zeros(2, np.uint8)
+    ),
+    "a negative pixel": lambda: _core.spline_slopes(
+        np.zeros((2, 1)), np.array([0, -1], np.int32), np.zeros(2, np.uint8)
+    ),
+    "an order of other pixels": lambda: _core.spline_slopes(
+        np.zeros((3, 1)), np.array([0, 1], np.int32), np.zeros(3, np.uint8)
     ),
     "larger blocks than pixels": lambda: _core.area_means(np.zeros((3, 3), np.float32), 4, 1),
 }

@@ -191,26 +191,25 @@ class ReferenceFrame:
     def gradient(self, values: np.ndarray) -> np.ndarray:
         """Derivatives of per-pixel values (n_pixels, k) along x and y, (n_pixels, 2, k) float64.
 
-        Those of the cubic spline through the pixels. Pixels with one neighbour along an axis use the difference to it;
-        those with none get 0.
+        Those of the cubic spline through the pixels: central differences lose a third of the slope of a wave of four
+        pixels, and with it the information of fine texture about the shape. Pixels with one neighbour along an axis use
+        the difference to it; those with none get 0.
         """
-        return np.stack([_spline_slopes(values, *runs) for runs in self._runs], 1)
+        values = np.ascontiguousarray(values, np.float64)
+        return np.stack([_core.spline_slopes(values, order, joined) for order, joined in self._lines], 1)
 
     @cached_property
-    def _runs(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """Runs of neighbouring pixels along x and y, for :func:`_spline_slopes`."""
+    def _lines(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """The pixels along x and along y, (n_pixels,) int32, and whether one and the next are neighbours, uint8."""
         width, height = self.size
-        number = np.full((height, width), -1, dtype=np.int64)
+        number = np.full((height, width), -1, dtype=np.int32)
         number[self.pixels[:, 0], self.pixels[:, 1]] = np.arange(self.n_pixels)
-        runs = []
-        for lines in (number, number.T):
-            inside = lines >= 0
+        lines = []
+        for grid in (number, number.T):
+            inside = grid >= 0
             after = np.pad(inside, ((0, 0), (0, 1)))[:, 1:][inside]
-            before = np.pad(inside, ((0, 0), (1, 0)))[:, :-1][inside]
-            between = before & after
-            bands = np.stack([np.roll(between / 6, 1), np.where(between, 4 / 6, 1.0), np.roll(between / 6, -1)])
-            runs.append((lines[inside], before, after, bands))
-        return runs
+            lines.append((grid[inside], after.astype(np.uint8)))
+        return lines
 
     def picture(self, values: np.ndarray, fill: float = 0.0) -> np.ndarray:
         """Arrange per-pixel values (n_pixels, ...) as an image (height, width, ...) float32; ``fill`` is around it."""
@@ -218,25 +217,6 @@ class ReferenceFrame:
         out = np.full((height, width, *np.shape(values)[1:]), fill, dtype=np.float32)
         out[self.pixels[:, 0], self.pixels[:, 1]] = values
         return out
-
-
-def _spline_slopes(
-    values: np.ndarray, order: np.ndarray, before: np.ndarray, after: np.ndarray, bands: np.ndarray
-) -> np.ndarray:
-    """Slopes (n, k) of the cubic splines through values (n, k) of runs of neighbouring pixels.
-
-    The slopes m of a spline through f obey (m[-1] + 4 m[0] + m[1]) / 6 = (f[1] - f[-1]) / 2. Central differences lose a
-    third of the slope of a wave of four pixels, and with it the information of fine texture about the shape. ``order``
-    (n,) lists the pixels along the lines, ``before`` and ``after`` (n,) whether they have neighbours, and ``bands``
-    (3, n) is the tridiagonal system.
-    """
-    from scipy.linalg import solve_banded
-
-    place, values = np.arange(len(order)), np.asarray(values, np.float64)[order]
-    rises = np.where(before & after, 0.5, 1.0)[:, None] * (values[place + after] - values[place - before])
-    slopes = np.empty_like(values)
-    slopes[order] = solve_banded((1, 1), bands, rises, check_finite=False)
-    return slopes
 
 
 # Largest total size of the triangles' bounding boxes in pixels; rasterising visits each of these pixels
