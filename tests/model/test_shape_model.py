@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.stats import multivariate_normal
 
 from liaam.errors import TrainingError
 from liaam.model.pca import LeftOutCoordinates, some_folds
@@ -20,7 +21,7 @@ from liaam.model.shape import (
     shape_model_on,
     similarity_modes,
 )
-from liaam.model.shape_prior import SHARES, fit_freedom, smooth_covariance, spread_points
+from liaam.model.shape_prior import SHARES, fit_freedom, log_density, smooth_covariance, spread_points
 from liaam.training.entries import placed_by_others
 
 
@@ -177,6 +178,19 @@ def test_a_wide_prior_has_the_modes_of_a_smooth_one_and_four_times_its_variances
     np.testing.assert_allclose(wide.eigenvalues, 4.0 * smooth.eigenvalues, rtol=1e-12)
     assert wide.freedom == smooth.freedom
     assert wide.left_out_bound == smooth.left_out_bound
+
+
+def test_densities_are_those_in_the_space_that_similarities_leave(rng):
+    mean = rng.normal(size=(5, 2))
+    rigid = similarity_modes(mean - mean.mean(axis=0))
+    others = np.linalg.svd(rigid)[2][4:]  # an orthonormal basis of what is orthogonal to them
+    root = rng.normal(size=(3, 6)) @ others
+    away = rng.normal(size=(4, 6)) @ others
+    expected = [
+        multivariate_normal(cov=others @ root.T @ root @ others.T + noise * np.eye(6)).logpdf(away @ others.T).sum()
+        for noise in (0.1, 2.0)
+    ]
+    np.testing.assert_allclose(log_density(away, root.T @ root, np.array([0.1, 2.0]), rigid), expected, rtol=1e-9)
 
 
 def test_a_prior_that_does_not_exist_is_refused():

@@ -122,9 +122,32 @@ def modes_of(spread: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.ascontiguousarray(modes * np.where(largest < 0, -1.0, 1.0)), np.where(values > 1e-12 * total, values, 0.0)
 
 
+def log_density(away: np.ndarray, spread: np.ndarray, noises: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+    """Return the log-density of deviations (n, d) under N(0, spread + noise), summed over them, for each noise, (k,).
+
+    Both live in the space orthogonal to the similarities ``rigid`` (r, d), where the noise is white.
+    """
+    from scipy.linalg import solve_triangular  # heavy: imported when first needed
+
+    similar = rigid.T @ rigid
+    beyond = np.eye(len(similar)) - similar
+    away = away @ beyond
+    densities = []
+    for noise in noises:
+        # A variance of 1 along the similarities, where nothing deviates, adds nothing to the density.
+        factor = np.linalg.cholesky(spread + noise * beyond + similar)
+        whitened = solve_triangular(factor, away.T, lower=True, check_finite=False)
+        log_determinant = 2.0 * np.log(np.diag(factor)).sum()
+        constant = (len(similar) - len(rigid)) * np.log(2.0 * np.pi) + log_determinant
+        densities.append(-0.5 * (np.square(whitened).sum() + len(away) * constant))
+    return np.array(densities)
+
+
 def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrior:
     """Find the mixture that maximises the likelihood of left-out shapes. Those of one object belong in one fold."""
-    deviations, mixtures = deviations.thinned(MOST_POINTS), list(product(SHARES, WIDTHS))
+    deviations = deviations.thinned(MOST_POINTS)
+    # Without smooth deformations, their width is no matter.
+    mixtures = [(share, width) for share, width in product(SHARES, WIDTHS) if share > 0.0 or width == WIDTHS[0]]
     total = np.zeros((len(mixtures), len(NOISES)))
     count = 0
     for fold in folds:
@@ -132,16 +155,17 @@ def fit_prior(deviations: Deviations, folds: Sequence[np.ndarray]) -> SmoothPrio
         if len(others) < 2:
             continue
         part = deviations.of(others)
-        sample, away = part.sample_covariance(), deviations.own[fold] - part.own.mean(axis=0)
-        if not np.trace(sample) > 0:
+        sample = part.sample_covariance()
+        away = deviations.own[fold] - part.own.mean(axis=0)
+        trace = np.trace(sample)
+        if not trace > 0:
             continue
         count += len(fold)
-        trace, smooth = np.trace(sample), {w: smooth_covariance(part.mean, part.rigid, w) for w in WIDTHS}
-        noises = np.array(NOISES)[:, None] * trace / part.dimension
-        for own, (share, width) in zip(total, mixtures, strict=True):
-            modes, values = modes_of((1.0 - share) * sample + share * trace * smooth[width], part.rigid)
-            squares, variances = np.square(away @ modes.T).sum(axis=0), values + noises
-            own -= 0.5 * (squares / variances + len(fold) * np.log(2.0 * np.pi * variances)).sum(axis=1)
+        smooth = {width: smooth_covariance(part.mean, part.rigid, width) for width in WIDTHS}
+        noises = np.array(NOISES) * trace / part.dimension
+        for i, (share, width) in enumerate(mixtures):
+            spread = (1.0 - share) * sample + share * trace * smooth[width]
+            total[i] += log_density(away, spread, noises, part.rigid)
     if not count:
         return SmoothPrior(0.0, WIDTHS[0], NOISES[0])
     best, noise = np.unravel_index(total.argmax(), total.shape)
