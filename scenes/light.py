@@ -161,22 +161,24 @@ def direct_visibility(body: Body, at: np.ndarray, normals: np.ndarray, light: Po
     return seen / len(samples)
 
 
-def dome_irradiance(body: Body) -> np.ndarray:
-    """Irradiance (n,) of the vertices under an open sky; 1 for an open surface facing the camera."""
+def dome_irradiance(body: Body, seen: np.ndarray) -> np.ndarray:
+    """Irradiance (n,) of the vertices ``seen`` under an open sky, 1 for an open surface facing the camera; else 0."""
     directions = _dome()
     weights = 1 + 0.45 * directions[:, 1]
-    total = np.zeros(len(body.normals), np.float32)
+    normals = body.normals[seen]
+    irradiance = np.zeros(len(seen), np.float32)
     points = np.ascontiguousarray(body.points.T)
-    lifted = np.ascontiguousarray((body.points + body.normals * 0.035).T)
+    lifted = np.ascontiguousarray((body.points[seen] + normals * 0.035).T)
     for direction, weight in zip(directions, weights, strict=True):
         frame = _light_frame(direction, DOME_MAP, 1.9)
         depth = splat_map(coordinates(points, frame), DOME_MAP)
-        facing = np.einsum("nk,k->n", body.normals, direction)
+        facing = np.einsum("nk,k->n", normals, direction)
         towards = np.flatnonzero(facing > 0)
-        total[towards] += (
-            weight * facing[towards] * visibility(coordinates(lifted.take(towards, axis=1), frame), depth, 0.03)
-        )
-    return total / np.sum(weights * np.maximum(directions[:, 2], 0))
+        open_to = visibility(coordinates(lifted.take(towards, axis=1), frame), depth, 0.03)
+        irradiance[towards] += weight * facing[towards] * open_to
+    total = np.zeros(len(body.normals), np.float32)
+    total[seen] = irradiance / np.sum(weights * np.maximum(directions[:, 2], 0))
+    return total
 
 
 def _lamp_samples(light: PointLight) -> np.ndarray:

@@ -34,10 +34,20 @@ def draw(
     return image.astype(np.float32), owner >= 0
 
 
+def shown_triangles(points: np.ndarray, triangles: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Mask (m,) of the triangles that :func:`draw` shows."""
+    owner, _ = _core.draw_triangles(_double(points), _int(triangles), np.zeros((len(points), 0)), height, width)
+    shown = np.zeros(len(triangles), bool)
+    shown[owner[owner >= 0]] = True
+    return shown
+
+
 def depth_map(points: np.ndarray, triangles: np.ndarray, size: int) -> np.ndarray:
     """Nearness map (size, size) of triangles whose vertices (n, 3) are in the map's pixels."""
     owner, nearness = _core.draw_triangles(_double(points), _int(triangles), _double(points[:, 2:]), size, size)
-    return np.where(owner >= 0, nearness[..., 0], -1e9).astype(np.float32)
+    depth = nearness[..., 0].astype(np.float32)
+    depth[owner < 0] = -1e9
+    return depth
 
 
 def _double(numbers: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from scenes.chart import CONTOURS, Face, smoothstep
 from scenes.head import Expression, Head, Pose, Traits
 from scenes.light import DIFFUSE, Ambient, Lights, PointLight, Radiator
 from scenes.paint import Textures, look_up, look_up_periodic, skin_tone, textures_of
-from scenes.raster import draw
+from scenes.raster import draw, shown_triangles
 from scenes.surface import face_of, landmark_points
 
 Mixing = Literal["additive", "planckian"]
@@ -116,7 +116,7 @@ def render(
     _check_request(lights, size, mixing, supersample)
     pose, expression, camera = pose or Pose(), expression or Expression(), camera or Camera()
     face = face_of(head)
-    body, sky = _figure(head, pose, expression)
+    body, sky = _figure(head, pose, expression, size, supersample)
     pixels = _draw_figure(body, sky, size, pose, supersample)
     colour = _shrink(_paint_pixels(pixels, face, textures_of(head), expression), supersample)
     irradiance, missing = _irradiances(body, pixels, lights, supersample)
@@ -203,17 +203,25 @@ _CHART, _NORMAL, _POINT, _SKY, _PART = slice(0, 4), slice(4, 7), slice(7, 10), 1
 
 
 @lru_cache(maxsize=8)  # a set under several lights shows the same figures; 8 MB each
-def _figure(head: Head, pose: Pose, expression: Expression) -> tuple[Body, np.ndarray]:
-    """The posed figure, and the irradiance (n,) of its vertices under an open sky."""
+def _figure(head: Head, pose: Pose, expression: Expression, size: tuple[int, int], s: int) -> tuple[Body, np.ndarray]:
+    """The posed figure, and the irradiance (n,) of its vertices under an open sky; 0 of those that are not seen."""
     body = build_body(face_of(head), pose, expression)
-    return body, lighting.dome_irradiance(body)
+    shown = shown_triangles(_on_screen(body, size, pose, s), body.triangles, s * size[0], s * size[1])
+    seen = np.zeros(len(body.points), bool)
+    seen[body.triangles[shown]] = True
+    return body, lighting.dome_irradiance(body, np.flatnonzero(seen))
+
+
+def _on_screen(body: Body, size: tuple[int, int], pose: Pose, s: int) -> np.ndarray:
+    """Columns, rows and nearness (n, 3) of the vertices, in samples."""
+    at = (_project(body.points, size, pose) + 0.5) * s - 0.5
+    return np.column_stack([at, body.points[:, 2]])
 
 
 def _draw_figure(body: Body, sky: np.ndarray, size: tuple[int, int], pose: Pose, s: int) -> np.ndarray:
     """Attributes (s h, s w, 12) of the figure at every sample; part 0 is the wall."""
     attributes = np.column_stack([body.chart, body.normals, body.points, sky, body.part]).astype(np.float32)
-    at = (_project(body.points, size, pose) + 0.5) * s - 0.5
-    screen = np.column_stack([at, body.points[:, 2]])
+    screen = _on_screen(body, size, pose, s)
     image, covered = draw(screen, body.triangles, attributes, s * size[0], s * size[1])
     wall = np.zeros(image.shape[-1], np.float32)
     wall[_NORMAL], wall[_SKY] = (0, 0, 1), 1

@@ -8,10 +8,22 @@ namespace liaam {
 namespace {
 
 constexpr double kOnEdge = 1e-9;  // tolerance on negative barycentric weights of pixels on an edge
+constexpr double kRounding = 1e-6;  // pixels: more than coordinates within an image are rounded by
 
 std::ptrdiff_t clipped(double at, std::size_t limit) {
     if (!(at > 0.0)) return 0;  // also for NaN
     return static_cast<std::ptrdiff_t>(std::min(at, static_cast<double>(limit)));
+}
+
+// The pixels along one axis that a triangle with these coordinates may cover.
+struct Stretch {
+    std::ptrdiff_t first, end;
+};
+
+Stretch covered(double a, double b, double c, std::size_t limit) {
+    const auto [low, high] = std::minmax({a, b, c});
+    const double beyond = 4.0 * kOnEdge * (high - low) + kRounding;
+    return {clipped(std::ceil(low - beyond), limit), clipped(std::floor(high + beyond) + 1.0, limit)};
 }
 
 // Moves each number of `row` towards that of `from` by its feedback.
@@ -31,12 +43,10 @@ void draw_triangles(Rows<const double> points, Rows<const std::int32_t> triangle
         const double x0 = b[0] - a[0], y0 = b[1] - a[1], x1 = c[0] - a[0], y1 = c[1] - a[1];
         const double determinant = x0 * y1 - x1 * y0;
         if (determinant == 0.0) continue;
-        const auto top = clipped(std::floor(std::min({a[1], b[1], c[1]})), owner.n_rows);
-        const auto bottom = clipped(std::ceil(std::max({a[1], b[1], c[1]})) + 1, owner.n_rows);
-        const auto left = clipped(std::floor(std::min({a[0], b[0], c[0]})), owner.n_columns);
-        const auto right = clipped(std::ceil(std::max({a[0], b[0], c[0]})) + 1, owner.n_columns);
-        for (auto y = top; y < bottom; ++y) {
-            for (auto x = left; x < right; ++x) {
+        const Stretch rows = covered(a[1], b[1], c[1], owner.n_rows);
+        const Stretch columns = covered(a[0], b[0], c[0], owner.n_columns);
+        for (auto y = rows.first; y < rows.end; ++y) {
+            for (auto x = columns.first; x < columns.end; ++x) {
                 const double dx = x - a[0], dy = y - a[1];
                 const double v = (y1 * dx - x1 * dy) / determinant, w = (x0 * dy - y0 * dx) / determinant;
                 const double u = 1.0 - v - w, near = u * a[2] + v * b[2] + w * c[2];
