@@ -168,9 +168,10 @@ def shrink(model: AAM) -> AAM:
     factor = min(1.0, TEMPLATE / model.diagonal)
     frame = ReferenceFrame(shapes.mean * factor, model.triangles)
     at = (frame.pixels[:, ::-1] + frame.origin) / factor
+    known = own.known
 
     def reduced(values: np.ndarray) -> np.ndarray:
-        return _read(model.frame, values, own.known, at, AVERAGED / factor if factor < 1.0 else 0.0)
+        return _read(model.frame, values, known, at, AVERAGED / factor if factor < 1.0 else 0.0)
 
     appearance = AppearanceModel(
         mean=reduced(own.mean),
