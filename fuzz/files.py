@@ -98,7 +98,7 @@ def make_start(rng: Random) -> tuple[str, bytes]:
 
 def check_start(given: tuple[str, bytes]) -> None:
     """Read a start as the command line does."""
-    from liaam.fitting.starts import check_start, read_start
+    from liaam.fitting.search.starts import check_start, read_start
 
     text, data = given
     for path in Path().glob("start.*"):

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.angles import best_image_angle
-from liaam.fitting.level_image import (
+from liaam.fitting.loop.angles import best_image_angle
+from liaam.fitting.loop.level_image import (
     LOG_RANGE,
     MARGIN,
     NEAR,
@@ -22,10 +22,10 @@ from liaam.fitting.level_image import (
     noise_around,
     noise_table,
 )
+from liaam.fitting.loop.objective import Objective, State
+from liaam.fitting.loop.options import SolverOptions, spare
 from liaam.fitting.methods import Method
-from liaam.fitting.objective import Objective, State
-from liaam.fitting.solver import SolverOptions, spare
-from liaam.fitting.thresholds import THRESHOLDS
+from liaam.fitting.reference.thresholds import THRESHOLDS
 from liaam.model.sampling import Light
 from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
 from liaam.photometry import NoiseModel, Response, is_grey
@@ -41,7 +41,7 @@ class FittedLevel:
 
     objective: Objective
     pose: Similarity  # model pixels to image pixels, to which the solution refers
-    solution: Any  # LevelFit of the core, or its like of liaam.fitting.reference_loop
+    solution: Any  # LevelFit of the core, or its like of liaam.fitting.reference.loop
     to_patch: Similarity  # image pixels to pixels of the encoded patch
     patch_size: tuple[int, int]  # its height and width
     begun_at: np.ndarray | None = None  # (n, 2) shape that it began at, if it has fewer modes than the last level

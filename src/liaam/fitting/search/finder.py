@@ -1,8 +1,8 @@
 """Detection of the object, for fits without a given start.
 
-Templates of gradient orientations (:mod:`liaam.fitting.templates`) are correlated with the orientations in the image at
-many sizes. The best places are fitted with the reduced model by method ``igo``, and scored by how well it explains the
-orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
+Templates of gradient orientations (:mod:`liaam.fitting.search.templates`) are correlated with the orientations in the
+image at many sizes. The best places are fitted with the reduced model by method ``igo``, and scored by how well it
+explains the orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
 """
 
 from dataclasses import dataclass, replace
@@ -12,17 +12,26 @@ import numpy as np
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
-from liaam.fitting.levels import FittedLevel, Levels, LinearImage, Target
+from liaam.fitting.loop.levels import FittedLevel, Levels, LinearImage, Target
+from liaam.fitting.loop.objective import THINNING, make_objectives
+from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import get_method
-from liaam.fitting.objective import THINNING, make_objectives
-from liaam.fitting.picture import described, load_picture
-from liaam.fitting.responses import Bank, Peaks, strongest
-from liaam.fitting.solver import SolverOptions
-from liaam.fitting.templates import TEMPLATE, TURNS, Field, Grey, Template, make_templates, rotated_filters, shrink
+from liaam.fitting.search.responses import Bank, Peaks, strongest
+from liaam.fitting.search.templates import (
+    TEMPLATE,
+    TURNS,
+    Field,
+    Grey,
+    Template,
+    make_templates,
+    rotated_filters,
+    shrink,
+)
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.model.shape import Similarity, align, diagonal_of, rotation
 from liaam.photometry import Response
+from liaam.photometry.picture import described, load_picture
 from liaam.workers import in_threads
 
 # What was measured for these is in experiments/notes/engine.md.

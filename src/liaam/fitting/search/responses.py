@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.templates import Field, Template, spectra
+from liaam.fitting.search.templates import Field, Template, spectra
 
 # Number of field pixels for which spectra are cached, about 100 bytes each. Larger fields, of panoramas and strips, are
 # cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.

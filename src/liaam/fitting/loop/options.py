@@ -1,4 +1,4 @@
-"""Options of the solver. The loop is ``src/core/level.cpp``, and :mod:`liaam.fitting.reference_loop` in NumPy."""
+"""Options of the solver. The loop is ``src/core/level.cpp``, and :mod:`liaam.fitting.reference.loop` in NumPy."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -10,7 +10,7 @@ import numpy as np
 from liaam.errors import MethodError
 from liaam.evaluation import changed_repr
 from liaam.fitting.methods import Method
-from liaam.fitting.thresholds import THRESHOLDS
+from liaam.fitting.reference.thresholds import THRESHOLDS
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")

@@ -8,10 +8,10 @@ import numpy as np
 
 from liaam import _core
 from liaam.errors import MethodError
-from liaam.fitting.level_image import LevelImage, correlated_pixels
+from liaam.fitting.loop.level_image import LevelImage, correlated_pixels
 from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, at_angle, check_holds, gaussian_median
-from liaam.fitting.reference import CORRELATED, GRADIENT_ROWS, Problem
-from liaam.fitting.reference_loop import solve_level
+from liaam.fitting.reference.loop import solve_level
+from liaam.fitting.reference.problem import CORRELATED, GRADIENT_ROWS, Problem
 from liaam.model import AAM, Level
 from liaam.model.appearance import AppearanceModel
 from liaam.model.warp import PiecewiseAffineWarp, Warp, padded
@@ -39,7 +39,7 @@ class Objective:
     appearance: AppearanceModel
     theta_model: float  # the training camera's angle, radians
     # (n_p,): precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels, with
-    # ``dof`` degrees of freedom (reference_loop.next_prior_scale); infinite for a scale of 1.
+    # ``dof`` degrees of freedom (fitting.reference.loop.next_prior_scale); infinite for a scale of 1.
     prior: np.ndarray
     illumination: AppearanceModel | None = None  # basis, for methods that add one
     blur: float = 0.0  # of the image: its standard deviation, model pixels
@@ -216,7 +216,7 @@ class Objective:
         return problem.arrays()
 
     def solve(self, image: LevelImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
-        """Minimise the cost over one image from a state (:class:`liaam.fitting.solver.SolverOptions`).
+        """Minimise the cost over one image from a state (:class:`liaam.fitting.loop.options.SolverOptions`).
 
         A fit that fails is returned, not raised. The solution is a ``LevelFit`` of the core or of the reference.
         """

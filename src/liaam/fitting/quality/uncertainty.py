@@ -3,8 +3,8 @@
 import numpy as np
 
 from liaam.evaluation import Contours, contour_turns
-from liaam.fitting.levels import FittedLevel
-from liaam.fitting.objective import Objective
+from liaam.fitting.loop.levels import FittedLevel
+from liaam.fitting.loop.objective import Objective
 from liaam.model import Reliability
 from liaam.model.shape import ShapeModel, Similarity, own_parameters
 

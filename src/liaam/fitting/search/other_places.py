@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
-from liaam.fitting.levels import Target
+from liaam.fitting.loop.levels import Target
 from liaam.fitting.prepared import Prepared
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
-from liaam.fitting.search import LARGE, Finder
+from liaam.fitting.search.finder import LARGE, Finder
 from liaam.model.shape import diagonal_of
 
 # Largest number of steps per level of fits to other detections: right fits take fewer, wrong ones take more. Number of

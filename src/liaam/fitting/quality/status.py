@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from liaam.fitting.levels import FittedLevel, LinearImage, is_sane
+from liaam.fitting.loop.levels import FittedLevel, LinearImage, is_sane
 from liaam.fitting.result import FitStatus, Iteration
 from liaam.model import AAM
 from liaam.model.mesh import folded_share

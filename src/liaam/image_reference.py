@@ -1,6 +1,6 @@
 """The core's loops over images in NumPy: they define the result of the compiled functions of the same names.
 
-They also replace these where the core could not be built. That of the fit is :mod:`liaam.fitting.reference`.
+They also replace these where the core could not be built. That of the fit is :mod:`liaam.fitting.reference.problem`.
 """
 
 import numpy as np

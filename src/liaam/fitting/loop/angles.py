@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from liaam.fitting.level_image import LevelImage
-from liaam.fitting.objective import RIDGE, Objective, State
+from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.objective import RIDGE, Objective, State
 
 SEARCH = np.deg2rad(60.0)
 """Largest distance of the initial angle from the model's. Physical cameras have 90-135 degrees. Far from the object,

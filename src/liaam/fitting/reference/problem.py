@@ -2,19 +2,21 @@
 
 :class:`Problem` defines the results of the compiled core (``src/core``), which is tested against it, and replaces it
 where the core could not be built. It also fits what the core leaves out: homographies, photometric normalisation, and
-the joint elimination of the appearance. The loop over it is :mod:`liaam.fitting.reference_loop`.
+the joint elimination of the appearance. The loop over it is :mod:`liaam.fitting.reference.loop`.
 
 Arrays of pixels are (n, k) float64, for k rows of the metric P.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.fitting.level_image import LevelImage
-from liaam.fitting.thresholds import THRESHOLDS
+from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.image_reference import CHANNELS, sample
 from liaam.photometry.encoding import BRIGHTNESS, LOG_FLOOR, SOFTNESS
-from liaam.reference import CHANNELS, sample
+
+if TYPE_CHECKING:
+    from liaam.fitting.loop.level_image import LevelImage
 
 UNKNOWN = 1e5  # variance of a pixel whose logarithm is not usable
 LEAST_UNEXPLAINED = 0.02  # lower bound on the unexplained variance, as a fraction of the residual's
@@ -42,7 +44,7 @@ L1_AT = 0.1  # residual below which the weight of l1, its inverse, stops growing
 class Problem:
     """An objective at one encoded image, with the state of the fit and all that follows from it."""
 
-    def __init__(self, objective: Any, image: LevelImage) -> None:
+    def __init__(self, objective: Any, image: "LevelImage") -> None:
         self.warp = objective.warp
         self.fields = objective.fields
         self.image = image

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from liaam.fitting.levels import FittedLevel, Target, is_sane, prepare_level
-from liaam.fitting.objective import Objective
+from liaam.fitting.loop.levels import FittedLevel, Target, is_sane, prepare_level
+from liaam.fitting.loop.objective import Objective
+from liaam.fitting.loop.options import SolverOptions, spare
 from liaam.fitting.prepared import Prepared
 from liaam.fitting.result import FitResult
-from liaam.fitting.solver import SolverOptions, spare
 from liaam.model.shape import diagonal_of
 
 BENT = 2.5  # deformation of the mean shape along its strongest mode, in standard deviations, in both directions
