@@ -42,7 +42,7 @@ FITTING_LAYERS = (
     ("result",),
     ("loop",),
     ("reference",),
-    ("detection", "files", "methods"),
+    ("detection", "landmarkers", "methods"),
 )
 """The same for ``fitting``: its modules and the packages in it."""
 

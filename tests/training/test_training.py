@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_info
 from liaam.datasets import Sample
 from liaam.errors import ImageError, OptionError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
-from liaam.fitting.files import write_fit
 from liaam.io import Contour, Landmarks, read_image, write_image, write_landmarks
+from liaam.io.fit_files import write_fit
 from liaam.model import SURROUNDINGS, cost, load_model
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas

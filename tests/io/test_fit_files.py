@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from liaam.errors import LandmarkError
-from liaam.fitting.files import FIT_SUFFIXES, corrected_file, fit_text, points_of_fit, read_fit, write_fit
 from liaam.io import Contour, Landmarks, read_landmarks, write_landmarks
+from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, fit_text, points_of_fit, read_fit, write_fit
 
 POINTS = np.array([[1.5, 2.0], [3.25, -4.0]])
 
