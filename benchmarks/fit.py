@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks import iteration
 from benchmarks.metrics import in_turn, report
-from liaam.evaluation import point_error
+from liaam.error_measures import point_error
 from liaam.fitting import Fitter
 from liaam.io import write_image
 from liaam.model import AAM

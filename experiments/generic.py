@@ -40,9 +40,10 @@ from experiments.solvers import Request
 from experiments.spot import find_persons
 from experiments.subjects import data_facts
 from liaam.datasets import Dataset, Sample, load_folder
+from liaam.error_measures import inter_ocular_distance
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_or_none, inter_ocular_distance
 from liaam.fitting import FitStatus
+from liaam.formatting import finite_or_none
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_pictures
 from liaam.training.train import AUTO

@@ -17,18 +17,18 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     ("cli", "studio"),
-    ("accuracy", "demo", "batch", "morphometry", "tracking"),
+    ("batch", "demo", "evaluation", "morphometry", "tracking"),
     ("plotting",),
     ("calibration",),
     ("registration", "relighting"),
     ("training",),
     ("fitting",),
-    ("datasets", "lamps"),
+    ("datasets", "drawing", "lamps"),
     ("model",),
     ("photometry",),
     ("io",),
-    ("drawing", "evaluation", "models", "progress", "tables", "workers"),
-    ("_core", "image_reference"),
+    ("error_measures", "models", "progress", "tables", "workers"),
+    ("_core", "formatting", "image_reference"),
     ("errors",),
 )
 """Packages and modules of liaam from high to low. Those of one row do not import each other in a circle."""

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 
 from liaam.errors import ImageError, MethodError
-from liaam.evaluation import finite_list
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
 from liaam.fitting.loop.level_image import slope_left
 from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.loop.options import scored
 from liaam.fitting.quality.uncertainty import covariance
+from liaam.formatting import finite_list
 from liaam.model.appearance import AppearanceModel
 from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from liaam.datasets import Sample
+from liaam.error_measures import point_error, root_mean_square
 from liaam.errors import LiaamError, ModelFileError, TrainingError
-from liaam.evaluation import point_error, root_mean_square
 from liaam.fitting import Fitter
 from liaam.io import Landmarks, write_image, write_landmarks
 from liaam.lamps import Copies, Lamps, learn_lamps, load_lamps

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError, StartError
-from liaam.evaluation import finite_or_none
 from liaam.fitting import FitResult, Fitter, SolverOptions
 from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.fitting.search.starts import check_start, read_start, start_file
+from liaam.formatting import finite_or_none
 from liaam.io import Landmarks, is_raw, read_image
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel

@@ -76,7 +76,7 @@ def evaluate(
 
     Writes the errors of each landmark and image as tables, their cumulative distribution, and the worst ten fits.
     """
-    from liaam.accuracy import cross_validate, evaluate as evaluated
+    from liaam.evaluation import cross_validate, evaluate as evaluated
     from liaam.model import load_model
     from liaam.training.left_out import describe_objects
 

@@ -8,7 +8,6 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.evaluation import changed_repr
 from liaam.fitting.detection import DOUBTFUL, Detection
 from liaam.fitting.loop.level_image import MARGIN, NEAR
 from liaam.fitting.loop.levels import LinearImage, Target
@@ -20,6 +19,7 @@ from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import likeliest
 from liaam.fitting.search.restarts import fit_again
 from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
+from liaam.formatting import changed_repr
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.photometry import CameraModel, is_grey

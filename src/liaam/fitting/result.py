@@ -11,11 +11,12 @@ import numpy as np
 
 from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
-from liaam.evaluation import Contours, finite_list, short_repr
 from liaam.fitting.detection import Detection, are_beside
 from liaam.fitting.loop.levels import FittedLevel
 from liaam.fitting.methods import Method
+from liaam.formatting import finite_list, short_repr
 from liaam.io.files import count_of
+from liaam.model.contours import Contours
 from liaam.model.shape import Similarity
 from liaam.photometry.picture import load_picture
 from liaam.tables import Columns, landmark_columns, to_dataframe

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 
 from liaam.datasets import Sample
+from liaam.error_measures import point_error
 from liaam.errors import TrainingError
-from liaam.evaluation import point_error
 from liaam.lamps.bank import DARK, Lamps, anchors, as_srgb, square
 from liaam.model.shape import diagonal_of, procrustes_mean
 from liaam.photometry import Response

@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
 from liaam.fitting.loop.level_image import correlated_pixels
 from liaam.fitting.solution import solution_at
+from liaam.formatting import short_repr
 from liaam.model import AAM, MESH
 from liaam.model.appearance import AppearanceModel
 from liaam.photometry.encoding import refuse_grey

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from liaam.errors import LiaamError, MethodError
-from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter, Method
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.formatting import short_repr
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response, to_linear

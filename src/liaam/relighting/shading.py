@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from liaam.lamps.bank import HALF, in_field, sample_field
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of, mirror_order

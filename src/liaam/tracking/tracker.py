@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.evaluation import changed_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
 from liaam.fitting.loop.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.formatting import changed_repr
 from liaam.io import VideoReader
 from liaam.model import AAM
 from liaam.model.aam import named_model

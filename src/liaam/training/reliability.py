@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.evaluation import contour_turns, outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.detection import Detection
 from liaam.fitting.loop.levels import LinearImage
@@ -21,6 +20,7 @@ from liaam.fitting.quality.uncertainty import fitted_covariances
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.templates import is_searchable
 from liaam.model import AAM, Reliability
+from liaam.model.contours import contour_turns, outline_errors
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.evaluation import changed_repr
 from liaam.fitting.methods import Method
 from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.formatting import changed_repr
 
 ELIMINATIONS = ("varpro", "joint")
 ANGLE_STARTS = ("best", "model")

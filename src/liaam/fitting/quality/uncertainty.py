@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from liaam.evaluation import Contours, contour_turns
 from liaam.fitting.loop.levels import FittedLevel
 from liaam.fitting.loop.objective import Objective
 from liaam.model import Reliability
+from liaam.model.contours import Contours, contour_turns
 from liaam.model.shape import ShapeModel, Similarity, own_parameters
 
 

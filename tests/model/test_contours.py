@@ -1,69 +1,15 @@
-"""Measures of how well landmarks and angles were found."""
+"""Directions of contours, and errors along and across them."""
 
 import numpy as np
-import pytest
 
-import liaam
-from liaam import TrackedFrame
-from liaam.evaluation import (
+from liaam.error_measures import landmark_errors
+from liaam.model.contours import (
     along_and_across,
-    angle_difference,
     contour_directions,
     contour_turns,
-    cumulative_errors,
-    error_statistics,
-    landmark_errors,
-    nme,
     outline_errors,
-    point_error,
     within_intervals,
 )
-from liaam.fitting import FitStatus
-from liaam.tracking import TrackStatus
-
-
-def test_point_error_leaves_out_unknown_landmarks_and_counts_lost_ones():
-    truth = np.array([[0.0, 0.0], [np.nan, 1.0], [10.0, 0.0]])
-    shape = np.array([[3.0, 4.0], [99.0, 99.0], [10.0, 1.0]])
-    assert point_error(shape, truth) == 3.0
-    assert nme(shape, truth, 60.0) == 0.05
-    shape[2] = np.nan
-    assert point_error(shape, truth) == np.inf
-
-
-def test_statistics_count_lost_fits_as_failures():
-    assert error_statistics(np.array([3.0, 4.0, 0.0])) == {
-        "median": 3.0,
-        "p90": pytest.approx(3.8),
-        "rms": pytest.approx(np.sqrt(25 / 3)),
-    }
-    lost = error_statistics(np.array([1.0, 2.0, 3.0, np.nan]))
-    assert lost == {"median": 2.5, "p90": None, "rms": None}
-    assert set(error_statistics(np.array([np.nan, np.inf])).values()) == {None}
-
-
-@pytest.mark.parametrize(
-    ("angle", "expected"), [(0.1, 0.1), (-0.1, -0.1), (2 * np.pi, 0.0), (np.pi, np.pi), (4.0, 4.0 - 2 * np.pi)]
-)
-def test_angles_differ_by_half_a_turn_at_most(angle, expected):
-    assert angle_difference(2.5 + angle, 2.5) == pytest.approx(expected, abs=1e-12)
-
-
-def test_cumulative_errors_count_nan_as_failure():
-    assert np.allclose(cumulative_errors(np.array([0.1, np.nan, 0.3, 0.2]), np.array([0.05, 0.2, 1.0])), [0, 0.5, 0.75])
-
-
-def test_the_text_of_an_object_has_shapes_of_arrays():
-    points, squares = np.zeros((58, 2)), np.zeros((58, 2, 2))
-    frame = TrackedFrame(
-        7, 0.25, TrackStatus.FOUND, FitStatus.CONVERGED, 1 / 3, np.nan, points, points, squares, squares, points
-    )
-    assert repr(frame) == (
-        "TrackedFrame(index=7, time=0.25, status='found', fit_status='converged', quality=0.333333, theta=nan, "
-        "landmarks=(58, 2) float64, raw=(58, 2) float64, covariances=(58, 2, 2) float64, "
-        "raw_covariances=(58, 2, 2) float64, mean=(58, 2) float64)"
-    )
-
 
 ARC = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [30.0, 10.0], [30.0, 20.0]])
 LINES = [((0, 1, 2), False), ((3, 4), False)]
@@ -110,14 +56,6 @@ def test_errors_and_intervals_along_and_across():
     np.testing.assert_array_equal(along_and_across(errors, directions)[:2], errors[:2])
     inside = within_intervals(errors, np.tile(np.diag([4.0, 1.0]), (5, 1, 1)), directions)
     np.testing.assert_array_equal(inside, [[1, 0], [1, 1], [0, 1], [np.nan] * 2, [np.nan] * 2])
-
-
-def test_options_and_fitters_print_what_differs_from_the_defaults():
-    assert repr(liaam.SolverOptions()) == "SolverOptions()"
-    assert repr(liaam.TrackingOptions(review=12)) == "TrackingOptions(review=12)"
-    model = liaam.load_model("face")
-    fitter = liaam.Fitter(model, options=liaam.SolverOptions(damping=0.0), restarts=False)
-    assert repr(fitter) == f"Fitter(model={model!r}, options=SolverOptions(damping=0.0), restarts=False)"
 
 
 def test_a_contour_without_landmarks_says_nothing():

@@ -7,16 +7,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam.accuracy.result import Evaluation
 from liaam.datasets import Sample
+from liaam.error_measures import landmark_errors
 from liaam.errors import LandmarkError, LiaamError
-from liaam.evaluation import Contours, landmark_errors
+from liaam.evaluation.result import Evaluation
 from liaam.fitting import FitResult, Fitter, Method, fit_each
 from liaam.fitting.many import starts_for
 from liaam.fitting.methods import DEFAULT_METHOD, get_method
 from liaam.io import Landmarks, read_landmarks
 from liaam.io.files import some_names
 from liaam.model import AAM
+from liaam.model.contours import Contours
 from liaam.model.shape import diagonal_of
 from liaam.morphometry.measures import Measure
 from liaam.morphometry.table import indices_of

@@ -11,9 +11,9 @@ import pytest
 
 import liaam
 from liaam import Evaluation, FitStatus, Landmarks, Sample
-from liaam.accuracy import measure
+from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.errors import LiaamError
-from liaam.evaluation import landmark_errors, within_ellipses
+from liaam.evaluation import measure
 from liaam.io import write_image, write_landmarks
 
 SQUARE = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 40.0], [0.0, 40.0]])  # the diagonal is 50

@@ -7,17 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.evaluation import (
-    Contours,
-    along_and_across,
-    contour_directions,
-    landmark_errors,
-    outline_errors,
-    within_ellipses,
-    within_intervals,
-)
+from liaam.error_measures import landmark_errors, within_ellipses
 from liaam.fitting import FitStatus
 from liaam.io.files import count_of, some_names
+from liaam.model.contours import Contours, along_and_across, contour_directions, outline_errors, within_intervals
 from liaam.plotting.errors import figure_of_worst, plot_cumulative
 from liaam.tables import Columns, landmark_columns, to_dataframe
 
