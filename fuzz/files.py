@@ -59,7 +59,7 @@ def make_lamps(rng: Random) -> bytes:
 
 def check_lamps(data: bytes) -> None:
     """Load lamps. If accepted, relighting an image must work."""
-    from liaam.lamps import load_lamps
+    from liaam.training import load_lamps
 
     path = Path("x.lamps")
     path.write_bytes(data)

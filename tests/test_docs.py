@@ -25,13 +25,13 @@ from liaam.fitting.reference.thresholds import THRESHOLDS
 from liaam.fitting.search import finder
 from liaam.io import video_writer
 from liaam.io.images import VIDEO_SUFFIXES
-from liaam.lamps.bank import DARK, Lamps
 from liaam.model.views import VIEWS
 from liaam.relighting import Lamp, Relighter
 from liaam.relighting.lamp import STRONGEST
 from liaam.relighting.relighter import LONGEST
 from liaam.tracking.files import arrays_of
 from liaam.training import options
+from liaam.training.lamps.bank import DARK, Lamps
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -23,7 +23,7 @@ LAYERS = (
     ("registration", "relighting"),
     ("training",),
     ("fitting",),
-    ("datasets", "drawing", "lamps"),
+    ("datasets", "drawing"),
     ("model",),
     ("photometry",),
     ("io",),

@@ -12,9 +12,8 @@ from safetensors.numpy import save
 
 from liaam.datasets import Sample
 from liaam.io import Landmarks, write_bytes_atomically
-from liaam.lamps import learn_lamps
 from liaam.model import MESH, SURROUNDINGS
-from liaam.training import train
+from liaam.training import learn_lamps, train
 from liaam.training.faces import FOLDER, LAMPS, MODEL, N_LAMPS
 from scenes import DIFFUSE, Head, Lights, lateral, random_expression, random_pose, render
 

@@ -19,17 +19,16 @@ import numpy as np
 import liaam
 from liaam.datasets import Sample
 from liaam.io import Contour, Landmarks
-from liaam.lamps import Lamps
-from liaam.lamps.bank import carried
-from liaam.lamps.copies import close_up, mirrored
-from liaam.lamps.learning import unit_shape
 from liaam.model import AAM, SURROUNDINGS, Level
 from liaam.model.mirror import mirrored_model
 from liaam.model.shape import procrustes_mean
 from liaam.photometry import CameraModel
-from liaam.training import TrainingOptions
+from liaam.training import Lamps, TrainingOptions
 from liaam.training.entries import read_entries
 from liaam.training.faces import face_lamps
+from liaam.training.lamps.bank import carried
+from liaam.training.lamps.copies import close_up, mirrored
+from liaam.training.lamps.learning import unit_shape
 from models.face.turning import Portrait
 
 HERE = Path(__file__).parent

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from liaam.fitting import Fitter
-from liaam.lamps import Lamps
-from liaam.lamps.bank import carried
-from liaam.lamps.learning import unit_shape
 from liaam.model import load_model
 from liaam.model.shape import align
 from liaam.photometry import CameraModel
 from liaam.training.entries import Entry
+from liaam.training.lamps import Lamps
+from liaam.training.lamps.bank import carried
+from liaam.training.lamps.learning import unit_shape
 from liaam.training.reliability import OPTIONS
 
 FOLDER = Path(__file__).with_name("faces")

@@ -9,8 +9,8 @@ import pytest
 from safetensors.numpy import save
 
 from liaam.errors import LiaamError
-from liaam.lamps import Lamps, load_lamps
-from liaam.lamps.bank import SIDE
+from liaam.model.light_basis import SIDE
+from liaam.training.lamps import Lamps, load_lamps
 
 MEAN = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, 0.5]])
 HEADER = {"format": "liaam-lamps", "schema": 1, "names": ["left"]}
@@ -121,7 +121,7 @@ def test_what_contradicts_itself_is_refused(tmp_path, changes):
 
 @pytest.mark.parametrize(("n", "taken"), [(2, True), (3, False)])
 def test_the_number_of_lamps_is_limited(tmp_path, monkeypatch, n, taken):
-    monkeypatch.setattr("liaam.lamps.bank.MOST", 2)
+    monkeypatch.setattr("liaam.training.lamps.bank.MOST", 2)
     path = write(tmp_path, {**HEADER, "names": ["a"] * n}, fields=fields(n))
     if taken:
         assert len(load_lamps(path)) == n

@@ -9,11 +9,11 @@ import numpy as np
 from liaam.datasets import Sample
 from liaam.error_measures import point_error
 from liaam.errors import TrainingError
-from liaam.lamps.bank import DARK, Lamps, anchors, as_srgb, square
 from liaam.model.shape import diagonal_of, procrustes_mean
 from liaam.photometry import Response
 from liaam.photometry.encoding import as_colour
 from liaam.progress import Progress
+from liaam.training.lamps.bank import DARK, Lamps, anchors, as_srgb, square
 
 # Standard deviation of the blur of a ratio of two images, as a fraction of the object's diagonal. It keeps the light,
 # and removes fine texture and the effect of small movements.

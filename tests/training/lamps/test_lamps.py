@@ -12,14 +12,15 @@ from liaam.error_measures import point_error, root_mean_square
 from liaam.errors import LiaamError, ModelFileError, TrainingError
 from liaam.fitting import Fitter
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.lamps import Copies, Lamps, learn_lamps, load_lamps
-from liaam.lamps.bank import FADED, GAMMA, SHARP, SIDE, _away_from, as_srgb
-from liaam.lamps.copies import mirrored
 from liaam.model import load_model
+from liaam.model.light_basis import SIDE
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import from_linear, srgb_to_linear
 from liaam.relighting import Relighter
 from liaam.training import left_out, train
+from liaam.training.lamps import Copies, Lamps, learn_lamps, load_lamps
+from liaam.training.lamps.bank import FADED, GAMMA, SHARP, _away_from, as_srgb
+from liaam.training.lamps.copies import mirrored
 from scenes import DIFFUSE, Head, Pose, lateral, make_set, random_expression, random_pose, render
 from setups import disturb
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from liaam.lamps.bank import Lamps
 from liaam.model.sampling import corners_around
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response
+from liaam.training.lamps.bank import Lamps
 
 AROUND = 0.5  # Margin of a crop, as a fraction of the object's diagonal
 FINER = 2.0  # An image is averaged down if it exceeds the required resolution by more than this factor

@@ -18,18 +18,15 @@ from liaam.errors import LiaamError, TrainingError
 from liaam.io import write_bytes_atomically
 from liaam.io.files import count_of, json_object
 from liaam.model.file import LAMPS_FORMAT, MAX_LOG_LIGHT
+from liaam.model.light_basis import HALF, SIDE, LightBasis, in_field, sample_field
 from liaam.model.rounding import rounded
 from liaam.model.shape import align
 from liaam.model.tensors import Shapes, read_tensors
-from liaam.model.views import SIDE, LightBasis
 from liaam.photometry import Response, is_grey
 from liaam.photometry.encoding import stored_values
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linear, to_linear
 
-# Half the side of a field's square, in diagonals of the mean shape. The square includes the background that a search
-# covers.
-HALF = 0.9
 DARK = 4.0 / 255.0  # Added to stored values before the logarithm, to suppress rounding and noise in dark pixels
 GAMMA = 2.2  # Change of the logarithm of light with that of stored sRGB values, on average
 # Distances from the mean shape up to which a light basis is sharp, and at which it has faded out; and the standard
@@ -224,16 +221,6 @@ def _to_mean(mean: np.ndarray, points: np.ndarray, at: np.ndarray) -> np.ndarray
     found = LinearNDInterpolator(there, rest)(at)
     outside = align(mean, points).inverse()(at.reshape(-1, 2)).reshape(at.shape)
     return np.where(np.isfinite(found), found, outside)
-
-
-def in_field(points: np.ndarray) -> np.ndarray:
-    """Convert coordinates of the mean shape (..., 2) to pixels of a field, float32."""
-    return ((points + HALF) * ((SIDE - 1) / (2 * HALF))).astype(np.float32)
-
-
-def sample_field(field: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Interpolate a field (height, width, ...) float32 at its pixels ``at`` (h, w, 2) float32; constant beyond it."""
-    return cv2.remap(field, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def square() -> np.ndarray:
