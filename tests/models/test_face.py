@@ -22,7 +22,7 @@ from liaam.morphometry.schemes import in_scheme
 from liaam.relighting import Relighter
 
 ROOT = Path(__file__).resolve().parents[2]
-MADE_BY = ROOT / "models/face"
+MADE_BY = ROOT / "making/face"
 FACE_PICTURE = ROOT / "src/liaam/datasets/pictures/face/lisa.jpg"
 
 EIGHT = {

@@ -1,7 +1,7 @@
 """Lamps for faces: a bank learnt from generated heads, for training images whose objects turn out to be faces.
 
 A model of the generated heads is fitted to some of the training images. If the fits agree on where a face lies among
-the landmarks, whatever these are, the bank is carried there. ``docs/figures/make_face_lamps.py`` makes both files.
+the landmarks, whatever these are, the bank is carried there. ``making/face_lamps.py`` makes both files.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Make the generated heads that come with liaam: ``python -m docs.figures.make_generated_heads``, from the root.
+"""Make the generated heads that come with liaam: ``python -m making.generated_heads``, from the root.
 
 Heads under soft light, with landmarks, train the model. The same heads under hard light, with other poses and
 expressions, are shown. Their pose and light were chosen among eight per head: with a model of 18 pictures, the search

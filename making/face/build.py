@@ -1,4 +1,4 @@
-"""Make the face model that comes with liaam: ``python -m models.face.build FACES-CC``, from the checkout's root.
+"""Make the face model that comes with liaam: ``python -m making.face.build FACES-CC``, from the checkout's root.
 
 FACES-CC is a folder with the pictures and WebMorph templates of ``london/``, ``canada/`` and ``composite/``, and the
 pictures of ``smiling/``; LICENSE-DATA says where they are from. ``points.json`` beside this script chooses and names
@@ -29,7 +29,7 @@ from liaam.training.faces import face_lamps
 from liaam.training.lamps.bank import carried
 from liaam.training.lamps.copies import close_up, mirrored
 from liaam.training.lamps.learning import unit_shape
-from models.face.turning import Portrait
+from making.face.turning import Portrait
 
 HERE = Path(__file__).parent
 MODEL = HERE.parents[1] / "src/liaam/models/face.liaam"

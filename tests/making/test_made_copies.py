@@ -6,8 +6,8 @@ import pytest
 
 import liaam
 from liaam.datasets import load_face
-from models.face.build import other_side, with_modes
-from models.face.turning import Portrait
+from making.face.build import other_side, with_modes
+from making.face.turning import Portrait
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Make the lamps for faces: ``python -m docs.figures.make_face_lamps``, from the checkout's root. Takes a minute.
+"""Make the lamps for faces: ``python -m making.face_lamps``, from the checkout's root. Takes a minute.
 
 Lamps from the front to the far side, of daylight to tungsten, are learnt from generated heads. A small model of other
 generated heads under these lamps finds where a face lies among the landmarks of training images.

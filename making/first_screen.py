@@ -1,4 +1,4 @@
-"""Make the face of the studio's first screen: ``python -m docs.figures.make_first_screen 45cm.jpg``, for minutes.
+"""Make the face of the studio's first screen: ``python -m making.first_screen 45cm.jpg``, for minutes.
 
 The photograph is ``zoom/45cm.jpg`` of webmorphR.stim (CC0). Its shading is removed. A generated head under one lamp
 after the other, which casts shadows, is warped to it, and the light of all lamps is reduced to a few layers. The page
