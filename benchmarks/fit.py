@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks import iteration
 from benchmarks.metrics import in_turn, report
-from liaam.evaluation import point_error
+from liaam.error_measures import point_error
 from liaam.fitting import Fitter
 from liaam.io import write_image
 from liaam.model import AAM
@@ -110,7 +110,7 @@ def measure_growth() -> None:
 
 def iteration_of(fitter: Fitter, objective, image: np.ndarray, shape: np.ndarray) -> Callable[[], object]:
     """Return ten evaluations at the finest level, each with the Hessian and the gradient."""
-    from liaam.fitting.level_image import LevelImage
+    from liaam.fitting.loop.level_image import LevelImage
     from liaam.model.shape import align
 
     pose = align(objective.warp.rest, shape)

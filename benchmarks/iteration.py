@@ -2,7 +2,7 @@
 
 One iteration has 10,000 model pixels, 24 shape parameters (20 modes and 4 similarity vectors), 20 appearance modes and
 one thread. It is the work of a level's compiled loop from one accepted state to the next: the difference of
-:meth:`liaam.fitting.objective.Objective.solve` over eleven iterations and over one. The reference is J'J with J
+:meth:`liaam.fitting.loop.objective.Objective.solve` over eleven iterations and over one. The reference is J'J with J
 10,000 x 24 and A'J with A 10,000 x 20 in float32, by ``numpy.matmul``.
 
 All parts are timed in turn, many times, so that other load on the machine affects all equally.
@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.metrics import in_turn, quartiles, report
 from liaam.fitting import METHODS, SolverOptions, get_method
-from liaam.fitting.level_image import LevelImage
-from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.model import AAM, MESH, VIEWS, Level, View
 from liaam.model.appearance import AppearanceModel
 from liaam.model.mesh import ReferenceFrame, delaunay, signed_areas

@@ -25,8 +25,8 @@ from benchmarks.track import data_folder
 from experiments.lights import dapples, hard_light
 from liaam.datasets import Dataset, load_folder
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.level_image import LevelImage
-from liaam.fitting.objective import Objective
+from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.objective import Objective
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker

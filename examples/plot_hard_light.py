@@ -14,8 +14,8 @@ import numpy as np
 import liaam
 from liaam.datasets import Sample
 from liaam.io import Landmarks
-from liaam.lamps import learn_lamps
 from liaam.plotting import figure_of_lamps
+from liaam.training import learn_lamps
 from scenes import DIFFUSE, Head, Pose, lateral, make_set, render
 
 SIZE = (200, 150)

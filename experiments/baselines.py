@@ -28,7 +28,7 @@ from experiments.subjects import (
     subject_facts,
 )
 from liaam.datasets import Sample
-from liaam.evaluation import error_statistics, point_error
+from liaam.error_measures import error_statistics, point_error
 from liaam.fitting import Fitter
 from liaam.io import Landmarks
 from liaam.photometry import CameraModel

@@ -33,7 +33,7 @@ from experiments.runner import Experiment, Row
 from experiments.solvers import Request
 from experiments.spot import group_persons
 from experiments.subjects import data_facts
-from liaam.evaluation import nme, point_error
+from liaam.error_measures import nme, point_error
 from liaam.model.shape import rotation
 
 if TYPE_CHECKING:

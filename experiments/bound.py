@@ -13,8 +13,9 @@ from experiments.runner import Experiment, Row, Trial
 from experiments.simulated import Curves, make_case, sharp_model, table_of_curves
 from experiments.solvers import Request
 from experiments.subjects import get_subject, subject_facts
-from liaam.evaluation import finite_or_none, root_mean_square
+from liaam.error_measures import root_mean_square
 from liaam.fitting import Method
+from liaam.formatting import finite_or_none
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,8 +15,8 @@ from experiments.measures import or_dash
 from experiments.runner import Experiment, Row, Trial
 from liaam.calibration import AngleEstimate, theta_from_chart, theta_from_image, theta_from_scene
 from liaam.calibration.estimate import axis_difference
+from liaam.error_measures import root_mean_square
 from liaam.errors import LiaamError
-from liaam.evaluation import root_mean_square
 from liaam.photometry.encoding import DARK, SATURATED
 from liaam.photometry.invariant import CHROMATICITY
 from liaam.photometry.response import to_linear

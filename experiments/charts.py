@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from liaam.evaluation import cumulative_errors
+from liaam.error_measures import cumulative_errors
 from liaam.plotting.figures import LINE_WIDTH, subplots
 
 if TYPE_CHECKING:

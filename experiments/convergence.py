@@ -18,7 +18,7 @@ from experiments.protocol import STARTS, TRAINED, Split
 from experiments.runner import Experiment, Row, Trial
 from experiments.solvers import MAX_ITERATIONS, Request
 from experiments.subjects import get_subject, head_scenes, subject_facts
-from liaam.evaluation import error_statistics, point_error
+from liaam.error_measures import error_statistics, point_error
 from liaam.fitting import FitResult, Fitter
 from liaam.photometry import THETA_DEFAULT
 

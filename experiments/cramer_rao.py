@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.evaluation import short_repr
-from liaam.fitting.level_image import LevelImage
+from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.objective import Objective, make_objectives
 from liaam.fitting.methods import Method, get_method
-from liaam.fitting.objective import Objective, make_objectives
+from liaam.formatting import short_repr
 from liaam.model import AAM
 from liaam.model.mesh import signed_areas
 from liaam.model.shape import align

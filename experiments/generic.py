@@ -1,9 +1,9 @@
 """Generic models, fitted to unseen objects under the training light and under other lights.
 
-The folders are ``data`` to train on, ``test`` to fit, and ``lamps`` to learn other lights from (:mod:`liaam.lamps`).
-Without ``test``, the first few images train and the others are fitted. In a folder of the spot protocol, one half of
-the persons trains and the other half is fitted, in two folds. The fitted images are then diffuse, spot-lit, or
-diffuse with simulated hard light (:func:`experiments.lights.hard_light`).
+The folders are ``data`` to train on, ``test`` to fit, and ``lamps`` to learn other lights from
+(:mod:`liaam.training.lamps`). Without ``test``, the first few images train and the others are fitted. In a folder of
+the spot protocol, one half of the persons trains and the other half is fitted, in two folds. The fitted images are then
+diffuse, spot-lit, or diffuse with simulated hard light (:func:`experiments.lights.hard_light`).
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,10 @@ from experiments.solvers import Request
 from experiments.spot import find_persons
 from experiments.subjects import data_facts
 from liaam.datasets import Dataset, Sample, load_folder
+from liaam.error_measures import inter_ocular_distance
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_or_none, inter_ocular_distance
 from liaam.fitting import FitStatus
+from liaam.formatting import finite_or_none
 from liaam.photometry import is_grey
 from liaam.plotting import figure_of_pictures
 from liaam.training.train import AUTO
@@ -239,7 +240,7 @@ def request_of_folders(
 @lru_cache(maxsize=1)
 def get_trained(request: GenericRequest, fold: int) -> Trained:
     """Train a fold's model; once per process, because it is slow."""
-    from liaam.lamps import learn_lamps, load_lamps
+    from liaam.training import learn_lamps, load_lamps
 
     training = get_folds(request)[0][fold].training
     source, light = request.lamps, None

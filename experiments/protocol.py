@@ -21,21 +21,12 @@ from experiments.measures import or_dash, percent, roc_area
 from experiments.runner import Experiment, Row, markdown_table
 from experiments.solvers import Request, get_solver, make_fitters
 from liaam.datasets import Sample, load_folder
+from liaam.error_measures import error_statistics, inter_ocular_distance, nme, within_ellipses
 from liaam.errors import LiaamError
-from liaam.evaluation import (
-    Contours,
-    along_and_across,
-    contour_directions,
-    error_statistics,
-    finite_or_none,
-    inter_ocular_distance,
-    nme,
-    outline_errors,
-    within_ellipses,
-    within_intervals,
-)
 from liaam.fitting import FitResult, Fitter
+from liaam.formatting import finite_or_none
 from liaam.model import AAM
+from liaam.model.contours import Contours, along_and_across, contour_directions, outline_errors, within_intervals
 from liaam.model.shape import diagonal_of, rotation
 from liaam.photometry import is_grey
 from liaam.photometry.encoding import as_colour

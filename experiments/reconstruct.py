@@ -18,8 +18,8 @@ from experiments.protocol import Split
 from experiments.runner import Experiment, Row, Trial, markdown_table
 from experiments.solvers import Request, get_solver, make_fitters
 from experiments.subjects import SCENE_HEAD, get_subject, subject_facts
+from liaam.error_measures import error_statistics, point_error, root_mean_square
 from liaam.errors import MethodError
-from liaam.evaluation import error_statistics, point_error, root_mean_square
 from liaam.fitting import FitResult, Fitter, get_method
 from liaam.model import AAM
 from liaam.photometry import CameraModel

@@ -26,7 +26,7 @@ from experiments.protocol import Header, Table, eight_bit, face_size, tell
 from experiments.relit import GRAIN, mesh_mask
 from experiments.runner import Experiment, Named, Row
 from liaam.errors import LiaamError
-from liaam.evaluation import finite_or_none
+from liaam.formatting import finite_or_none
 from liaam.photometry.response import srgb_to_linear
 from liaam.relighting import Relighter
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.reconstruct import EXPOSURE
-from liaam.evaluation import root_mean_square
+from liaam.error_measures import root_mean_square
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import CameraModel

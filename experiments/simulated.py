@@ -28,16 +28,10 @@ from experiments.subjects import (
     simulated_shadow,
     subject_facts,
 )
+from liaam.error_measures import angle_difference, error_statistics, point_error, rms_error, root_mean_square
 from liaam.errors import LiaamError
-from liaam.evaluation import (
-    angle_difference,
-    error_statistics,
-    finite_or_none,
-    point_error,
-    rms_error,
-    root_mean_square,
-)
 from liaam.fitting import FitResult, Fitter, get_method
+from liaam.formatting import finite_or_none
 from liaam.model import AAM
 from liaam.photometry import CameraModel, encode, invariant, temperature_direction
 from liaam.plotting import figure_of_pictures

@@ -19,8 +19,8 @@ from experiments.runner import Experiment, Row
 from experiments.solvers import Request
 from experiments.subjects import data_facts
 from liaam.datasets import Sample, load_folder
+from liaam.error_measures import inter_ocular_distance
 from liaam.errors import LiaamError
-from liaam.evaluation import inter_ocular_distance
 from liaam.fitting import Fitter
 from liaam.photometry import is_grey
 

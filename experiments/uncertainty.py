@@ -36,9 +36,10 @@ from experiments.runner import Experiment, Named, Row
 from experiments.solvers import Request, get_solver
 from experiments.spot import facts_of, find_persons
 from liaam.datasets import Sample
-from liaam.evaluation import finite_or_none, nme
+from liaam.error_measures import nme
 from liaam.fitting import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD
+from liaam.formatting import finite_or_none
 from liaam.model import AAM
 from liaam.model.shape import rotation, shifted_into
 

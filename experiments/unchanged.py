@@ -20,7 +20,7 @@ from experiments.protocol import (
 from experiments.runner import Experiment, Row
 from experiments.solvers import Request
 from experiments.spot import facts_of, find_persons
-from liaam.evaluation import inter_ocular_distance
+from liaam.error_measures import inter_ocular_distance
 
 
 def fit_person(request: Request, person: Split) -> list[Row]:

@@ -59,7 +59,7 @@ def make_lamps(rng: Random) -> bytes:
 
 def check_lamps(data: bytes) -> None:
     """Load lamps. If accepted, relighting an image must work."""
-    from liaam.lamps import load_lamps
+    from liaam.training import load_lamps
 
     path = Path("x.lamps")
     path.write_bytes(data)
@@ -98,7 +98,7 @@ def make_start(rng: Random) -> tuple[str, bytes]:
 
 def check_start(given: tuple[str, bytes]) -> None:
     """Read a start as the command line does."""
-    from liaam.fitting.starts import check_start, read_start
+    from liaam.fitting.search.starts import check_start, read_start
 
     text, data = given
     for path in Path().glob("start.*"):

@@ -77,8 +77,8 @@ def _of_unit_length(appearance: Any) -> Any:
 
 
 def _light_basis(model: Any) -> Any:
+    from liaam.model.light_basis import SIDE, LightBasis
     from liaam.model.shape import diagonal_of
-    from liaam.model.views import SIDE, LightBasis
 
     mean = model.shape_model.mean - 0.5 * (model.shape_model.mean.min(axis=0) + model.shape_model.mean.max(axis=0))
     across = np.linspace(-1.0, 1.0, SIDE, dtype=np.float32)

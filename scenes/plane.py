@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from scenes.camera import Camera, matrices_at
 from scenes.light import Radiator, check_kelvin
 

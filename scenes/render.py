@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from scenes import body as figure, light as lighting
 from scenes.body import Body, build_body
 from scenes.camera import Camera, matrices_at

@@ -28,9 +28,8 @@ from experiments import cli as experiments_cli
 from liaam.cli.main import main as liaam_main
 from liaam.datasets import Sample
 from liaam.io import Landmarks, video_writer
-from liaam.lamps import Lamps, learn_lamps
 from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import train
+from liaam.training import Lamps, learn_lamps, train
 from scenes import (
     DIFFUSE,
     Head,

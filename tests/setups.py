@@ -12,9 +12,9 @@ import pytest
 
 from liaam import _core
 from liaam.fitting import get_method
-from liaam.fitting.level_image import LevelImage
-from liaam.fitting.objective import Objective, make_objectives
-from liaam.fitting.reference import Problem
+from liaam.fitting.loop.level_image import LevelImage
+from liaam.fitting.loop.objective import Objective, make_objectives
+from liaam.fitting.reference.problem import Problem
 from liaam.io import write_image, write_landmarks
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of

@@ -21,16 +21,17 @@ import liaam
 from liaam import FitResult
 from liaam.cli.main import app
 from liaam.datasets import label_faults
-from liaam.fitting import reference_loop, search
+from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.fitting.search import finder
 from liaam.io import video_writer
 from liaam.io.images import VIDEO_SUFFIXES
-from liaam.lamps.bank import DARK, Lamps
 from liaam.model.views import VIEWS
 from liaam.relighting import Lamp, Relighter
 from liaam.relighting.lamp import STRONGEST
 from liaam.relighting.relighter import LONGEST
 from liaam.tracking.files import arrays_of
 from liaam.training import options
+from liaam.training.lamps.bank import DARK, Lamps
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -208,7 +209,7 @@ def test_data_types_refer_to_names_that_readers_can_look_up():
 
 def test_values_in_docstrings_are_those_of_the_code():
     blurs = " and ".join(f"{blurs} for the view ``{view}``" for view, blurs in options.BLURS.items())
-    early = [reference_loop.THRESHOLDS[f"EARLY_{name}"] for name in ("EXPECTED", "EXPECTED_STEPS", "OWN", "OWN_STEPS")]
+    early = [THRESHOLDS[f"EARLY_{name}"] for name in ("EXPECTED", "EXPECTED_STEPS", "OWN", "OWN_STEPS")]
     expected, first, own, more = early
     for kind, text in (
         (liaam.TrainingOptions, f"at most {options.KEPT} for the view"),
@@ -216,10 +217,10 @@ def test_values_in_docstrings_are_those_of_the_code():
         (liaam.TrainingOptions, f"Default: {options.COPIES}, or 0"),
         (liaam.SolverOptions, f"{expected} in the first {first} steps"),
         (liaam.SolverOptions, f"{own} in the first {more}"),
-        (liaam.SolverOptions, f"up to {reference_loop.THRESHOLDS['SCORING_STEPS']} such steps"),
-        (liaam.find, f"up to {search.MOST}."),
-        (liaam.find, f"such as {search.DOUBTFUL}."),
-        (liaam.Detection.doubtful, f"below {search.DOUBTFUL}."),
+        (liaam.SolverOptions, f"up to {THRESHOLDS['SCORING_STEPS']} such steps"),
+        (liaam.find, f"up to {finder.MOST}."),
+        (liaam.find, f"such as {finder.DOUBTFUL}."),
+        (liaam.Detection.doubtful, f"below {finder.DOUBTFUL}."),
         (liaam.find_label_faults, f"fewer than {label_faults.LEAST_PICTURES} images"),
         (Lamp, f"0 to {STRONGEST:g}."),
         (Relighter.under, f"up to a factor {LONGEST}"),

@@ -8,7 +8,7 @@ import pytest
 
 from liaam.io import read_collection
 
-FOLDER = Path(__file__).parents[1] / "models" / "face"
+FOLDER = Path(__file__).parents[1] / "making" / "face"
 POINTS = json.loads((FOLDER / "points.json").read_text(encoding="utf-8"))
 NAMES = [point["name"] for point in POINTS["points"]]
 

@@ -17,23 +17,44 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "liaam"
 LAYERS = (
     ("__main__",),
     ("cli", "studio"),
-    ("accuracy", "demo", "batch", "morphometry", "tracking"),
+    ("batch", "demo", "evaluation", "morphometry", "tracking"),
     ("plotting",),
     ("calibration",),
     ("registration", "relighting"),
     ("training",),
     ("fitting",),
-    ("datasets", "lamps"),
+    ("datasets", "drawing"),
     ("model",),
     ("photometry",),
     ("io",),
-    ("drawing", "evaluation", "models", "progress", "tables", "workers"),
-    ("_core", "reference"),
+    ("error_measures", "models", "progress", "tables", "workers"),
+    ("_core", "formatting", "image_reference"),
     ("errors",),
 )
 """Packages and modules of liaam from high to low. Those of one row do not import each other in a circle."""
 
-RANK = {unit: len(LAYERS) - i for i, row in enumerate(LAYERS) for unit in row}
+FITTING_LAYERS = (
+    ("many", "single", "solution"),
+    ("fitter",),
+    ("search",),
+    ("prepared",),
+    ("quality",),
+    ("result",),
+    ("loop",),
+    ("reference",),
+    ("detection", "landmarkers", "methods"),
+)
+"""The same for ``fitting``: its modules and the packages in it."""
+
+
+def ranks(layers: tuple[tuple[str, ...], ...]) -> dict[str, int]:
+    """Return the height of each unit, the lowest layer 1."""
+    return {unit: len(layers) - i for i, row in enumerate(layers) for unit in row}
+
+
+RANK = ranks(LAYERS)
+
+FITTING_RANK = ranks(FITTING_LAYERS)
 
 
 def module_of(path: Path) -> str:
@@ -76,9 +97,10 @@ def unit_of(module: str) -> str:
 UNITS = sorted(module for module in FILES if module != "liaam")
 
 
-def test_the_map_for_contributors_is_this_one():
+@pytest.mark.parametrize("layers", [LAYERS, FITTING_LAYERS], ids=["liaam", "fitting"])
+def test_the_map_for_contributors_is_this_one(layers):
     text = (SOURCE.parents[1] / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    assert "```\n" + "\n".join(map(", ".join, LAYERS)) + "\n```" in text
+    assert "```\n" + "\n".join(map(", ".join, layers)) + "\n```" in text
 
 
 def test_every_unit_has_a_layer():
@@ -93,6 +115,28 @@ def test_imports_run_downwards():
         if name != "liaam" and RANK[unit_of(name)] > RANK[unit_of(module)]
     ]
     assert not upward, "\n".join(upward)
+
+
+def fitting_unit_of(module: str) -> str:
+    return module.split(".")[2]
+
+
+FITTING = [module for module in UNITS if module.startswith("liaam.fitting.")]
+
+
+def test_every_unit_of_fitting_has_a_layer():
+    assert {fitting_unit_of(module) for module in FITTING} == set(FITTING_RANK)
+
+
+def test_imports_run_downwards_in_fitting():
+    upward = [
+        f"{module} imports {name} from above"
+        for module in FITTING
+        for name in imports(module).intersection(FITTING)
+        if FITTING_RANK[fitting_unit_of(name)] > FITTING_RANK[fitting_unit_of(module)]
+    ]
+    assert not upward, "\n".join(upward)
+    assert not any("liaam.fitting" in imports(module) for module in FITTING)
 
 
 def test_no_module_imports_itself_through_others():

@@ -8,7 +8,7 @@ import pytest
 from finite_differences import assert_jacobian
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, get_method
-from liaam.fitting.level_image import LevelImage
+from liaam.fitting.loop.level_image import LevelImage
 from liaam.io import read_image
 from liaam.model.shape import align
 from liaam.model.warp import apply_homography

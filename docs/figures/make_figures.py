@@ -20,10 +20,10 @@ from liaam.calibration import theta_from_scene
 from liaam.datasets import Sample
 from liaam.demo import run_demo
 from liaam.io import Landmarks
-from liaam.lamps import learn_lamps
 from liaam.photometry import CameraModel, invariant_image
 from liaam.plotting import figure_of_lamps, save_figure
 from liaam.plotting.photometry import figure_of_invariants
+from liaam.training import learn_lamps
 from scenes import (
     DIFFUSE,
     Camera,

@@ -1,4 +1,4 @@
-// Bindings of the loops over images: liaam.reference has the same functions in NumPy.
+// Bindings of the loops over images: liaam.image_reference has the same functions in NumPy.
 #include "binding.hpp"
 #include "elementary.hpp"
 #include "encoding.hpp"

@@ -1,4 +1,4 @@
-// Bindings of single functions, which tests compare with liaam.fitting.reference.
+// Bindings of single functions, which tests compare with liaam.fitting.reference.problem.
 #include <cmath>
 
 #include "angles.hpp"

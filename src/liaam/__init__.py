@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # with "as", so that type checkers take them as public
     from liaam import (
-        accuracy as accuracy,
         batch as batch,
         calibration as calibration,
         datasets as datasets,
@@ -18,7 +17,6 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         evaluation as evaluation,
         fitting as fitting,
         io as io,
-        lamps as lamps,
         model as model,
         morphometry as morphometry,
         photometry as photometry,
@@ -28,11 +26,11 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
         tracking as tracking,
         training as training,
     )
-    from liaam.accuracy import Evaluation, cross_validate, evaluate
     from liaam.calibration import theta_from_chart, theta_from_scene
     from liaam.datasets import Dataset, Sample, load_folder
     from liaam.datasets.label_faults import LabelFault, find_label_faults
     from liaam.errors import LiaamError
+    from liaam.evaluation import Evaluation, cross_validate, evaluate
     from liaam.fitting import (
         METHODS,
         Detection,
@@ -59,19 +57,17 @@ if TYPE_CHECKING:  # with "as", so that type checkers take them as public
 __version__ = "0.1.0"
 
 _HOMES = {
-    "accuracy": ("Evaluation", "cross_validate", "evaluate"),
     "batch": (),
     "calibration": ("theta_from_chart", "theta_from_scene"),
     "datasets": ("Dataset", "Sample", "load_folder"),
     "datasets.label_faults": ("LabelFault", "find_label_faults"),
     "errors": ("LiaamError",),
-    "evaluation": (),
+    "evaluation": ("Evaluation", "cross_validate", "evaluate"),
     "fitting": (
         *("METHODS", "Detection", "FitResult", "FitStatus", "Fitter", "Method", "SolverOptions"),
         *("find", "fit", "fit_all", "fit_many"),
     ),
     "io": ("Landmarks", "read_image", "read_landmarks", "write_image", "write_landmarks"),
-    "lamps": (),
     "model": ("AAM", "load_model"),
     "morphometry": ("Specimen", "measure", "read_specimens"),
     "photometry": ("CameraModel", "invariant_image", "load_camera"),

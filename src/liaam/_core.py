@@ -61,7 +61,7 @@ if _module is None:
             stacklevel=2,
         )
     INSTRUCTION_SET = NUMPY
-    _module = importlib.import_module("liaam.reference")
+    _module = importlib.import_module("liaam.image_reference")
 
 
 def _warn_if_stale(digest: str) -> None:

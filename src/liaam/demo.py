@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.datasets import load_heads
-from liaam.evaluation import point_error
+from liaam.error_measures import point_error
 from liaam.fitting import Fitter
 from liaam.io import make_folder
 from liaam.model.shape import align, rotation

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from liaam.evaluation import Contours
+from liaam.model.contours import Contours
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,20 +10,20 @@ import cv2
 import numpy as np
 
 from liaam.errors import ImageError, MethodError
-from liaam.evaluation import finite_list
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.level_image import slope_left
-from liaam.fitting.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
-from liaam.fitting.objective import Objective
-from liaam.fitting.picture import load_picture
-from liaam.fitting.solver import scored
-from liaam.fitting.uncertainty import covariance
+from liaam.fitting.loop.level_image import slope_left
+from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
+from liaam.fitting.loop.objective import Objective
+from liaam.fitting.loop.options import scored
+from liaam.fitting.quality.uncertainty import covariance
+from liaam.formatting import finite_list
 from liaam.model.appearance import AppearanceModel
 from liaam.model.sampling import make_patch
 from liaam.model.shape import Similarity
 from liaam.model.warp import GROUPS, HomographyWarp, apply_homography, picture_corners
 from liaam.photometry import LUMINANCE, THETA_DEFAULT, Response, noise_deviation
 from liaam.photometry.encoding import refuse_grey, value_luminance
+from liaam.photometry.picture import load_picture
 
 __all__ = [
     "Registration",

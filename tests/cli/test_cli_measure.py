@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from liaam.fitting.files import write_fit
 from liaam.io import Landmarks, write_collection
+from liaam.io.fit_files import write_fit
 
 POINTS = np.array([[1.0, 2], [11, 2], [11, 22], [1, 22]])
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.cli import video as cli_video
-from liaam.evaluation import ranges_of
+from liaam.formatting import ranges_of
 from liaam.io import VideoReader, video_writer, write_image, write_landmarks
 from liaam.tracking import Tracker
 

@@ -20,7 +20,7 @@ import pytest
 
 from liaam import _core
 from liaam.fitting import METHODS, Fitter, SolverOptions, get_method
-from liaam.fitting.levels import FittedLevel, Levels, solve_levels
+from liaam.fitting.loop.levels import FittedLevel, Levels, solve_levels
 from liaam.photometry.encoding import value_luminance
 from setups import disturb, finest_objective, make_level, model_pixels, stands_light, without_core
 
@@ -245,7 +245,7 @@ def test_a_state_of_another_size_is_refused(model, lit_scene):
 def test_large_images_of_floats_are_fitted_level_by_level(model, lit_scene, monkeypatch):
     start = disturb(lit_scene.landmarks)
     whole = Fitter(model, "li").fit(lit_scene.image, start)
-    monkeypatch.setattr("liaam.fitting.levels.LARGEST_FLOATS", 10)
+    monkeypatch.setattr("liaam.fitting.loop.levels.LARGEST_FLOATS", 10)
     fitter = Fitter(model, "li")
     assert not fitter.levels.can_take(fitter.target(lit_scene.image, start)[0], SolverOptions())
     again = Fitter(model, "li").fit(lit_scene.image, start)

@@ -6,7 +6,7 @@ from hypothesis import given, strategies as st
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter
 
-from liaam import _core, reference
+from liaam import _core, image_reference
 
 HEIGHT, WIDTH = 13, 17
 LIGHT = np.linspace(0, 1, 256, dtype=np.float32) ** 2
@@ -17,7 +17,9 @@ TABLE[:, :20, 3] = TABLE[:, 241:, 3] = 0.0
 seeds = st.integers(0, 999)
 
 
-@pytest.fixture(scope="module", params=[_core, reference] if _core.BUILT else [reference], ids=lambda m: m.__name__)
+@pytest.fixture(
+    scope="module", params=[_core, image_reference] if _core.BUILT else [image_reference], ids=lambda m: m.__name__
+)
 def module(request):
     return request.param
 
@@ -111,7 +113,7 @@ def test_both_encode_alike(encoding, blur, kind, size, seed):
     finite = rng.choice([1.0, 0.2], size).astype(np.float32) if kind == "not finite" else None
     turn = (np.cos(0.3), -np.sin(0.3), np.sin(0.3), np.cos(0.3))
     arguments = light, finite, kind == "grey", encoding, 1e-3, blur, turn, 0.8
-    found, expected = (each.encode(*arguments) for each in (_core, reference))
+    found, expected = (each.encode(*arguments) for each in (_core, image_reference))
     # Directions of flat places are those of rounding errors.
     np.testing.assert_allclose(found, expected, atol=2e-3 if encoding == 2 else 2e-4)
     np.testing.assert_array_equal(found[..., -1], expected[..., -1])
@@ -127,7 +129,7 @@ def test_elementary_functions_are_good_to_two_units_in_the_last_place(seed):
     np.testing.assert_allclose(_core.exp(numbers), np.exp(numbers.astype(np.float64)), rtol=2.5e-7)
     np.testing.assert_allclose(_core.log(positive), np.log(positive.astype(np.float64)), rtol=2.5e-7, atol=1e-7)
     linear = np.abs(np.sin(numbers))
-    np.testing.assert_allclose(_core.srgb(linear), reference.srgb(linear.astype(np.float64)), atol=1e-6)
+    np.testing.assert_allclose(_core.srgb(linear), image_reference.srgb(linear.astype(np.float64)), atol=1e-6)
 
 
 def test_exponentials_of_anything_are_defined():
@@ -145,7 +147,7 @@ def test_channels_are_sampled_bilinearly(module, n, depth, seed):
     points = rng.uniform(-1.0, 7.0, (n, 2))
     points[: n // 4] = rng.choice([np.nan, np.inf, -1e300, 1e300, 2.0], (n // 4, 2))
     values, usable = module.sample_channels(channels, points)
-    expected, _, weights = reference.sample(channels, points)
+    expected, _, weights = image_reference.sample(channels, points)
     np.testing.assert_allclose(values, expected[:, :-1], atol=1e-6)
     np.testing.assert_array_equal(usable, weights)
 
@@ -255,7 +257,7 @@ def test_recursive_filters_are_alike(size, depth, seed):
     across, down = rng.random((height, width - 1), np.float32), rng.random((height - 1, width), np.float32)
     found, expected = layers.copy(), layers.copy()
     _core.filter_rows_and_columns(found, across, down)
-    reference.filter_rows_and_columns(expected, across, down)
+    image_reference.filter_rows_and_columns(expected, across, down)
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

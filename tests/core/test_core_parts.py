@@ -10,10 +10,11 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
 from liaam import _core
-from liaam.fitting import METHODS, reference, reference_loop
-from liaam.fitting.angles import SEARCH, _minimise_on_arc
+from liaam.fitting import METHODS
+from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc
 from liaam.fitting.methods import LOSSES, gaussian_median
-from liaam.fitting.thresholds import THRESHOLDS
+from liaam.fitting.reference import loop as reference_loop, problem as reference
+from liaam.fitting.reference.thresholds import THRESHOLDS
 
 ROOT = Path(__file__).resolve().parents[2]
 seeds, dampings = st.integers(0, 999), st.sampled_from([0.0, 1e-3, 1.0, 1e4])

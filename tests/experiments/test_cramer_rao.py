@@ -9,8 +9,8 @@ from experiments.cramer_rao import cramer_rao_bound
 from experiments.simulated import make_case
 from experiments.solvers import PAPER
 from experiments.subjects import PAPER_THETA, Subject, get_subject
+from liaam.error_measures import rms_error
 from liaam.errors import MethodError
-from liaam.evaluation import rms_error
 from liaam.fitting import Fitter, Method, SolverOptions, get_method
 from liaam.model import AAM
 from liaam.photometry import CameraModel

@@ -8,7 +8,7 @@ import pytest
 from experiments import cli, uncertainty
 from experiments.measures import roc_area
 from experiments.runner import run_experiment
-from liaam.evaluation import within_ellipses
+from liaam.error_measures import within_ellipses
 
 pytestmark = pytest.mark.slow
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from liaam.fitting import SolverOptions
-from liaam.fitting.angles import SEARCH, _minimise_on_arc, best_image_angle
+from liaam.fitting.loop.angles import SEARCH, _minimise_on_arc, best_image_angle
 from setups import disturb, finest_objective, make_level
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from liaam.errors import CameraError, ImageError, LiaamError, MethodError, ModelFileError, StartError
-from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, status
-from liaam.fitting.search import find
+from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions
+from liaam.fitting.quality import status
+from liaam.fitting.search.finder import find
 from liaam.fitting.solution import residual_at
 from liaam.photometry import CameraModel
 from liaam.training import train

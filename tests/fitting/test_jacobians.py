@@ -9,7 +9,7 @@ import pytest
 
 from finite_differences import assert_jacobian
 from liaam.fitting import METHODS, get_method
-from liaam.fitting.objective import State
+from liaam.fitting.loop.objective import State
 from setups import ENGINES, disturb, finest_objective, make_level, problem_of
 
 FREE_SOFT = replace(METHODS["soft-li"], name="soft-li with a free angle", free_angles="image")

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from liaam.errors import StartError
-from liaam.fitting import starts as module
-from liaam.fitting.starts import check_start, face_mesh, read_start
+from liaam.fitting import landmarkers as module
+from liaam.fitting.landmarkers import face_mesh
+from liaam.fitting.search.starts import check_start, read_start
 from liaam.io import write_image
 
 SHARES = [(0.25, 0.5), (0.5, 0.5), (0.75, 1.0)]

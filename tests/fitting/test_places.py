@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from liaam.fitting import Detection, FitStatus, Fitter
-from liaam.fitting.other_places import BRIEF
-from liaam.fitting.search import LARGE
+from liaam.fitting.search.finder import LARGE
+from liaam.fitting.search.other_places import BRIEF
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 

@@ -9,7 +9,7 @@ from safetensors.numpy import save_file
 
 from liaam.errors import ModelFileError
 from liaam.fitting import METHODS, Detection, FitStatus, Fitter
-from liaam.fitting.uncertainty import landmark_covariances
+from liaam.fitting.quality.uncertainty import landmark_covariances
 from liaam.model import MESH, SURROUNDINGS, load_model
 from liaam.model.shape import Recipe, Similarity, diagonal_of, shape_model_on
 from liaam.training import train

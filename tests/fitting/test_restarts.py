@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from liaam.fitting import Fitter, SolverOptions, restarts
-from liaam.fitting.levels import is_sane
+from liaam.fitting import Fitter, SolverOptions
+from liaam.fitting.loop.levels import is_sane
 from liaam.fitting.prepared import SLOW
-from liaam.fitting.restarts import APART, fit_again, other_starts
+from liaam.fitting.search import restarts
+from liaam.fitting.search.restarts import APART, fit_again, other_starts
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of
 from liaam.tracking import Tracker

@@ -9,10 +9,10 @@ import pytest
 
 import liaam
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.fitting import Detection, Finder, FitStatus, Fitter, find, responses, search
-from liaam.fitting.levels import LinearImage
-from liaam.fitting.responses import SPECTRA_KEPT, Bank
-from liaam.fitting.search import (
+from liaam.fitting import Detection, Finder, FitStatus, Fitter, find
+from liaam.fitting.loop.levels import LinearImage
+from liaam.fitting.search import finder as search, responses
+from liaam.fitting.search.finder import (
     DOUBTFUL,
     LARGEST,
     LEAST_PIXELS,
@@ -21,7 +21,8 @@ from liaam.fitting.search import (
     STEP,
     search_sizes,
 )
-from liaam.fitting.templates import TEMPLATE, Field, Template
+from liaam.fitting.search.responses import SPECTRA_KEPT, Bank
+from liaam.fitting.search.templates import TEMPLATE, Field, Template
 from liaam.model import AAM, MESH, Level
 from liaam.model.shape import diagonal_of, rotation
 from liaam.workers import one_thread

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
-from liaam.fitting.levels import light_for, prepare_level, solve_levels
+from liaam.fitting.loop.levels import light_for, prepare_level, solve_levels
 from liaam.fitting.solution import residual_at, solution_at
 from liaam.model import MESH, SURROUNDINGS
 from liaam.photometry import linear_to_srgb, srgb_to_linear

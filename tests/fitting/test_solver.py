@@ -8,9 +8,9 @@ import pytest
 
 from liaam.errors import MethodError
 from liaam.fitting import METHODS, FitStatus, Fitter, SolverOptions, get_method
-from liaam.fitting.levels import prepare_level
-from liaam.fitting.objective import Objective, make_objectives
-from liaam.fitting.reference import Problem
+from liaam.fitting.loop.levels import prepare_level
+from liaam.fitting.loop.objective import Objective, make_objectives
+from liaam.fitting.reference.problem import Problem
 from liaam.fitting.solution import residual_at
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import diagonal_of

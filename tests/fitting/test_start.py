@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from liaam.errors import StartError
-from liaam.fitting.starts import region_of, start_shape
+from liaam.fitting.search.starts import region_of, start_shape
 from liaam.io import Landmarks
 from liaam.model.shape import diagonal_of
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from liaam.errors import LandmarkError, StartError
-from liaam.fitting.starts import check_start, read_start, start_file
+from liaam.fitting.search.starts import check_start, read_start, start_file
 from liaam.io import Landmarks, write_landmarks
 
 IMAGE, SIZE = Path("faces/anna.png"), (100, 80)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from liaam.fitting import FitStatus, Fitter, SolverOptions
-from liaam.fitting.levels import LinearImage
-from liaam.fitting.objective import Objective
-from liaam.fitting.status import status_of
+from liaam.fitting.loop.levels import LinearImage
+from liaam.fitting.loop.objective import Objective
+from liaam.fitting.quality.status import status_of
 from liaam.model.shape import align
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from liaam.fitting.templates import TEMPLATE, Grey, make_templates, shrink, soft_directions
+from liaam.fitting.search.templates import TEMPLATE, Grey, make_templates, shrink, soft_directions
 from liaam.training.kept import compact
 from setups import train_on
 

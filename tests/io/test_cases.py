@@ -10,7 +10,7 @@ from liaam import fit, train
 from liaam.datasets import Dataset, load_folder
 from liaam.datasets.label_faults import find_label_faults
 from liaam.errors import LandmarkError, LiaamError
-from liaam.fitting.starts import read_start
+from liaam.fitting.search.starts import read_start
 from liaam.io import Landmarks, read_landmarks, write_landmarks
 from liaam.io.landmarks import FORMATS, Reading
 from liaam.io.landmarks.formats import Format

@@ -20,7 +20,7 @@ from liaam.io.files import (
     some_names,
     writable,
 )
-from liaam.lamps import load_lamps
+from liaam.training import load_lamps
 
 
 def complaint(path: Path, kind: str = "image") -> str:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
+from liaam.error_measures import point_error
 from liaam.errors import LandmarkError, LiaamError
-from liaam.evaluation import point_error
 from liaam.io import (
     LANDMARK_SUFFIXES,
     Contour,

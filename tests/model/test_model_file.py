@@ -15,7 +15,7 @@ from safetensors.numpy import save
 
 from liaam.errors import MethodError, ModelFileError
 from liaam.fitting import Fitter
-from liaam.fitting.objective import THINNING
+from liaam.fitting.loop.objective import THINNING
 from liaam.model import AAM, MESH, SURROUNDINGS, cost, load_model
 from liaam.model.shape import diagonal_of, similarity_modes
 from liaam.model.views import Reliability, View

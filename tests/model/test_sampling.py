@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from liaam import _core, reference
+from liaam import _core, image_reference
 from liaam.model.sampling import Light, block_size, make_patch, sample_texture
 from liaam.model.shape import Similarity
 
@@ -121,7 +121,7 @@ def test_compiled_samples_are_those_of_the_reference(rng):
     edges = [[0.0, 0.0], [8.0, 6.0], [8.0, 3.2], [-1e-9, 2.0], [8.001, 2.0], [2.0, np.nan], [np.nan, 1.0], [4.0, 5.0]]
     points = np.concatenate([rng.uniform(-1, 9, (200, 2)), edges])
     values, usable = _core.sample_channels(channels, points)
-    expected, _, weights = reference.sample(channels, points)
+    expected, _, weights = image_reference.sample(channels, points)
     np.testing.assert_allclose(values, expected[:, :7], atol=1e-6)
     np.testing.assert_array_equal(usable, weights)
     assert 0 < usable.sum() < len(points)

@@ -14,7 +14,7 @@ from liaam.cli.inputs import model_and_inputs
 from liaam.datasets import load_face
 from liaam.errors import LiaamError
 from liaam.fitting import Fitter
-from liaam.fitting.objective import pixels_for
+from liaam.fitting.loop.objective import pixels_for
 from liaam.io import read_image, read_landmarks
 from liaam.models import MODELS, model_file
 from liaam.morphometry import read_specimens
@@ -22,7 +22,7 @@ from liaam.morphometry.schemes import in_scheme
 from liaam.relighting import Relighter
 
 ROOT = Path(__file__).resolve().parents[2]
-MADE_BY = ROOT / "models/face"
+MADE_BY = ROOT / "making/face"
 FACE_PICTURE = ROOT / "src/liaam/datasets/pictures/face/lisa.jpg"
 
 EIGHT = {

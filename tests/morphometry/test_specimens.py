@@ -8,8 +8,8 @@ import pytest
 
 from liaam.batch.tables import Table, write_table
 from liaam.errors import LiaamError
-from liaam.fitting.files import FIT_SUFFIXES, write_fit
 from liaam.io import Landmarks, read_collection, write_collection, write_image, write_landmarks
+from liaam.io.fit_files import FIT_SUFFIXES, write_fit
 from liaam.io.landmarks import Contour
 from liaam.morphometry import Specimen, alike, measure, read_specimens
 

@@ -4,10 +4,9 @@ import numpy as np
 
 from liaam.datasets import Sample
 from liaam.io import Landmarks, write_image, write_landmarks
-from liaam.lamps import Lamps
 from liaam.model.shape import scaled_mean
 from liaam.photometry import CameraModel
-from liaam.training import train
+from liaam.training import Lamps, train
 from liaam.training.entries import read_entries
 from liaam.training.faces import face_lamps
 from scenes import Head, make_set

@@ -8,8 +8,8 @@ import pytest
 import liaam
 from liaam.errors import ModelFileError
 from liaam.fitting import Finder
-from liaam.fitting.levels import LinearImage
-from liaam.fitting.templates import Grey
+from liaam.fitting.loop.levels import LinearImage
+from liaam.fitting.search.templates import Grey
 from liaam.model.mirror import mirrored_model
 from liaam.model.shape import align, diagonal_of, mirror_order
 from scenes import DIFFUSE, Head, Pose, narrow_band_camera, render

@@ -9,8 +9,8 @@ import pytest
 import liaam
 from liaam import Landmarks, Sample
 from liaam.cli.check import faults_by_sample
+from liaam.error_measures import point_error
 from liaam.errors import ModelFileError, TrainingError
-from liaam.evaluation import point_error
 from liaam.fitting import Finder
 from liaam.fitting.solution import residual_at
 from liaam.io import write_image

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from liaam.lamps import Copies
 from liaam.model import SURROUNDINGS
 from liaam.model.shape import mirror_order
 from liaam.photometry import CameraModel
 from liaam.training import train
 from liaam.training.entries import read_entries
+from liaam.training.lamps import Copies
 from liaam.training.symmetry import describe_offset, sideways_offset
 from scenes import DIFFUSE, Head, Pose, lateral, random_expression, render
 

@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_info
 from liaam.datasets import Sample
 from liaam.errors import ImageError, OptionError, TrainingError
 from liaam.fitting import METHODS, Fitter, SolverOptions
-from liaam.fitting.files import write_fit
 from liaam.io import Contour, Landmarks, read_image, write_image, write_landmarks
+from liaam.io.fit_files import write_fit
 from liaam.model import SURROUNDINGS, cost, load_model
 from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel
 from liaam.model.mesh import delaunay, signed_areas
@@ -450,7 +450,7 @@ def test_grey_images_among_colours_teach_shape_and_gradients_only(mixed):
 def test_relit_copies_of_grey_images_teach_no_colours(mixed, monkeypatch):
     """Lamps change colours, but a relit grey image has no invariant of the object."""
     monkeypatch.setattr(
-        "liaam.lamps.Copies.of_picture", lambda _self, _i, image, points, *_: [(image * [1, 0.8, 0.6], points)]
+        "liaam.training.lamps.Copies.of_picture", lambda _self, _i, image, points, *_: [(image * [1, 0.8, 0.6], points)]
     )
     with pytest.warns(UserWarning):
         soft = train(mixed, copies=1, leave_out=False, **OPTIONS).views[SURROUNDINGS].levels[0].appearances["soft"]

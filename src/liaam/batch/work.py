@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import LiaamError, StartError
-from liaam.evaluation import finite_or_none
 from liaam.fitting import FitResult, Fitter, SolverOptions
 from liaam.fitting.many import refuse_one_start
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.fitting.starts import check_start, read_start, start_file
+from liaam.fitting.search.starts import check_start, read_start, start_file
+from liaam.formatting import finite_or_none
 from liaam.io import Landmarks, is_raw, read_image
 from liaam.model import AAM, load_model
 from liaam.photometry import CameraModel
@@ -200,7 +200,7 @@ class Job:
         }
 
     def _start(self, path: str) -> str | None:
-        """Return the start of an image in a form that :func:`liaam.fitting.starts.read_start` accepts."""
+        """Return the start of an image in a form that :func:`liaam.fitting.search.starts.read_start` accepts."""
         init = self.settings.init
         if init == BESIDE:
             return str(Path(self.folder, path).parent)

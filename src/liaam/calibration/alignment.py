@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from liaam.error_measures import rms_error
 from liaam.errors import CameraError
-from liaam.evaluation import rms_error
 from liaam.model.warp import apply_homography, picture_corners
 from liaam.photometry import CameraModel
 from liaam.progress import Progress

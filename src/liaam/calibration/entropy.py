@@ -15,8 +15,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from liaam.calibration.estimate import PHYSICAL, AngleEstimate, axis_difference
+from liaam.error_measures import root_mean_square
 from liaam.errors import CameraError
-from liaam.evaluation import root_mean_square
 from liaam.photometry.encoding import as_colour, encode, refuse_grey
 from liaam.photometry.invariant import CHROMATICITY, invariant_row, temperature_direction
 from liaam.photometry.response import Response

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from liaam.evaluation import angle_difference
+from liaam.error_measures import angle_difference
 
 # Angles of physical cameras, radians (docs/explanation/how-it-works.md)
 PHYSICAL = (float(np.deg2rad(90.0)), float(np.deg2rad(135.0)))

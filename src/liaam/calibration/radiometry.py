@@ -41,8 +41,8 @@ from liaam.calibration.response_fit import (
     robust_weights,
     solve,
 )
+from liaam.error_measures import root_mean_square
 from liaam.errors import CameraError
-from liaam.evaluation import root_mean_square
 from liaam.photometry.camera import least_share
 from liaam.photometry.response import Response, ResponseCurve
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from liaam.calibration.estimate import robust_deviation
 from liaam.calibration.response_blocks import Blocks
-from liaam.evaluation import root_mean_square
+from liaam.error_measures import root_mean_square
 from liaam.photometry.camera import falloff_at
 from liaam.photometry.encoding import DARK, SATURATED
 from liaam.photometry.invariant import CHROMATICITY

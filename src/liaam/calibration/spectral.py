@@ -12,8 +12,8 @@ import numpy as np
 
 from liaam.calibration.columns import read_columns
 from liaam.calibration.estimate import AngleEstimate, axis_difference
+from liaam.error_measures import root_mean_square
 from liaam.errors import CameraError, installing
-from liaam.evaluation import root_mean_square
 from liaam.photometry.invariant import CHROMATICITY, wien_theta
 
 Lights = Literal["both", "planckian", "daylight", "wien"]

@@ -8,7 +8,7 @@ import typer
 from liaam.cli import inputs
 from liaam.cli.terminal import cell, say, show_table, table_of
 from liaam.errors import LiaamError
-from liaam.fitting.starts import read_start
+from liaam.fitting.search.starts import read_start
 from liaam.io import image_size, make_folder, write_columns
 from liaam.io.atomic import check_output
 from liaam.io.files import real_path
@@ -76,7 +76,7 @@ def evaluate(
 
     Writes the errors of each landmark and image as tables, their cumulative distribution, and the worst ten fits.
     """
-    from liaam.accuracy import cross_validate, evaluate as evaluated
+    from liaam.evaluation import cross_validate, evaluate as evaluated
     from liaam.model import load_model
     from liaam.training.left_out import describe_objects
 

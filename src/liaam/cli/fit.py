@@ -14,9 +14,9 @@ from typer.core import TyperCommand
 from liaam.cli import inputs
 from liaam.cli.terminal import cell, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError
-from liaam.fitting.files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.io import IMAGE_SUFFIXES, Contour, Landmarks, make_folder, write_image
 from liaam.io.files import count_of
+from liaam.io.fit_files import FIT_SUFFIXES, corrected_file, read_fit, write_fit
 from liaam.morphometry.schemes import in_scheme
 
 if TYPE_CHECKING:

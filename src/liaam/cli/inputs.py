@@ -14,7 +14,7 @@ import typer
 from liaam.cli.terminal import complain, say
 from liaam.datasets import Dataset, Sample, load_folder
 from liaam.errors import CameraError, ImageError, LiaamError
-from liaam.fitting.starts import read_start
+from liaam.fitting.search.starts import read_start
 from liaam.io import Landmarks, is_raw, read_image
 from liaam.io.files import existing_file, is_number, real_path, some_names
 from liaam.io.images import PICTURE_SUFFIXES, UNREAD_SUFFIXES, VIDEO_SUFFIXES

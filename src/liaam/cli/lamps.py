@@ -11,8 +11,8 @@ from liaam.errors import LiaamError
 from liaam.io.atomic import check_output
 
 if TYPE_CHECKING:
-    from liaam.lamps import Lamps
     from liaam.photometry import Response
+    from liaam.training import Lamps
 
 LAMPS_SUFFIX = ".lamps"  # Suffix of lamp files
 
@@ -49,7 +49,7 @@ def lamps(
 
 def read_lamps(source: Path, training_lamp: str | None = None, response: "Response" = "srgb") -> "Lamps":
     """Load lamps from a file, or learn them from a folder."""
-    from liaam.lamps import learn_lamps, load_lamps
+    from liaam.training import learn_lamps, load_lamps
 
     if source.is_file():
         return load_lamps(source)

@@ -16,9 +16,9 @@ from liaam.io.atomic import check_output
 from liaam.io.landmarks.reading import Reading
 
 if TYPE_CHECKING:
-    from liaam.lamps import Lamps
     from liaam.model import AAM
     from liaam.photometry import CameraModel
+    from liaam.training import Lamps
 
 MODEL_SUFFIX = ".liaam"  # Suffix of files that may be replaced by a model
 

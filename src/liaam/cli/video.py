@@ -16,8 +16,8 @@ import typer
 from liaam.cli.inputs import CameraOption, EllipsesOption, camera_for, model_and_inputs
 from liaam.cli.terminal import StoppedError, complain, progress_bar, say, show_table, table_of
 from liaam.errors import LiaamError, MethodError, VideoError
-from liaam.evaluation import ranges_of
-from liaam.fitting.starts import read_start
+from liaam.fitting.search.starts import read_start
+from liaam.formatting import ranges_of
 from liaam.io import VideoFrame, VideoReader, video_writer
 from liaam.io.atomic import check_output
 from liaam.io.files import count_of, real_path

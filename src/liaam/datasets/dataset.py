@@ -11,7 +11,7 @@ from typing import overload
 import numpy as np
 
 from liaam.errors import LiaamError
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from liaam.io.files import count_of, some_names
 from liaam.io.images import read_image
 from liaam.io.landmarks import Landmarks

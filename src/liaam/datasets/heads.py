@@ -1,6 +1,6 @@
 """Pictures that come with liaam: generated heads, and a photograph of a face.
 
-``docs/figures/make_generated_heads.py`` makes the heads. LICENSE-DATA has the source and the terms of the photograph.
+``making/generated_heads.py`` makes the heads. LICENSE-DATA has the source and the terms of the photograph.
 """
 
 from pathlib import Path

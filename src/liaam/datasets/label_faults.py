@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.datasets.point_outliers import LEAST_POINTS, Outliers, point_outliers, resistant_fit
+from liaam.error_measures import root_mean_square
 from liaam.errors import LiaamError
-from liaam.evaluation import ranges_of, root_mean_square, short_repr
+from liaam.formatting import ranges_of, short_repr
 from liaam.io.landmarks import Landmarks
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.progress import Progress

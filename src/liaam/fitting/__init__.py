@@ -2,13 +2,13 @@
 
 from liaam.fitting.detection import Detection
 from liaam.fitting.fitter import Fitter
+from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.many import fit_each, fit_many
 from liaam.fitting.methods import METHODS, Method, features_method, get_method
 from liaam.fitting.result import FitResult, FitStatus, Iteration
-from liaam.fitting.search import Finder, find
+from liaam.fitting.search.finder import Finder, find
+from liaam.fitting.search.starts import check_start, read_start, start_file
 from liaam.fitting.single import fit, fit_all
-from liaam.fitting.solver import SolverOptions
-from liaam.fitting.starts import check_start, read_start, start_file
 
 __all__ = [
     "METHODS",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from liaam.model.sampling import within
 from liaam.model.shape import diagonal_of
 

@@ -8,24 +8,24 @@ from inspect import signature
 import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
-from liaam.evaluation import changed_repr
 from liaam.fitting.detection import DOUBTFUL, Detection
-from liaam.fitting.level_image import MARGIN, NEAR
-from liaam.fitting.levels import LinearImage, Target
+from liaam.fitting.loop.level_image import MARGIN, NEAR
+from liaam.fitting.loop.levels import LinearImage, Target
+from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD, Method
-from liaam.fitting.other_places import likeliest
-from liaam.fitting.picture import load_picture, path_of
 from liaam.fitting.prepared import Prepared
-from liaam.fitting.restarts import fit_again
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
-from liaam.fitting.search import Finder
-from liaam.fitting.solver import SolverOptions
-from liaam.fitting.starts import mapped_points, part_of_start, region_of, start_shape
+from liaam.fitting.search.finder import Finder
+from liaam.fitting.search.other_places import likeliest
+from liaam.fitting.search.restarts import fit_again
+from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
+from liaam.formatting import changed_repr
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.photometry import CameraModel, is_grey
 from liaam.photometry.camera import check_camera
 from liaam.photometry.encoding import refuse_unscaled, stored_values
+from liaam.photometry.picture import load_picture, path_of
 
 # Margin of fits from another landmarker's points, besides NEAR: their errors in standard deviations.
 MAPPED_DEVIATIONS = 2.0
@@ -60,9 +60,9 @@ class Fitter(Prepared):
         Margin around a start that fits may use, as a fraction of the object's diagonal; less for accurate starts.
     restarts : bool
         Restart fits that are doubtful, or slow and of low quality (:attr:`liaam.model.Reliability.low`), from other
-        shapes (:func:`liaam.fitting.restarts.other_starts`), and keep the fit of highest quality. This finds more
-        turned heads, at about ten times the time of a fit. It has no effect for methods and models without a quality,
-        or if ``max_iterations`` is at most 25.
+        shapes (:func:`liaam.fitting.search.restarts.other_starts`), and keep the fit of highest quality. This finds
+        more turned heads, at about ten times the time of a fit. It has no effect for methods and models without a
+        quality, or if ``max_iterations`` is at most 25.
     rotations : {"upright", "all"}
         Rotations to search for: about as in the training images, or any.
 
@@ -110,11 +110,11 @@ class Fitter(Prepared):
 
     @cached_property
     def finder(self) -> Finder:
-        """The model's detector (see :mod:`liaam.fitting.search`)."""
+        """The model's detector (see :mod:`liaam.fitting.search.finder`)."""
         return Finder(self.model, self.rotations)
 
     def find(self, image, *, limit: int | None = 1, least: float = 0.0, name: str = "image") -> list[Detection]:
-        """Find the object in an image (see :func:`liaam.fitting.search.find`).
+        """Find the object in an image (see :func:`liaam.fitting.search.finder.find`).
 
         Parameters
         ----------
@@ -163,10 +163,10 @@ class Fitter(Prepared):
         ----------
         image : (h, w, 3) uint8, uint16 or float array, or path
         init : (n, 2) shape, (m, 2) points, (x0, y0, x1, y1) box, (x, y, diagonal), or Detection, optional
-            Start, image pixels (see :func:`liaam.fitting.starts.start_shape`). By default the object is searched for,
-            and ``result.found`` has the score. A box may be approximate: if the fit from it has low quality, the object
-            is searched for around it. The m points of another landmarker, if the model was trained with such points,
-            are mapped to the landmarks, and weighed in with the covariance of their errors.
+            Start, image pixels (see :func:`liaam.fitting.search.starts.start_shape`). By default the object is searched
+            for, and ``result.found`` has the score. A box may be approximate: if the fit from it has low quality, the
+            object is searched for around it. The m points of another landmarker, if the model was trained with such
+            points, are mapped to the landmarks, and weighed in with the covariance of their errors.
         name : str
             Name of the image in errors; for a path its file name is used.
 

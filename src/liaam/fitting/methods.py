@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import MethodError
+from liaam.image_reference import CHANNELS
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS
 from liaam.model.appearance import APPEARANCES
 from liaam.photometry import CHROMATICITY, ENCODINGS, LUMINANCE
 from liaam.photometry.features import WIDEST, Encoder, FeatureFunction, name_of
-from liaam.reference import CHANNELS
 
 LOSSES = ("huber", "l1", "cauchy", "geman-mcclure", "tukey", "learnt")
 """Robust losses as weights of iteratively reweighted least squares, in the order of the core's. Theobald, Matthews and
@@ -119,7 +119,7 @@ class Method:
         "model" uses the model's weights. "noise" uses inverse variances of the residual due to image noise. "rows" does
         so for each row of P, with the variance of the model's errors estimated from the image.
     step : {"own", "scored", "expected"}
-        Gradient used in steps (:mod:`liaam.fitting.reference_loop`). "own" is the image's, "expected" the one that the
+        Gradient used in steps (:mod:`liaam.fitting.reference.loop`). "own" is the image's, "expected" the one that the
         model expects, and "scored" the image's first and the expected one at the end.
     loss : str
         "squares", or a robust loss of :data:`liaam.fitting.methods.LOSSES`.
@@ -226,7 +226,7 @@ class Method:
 
     @property
     def solves_angle(self) -> bool:
-        """Whether theta_2 and lambda have a joint closed-form optimum (:mod:`liaam.fitting.angles`)."""
+        """Whether theta_2 and lambda have a joint closed-form optimum (:mod:`liaam.fitting.loop.angles`)."""
         return self.metric == "invariant"
 
     @property

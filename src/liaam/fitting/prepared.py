@@ -7,14 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.fitting.level_image import NEAR
-from liaam.fitting.levels import FittedLevel, Levels, Target, is_sane
+from liaam.fitting.loop.level_image import NEAR
+from liaam.fitting.loop.levels import FittedLevel, Levels, Target, is_sane
+from liaam.fitting.loop.objective import Objective, make_objectives
+from liaam.fitting.loop.options import SolverOptions, scored, spare
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, get_method
-from liaam.fitting.objective import Objective, make_objectives
+from liaam.fitting.quality.status import status_of
+from liaam.fitting.quality.uncertainty import (
+    covariance,
+    explains_more_than_noise,
+    landmark_covariances,
+    quality_features,
+)
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, trace
-from liaam.fitting.solver import SolverOptions, scored, spare
-from liaam.fitting.status import status_of
-from liaam.fitting.uncertainty import covariance, explains_more_than_noise, landmark_covariances, quality_features
 from liaam.model import AAM, Reliability, View
 from liaam.model.shape import ShapeModel, own_parameters
 

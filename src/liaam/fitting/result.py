@@ -11,13 +11,14 @@ import numpy as np
 
 from liaam.drawing import new_axes, plot_landmarks, png_bytes, zoom_to
 from liaam.errors import LiaamError
-from liaam.evaluation import Contours, finite_list, short_repr
 from liaam.fitting.detection import Detection, are_beside
-from liaam.fitting.levels import FittedLevel
+from liaam.fitting.loop.levels import FittedLevel
 from liaam.fitting.methods import Method
-from liaam.fitting.picture import load_picture
+from liaam.formatting import finite_list, short_repr
 from liaam.io.files import count_of
+from liaam.model.contours import Contours
 from liaam.model.shape import Similarity
+from liaam.photometry.picture import load_picture
 from liaam.tables import Columns, landmark_columns, to_dataframe
 
 if TYPE_CHECKING:
@@ -182,7 +183,8 @@ class FitResult:
         Variance of a residual at weight 1: what the model leaves unexplained in this image. The landmarks' covariances
         grow with it.
     evidence : (2,) float64
-        Explained contrast, and the shape's distance from the mean (:func:`liaam.fitting.uncertainty.quality_features`).
+        Explained contrast, and the shape's distance from the mean
+        (:func:`liaam.fitting.quality.uncertainty.quality_features`).
     quality : float
         Probability, 0 to 1, that the fit is right, calibrated on left-out training images, with as many right fits as
         among those from starts near the object; for equal odds if an uncertain detection was the start. 0 if the fit

@@ -4,18 +4,18 @@ from typing import Any
 
 import numpy as np
 
-from liaam.fitting.angles import best_image_angle
 from liaam.fitting.fitter import Fitter
-from liaam.fitting.level_image import MARGIN, LevelImage
-from liaam.fitting.objective import Objective, State
-from liaam.fitting.picture import load_picture
+from liaam.fitting.loop.angles import best_image_angle
+from liaam.fitting.loop.level_image import MARGIN, LevelImage
+from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.result import FitResult
+from liaam.photometry.picture import load_picture
 
 
 def solution_at(fitter: Fitter, image, result: FitResult) -> dict[str, Any]:
     """Evaluate a result, of this or another method, at all pixels of the sharpest level, with the best lambda there.
 
-    The result are the arrays of :meth:`liaam.fitting.reference.Problem.arrays` at its shape and angles.
+    The result are the arrays of :meth:`liaam.fitting.reference.problem.Problem.arrays` at its shape and angles.
     """
     if fitter.model.others:
         return solution_at(fitter.part_for(result), image, result)

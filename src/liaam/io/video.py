@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from liaam.errors import ImageError, VideoError, installing
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from liaam.io.files import AnyPath, as_8_bits, existing_file, natural_key
 from liaam.io.images import STILL_SUFFIXES, image_kind, read_image
 from liaam.progress import Progress

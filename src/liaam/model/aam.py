@@ -11,11 +11,12 @@ from liaam.errors import ModelFileError
 from liaam.io.files import count_of
 from liaam.model.file import read_fields
 from liaam.model.file_bytes import file_bytes
+from liaam.model.light_basis import LightBasis
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.mirror import mirrored_model
 from liaam.model.point_map import PointMap
 from liaam.model.shape import ShapeModel
-from liaam.model.views import MESH, Level, LightBasis, View
+from liaam.model.views import MESH, Level, View
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.models import MODELS, model_file
 from liaam.photometry import CameraModel, Response

@@ -18,8 +18,8 @@ MOST_WORK = 5e9
 # Largest memory of a model and of a fitter for one method, bytes. Those faces take 4e8.
 MOST_MEMORY = 2e9
 
-# Distance between sampled pixels, in standard deviations of the blur (liaam.fitting.objective.THINNING); orientations
-# are compared at every pixel.
+# Distance between sampled pixels, in standard deviations of the blur (liaam.fitting.loop.objective.THINNING);
+# orientations are compared at every pixel.
 THINNING, EVERYWHERE = 1.5, "orientation"
 # Fits at the coarsest level, at those between and at the sharpest, of a fit that is started again (liaam.fitting):
 # other starts are 15 at first and 18 later, few of which are fitted further.

@@ -12,11 +12,12 @@ from liaam.errors import LiaamError, ModelFileError, shortened
 from liaam.io.files import json_object, writable
 from liaam.model import cost
 from liaam.model.appearance import CHANNELS, COPIED_APPEARANCES, AppearanceModel, spread, strongest_modes
+from liaam.model.light_basis import SIDE, LightBasis
 from liaam.model.mesh import signed_areas
 from liaam.model.point_map import LEAST_NOISE, PointMap
 from liaam.model.rounding import decoded
 from liaam.model.shape import ShapeModel, diagonal_of, similarity_modes
-from liaam.model.views import MESH, SIDE, VIEWS, Level, LightBasis, Reliability, View
+from liaam.model.views import MESH, VIEWS, Level, Reliability, View
 from liaam.photometry import camera_from, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
 

@@ -8,10 +8,11 @@ import numpy as np
 
 from liaam.model import file
 from liaam.model.appearance import AppearanceModel
+from liaam.model.light_basis import LightBasis
 from liaam.model.mirror import mirrored_model
 from liaam.model.rounding import encoded
 from liaam.model.shape import mirror_order
-from liaam.model.views import LightBasis, View
+from liaam.model.views import View
 from liaam.photometry import describe_response
 
 if TYPE_CHECKING:

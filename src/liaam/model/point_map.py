@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from liaam.evaluation import short_repr
+from liaam.formatting import short_repr
 from liaam.model.shape import ShapeModel, align
 
 # Candidate ridges, as fractions of the squared size of a shape of theirs. Measured with MediaPipe on the spot protocol,

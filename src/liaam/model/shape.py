@@ -148,7 +148,7 @@ class ShapeModel:
         a perfect fit to an unseen shape.
     freedom : float
         Degrees of freedom of the shapes' Student distribution
-        (:func:`liaam.fitting.reference_loop.next_prior_scale`); infinite for a normal distribution.
+        (:func:`liaam.fitting.reference.loop.next_prior_scale`); infinite for a normal distribution.
     """
 
     mean: np.ndarray

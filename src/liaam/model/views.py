@@ -18,33 +18,9 @@ VIEWS: dict[str, Callable[[ShapeModel, np.ndarray], PiecewiseAffineWarp]] = {
 }
 """Views by name: functions that make the warp of a view from the shape model and the triangles."""
 
-SIDE = 128  # Side of the square of a LightBasis, pixels
 # Fraction of the log odds at typical below which a quality is low: 0.816 on 924 fits of unseen persons under four
 # lamps. All 34 that poor starts led to a wrong place are below 0.815, all right ones above 0.84.
 LOW = 2 / 3
-
-
-@dataclass(frozen=True, eq=False)
-class LightBasis:
-    """Changes of light, learnt from lamps, on a square around the mean shape (:mod:`liaam.lamps`).
-
-    The log ratio of an image to the same under the training light is a sum of modes with coordinates from N(0, 1), and
-    of a remainder.
-
-    Attributes
-    ----------
-    mean : (n, 2) float64
-        Mean shape. The centre of its bounding box is the origin, and the diagonal 1.
-    modes : (k, side, side, 3) float32
-        Each is one standard deviation of log light.
-    remainder : (side, side) float16
-        Standard deviation of the remainder's brightness, on objects (or lamps, of a single object) that were left out
-        when the modes were learnt.
-    """
-
-    mean: np.ndarray
-    modes: np.ndarray
-    remainder: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

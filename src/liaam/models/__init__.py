@@ -1,4 +1,4 @@
-"""Models that come with liaam, by name. Their files are beside this one; ``models/`` of a checkout makes them."""
+"""Models that come with liaam, by name. Their files are beside this one; ``making/`` of a checkout makes them."""
 
 import os
 from dataclasses import dataclass

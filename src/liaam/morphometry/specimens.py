@@ -14,9 +14,9 @@ import numpy as np
 
 from liaam.batch.tables import TABLE_SUFFIXES, is_table, read_rows
 from liaam.errors import LandmarkError, LiaamError
-from liaam.evaluation import short_repr
-from liaam.fitting.files import corrected_file, points_of_fit, read_fit
+from liaam.formatting import short_repr
 from liaam.io.files import existing_file, natural_key, some_names
+from liaam.io.fit_files import corrected_file, points_of_fit, read_fit
 from liaam.io.landmarks import LANDMARK_SUFFIXES, Contour, LandmarkFile
 from liaam.io.landmarks.matching import stem_of
 from liaam.io.landmarks.reading import USUAL, Reading, UnrecognisedError

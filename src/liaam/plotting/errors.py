@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from liaam.drawing import LANDMARK, new_axes, zoom_to
-from liaam.evaluation import cumulative_errors
-from liaam.fitting.picture import load_picture
+from liaam.error_measures import cumulative_errors
+from liaam.photometry.picture import load_picture
 from liaam.plotting.figures import LINE_WIDTH, show_picture, subplots
 
 if TYPE_CHECKING:

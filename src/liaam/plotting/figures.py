@@ -8,9 +8,9 @@ import numpy as np
 
 from liaam.drawing import as_picture
 from liaam.io import atomic_path
-from liaam.lamps import Lamps
 from liaam.model import AAM
 from liaam.photometry import invariant, linear_to_srgb
+from liaam.training import Lamps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,14 +6,14 @@ from functools import lru_cache
 import numpy as np
 
 from liaam.errors import MethodError
-from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.level_image import correlated_pixels
-from liaam.fitting.picture import load_picture
+from liaam.fitting.loop.level_image import correlated_pixels
 from liaam.fitting.solution import solution_at
+from liaam.formatting import short_repr
 from liaam.model import AAM, MESH
 from liaam.model.appearance import AppearanceModel
 from liaam.photometry.encoding import refuse_grey
+from liaam.photometry.picture import load_picture
 
 LEAST_VARIANCE = (1 / 255) ** 2 / 12
 """Lower bound on a residual's variance: rounding to 8 bits of the logarithm of the brightest pixel. Without it, fits of

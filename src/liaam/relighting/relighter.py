@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 
 from liaam.errors import LiaamError, MethodError
-from liaam.evaluation import short_repr
 from liaam.fitting import FitResult, Fitter, Method
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.fitting.picture import load_picture
+from liaam.formatting import short_repr
 from liaam.model import AAM
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import Response, to_linear
 from liaam.photometry.encoding import refuse_grey, stored_values
 from liaam.photometry.noise import noise_deviation
+from liaam.photometry.picture import load_picture
 from liaam.relighting.appearance import ShadowFree, check_colour, check_method
 from liaam.relighting.extrapolation import FARTHEST, Surroundings
 from liaam.relighting.highlights import below_white, spared

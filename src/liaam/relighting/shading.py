@@ -29,9 +29,9 @@ import cv2
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from liaam.evaluation import short_repr
-from liaam.lamps.bank import HALF, in_field, sample_field
+from liaam.formatting import short_repr
 from liaam.model import AAM
+from liaam.model.light_basis import HALF, in_field, sample_field
 from liaam.model.shape import align, diagonal_of, mirror_order
 from liaam.photometry import Response, linear_to_srgb
 from liaam.photometry.invariant import CHROMATICITY, THETA_DEFAULT, temperature_direction

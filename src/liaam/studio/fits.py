@@ -13,14 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from liaam.error_measures import point_error
 from liaam.errors import LiaamError, MethodError
-from liaam.evaluation import finite_list, finite_or_none, point_error
 from liaam.fitting.detection import Detection
-from liaam.fitting.files import fit_text
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.methods import DEFAULT_METHOD, methods_of
 from liaam.fitting.result import FitResult
+from liaam.formatting import finite_list, finite_or_none
 from liaam.io import Contour, Landmarks
+from liaam.io.fit_files import fit_text
 from liaam.model import AAM
 from liaam.model.shape import diagonal_of
 from liaam.photometry import linear_to_srgb

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from liaam.evaluation import finite_or_none
+from liaam.formatting import finite_or_none
 from liaam.io.images import PICTURE_SUFFIXES
 from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure, measurement_error

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
+from liaam.error_measures import point_error
 from liaam.errors import ImageError, LiaamError, TrainingError
-from liaam.evaluation import point_error
 from liaam.fitting import Fitter
 from liaam.io import read_image
 from liaam.io.landmarks import Contour, Landmarks

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from liaam.drawing import plot_landmarks
-from liaam.evaluation import finite_list, finite_or_none, short_repr
 from liaam.fitting import FitResult, FitStatus
+from liaam.formatting import finite_list, finite_or_none, short_repr
 from liaam.model.shape import Similarity, align
 from liaam.tables import Columns, landmark_columns
 

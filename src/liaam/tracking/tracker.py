@@ -13,16 +13,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
-from liaam.evaluation import changed_repr
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
-from liaam.fitting.level_image import NEAR
+from liaam.fitting.loop.level_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
-from liaam.fitting.picture import load_picture
+from liaam.formatting import changed_repr
 from liaam.io import VideoReader
 from liaam.model import AAM
 from liaam.model.aam import named_model
 from liaam.model.shape import align, diagonal_of
 from liaam.photometry import CameraModel
+from liaam.photometry.picture import load_picture
 from liaam.tracking import kalman
 from liaam.tracking.frames import TrackedFrame, TrackStatus, lost_frame
 from liaam.tracking.motion import Motion, landmark_covariances, rescaled

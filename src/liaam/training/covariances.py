@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from liaam.evaluation import Contours, contour_axes, contour_directions
+from liaam.model.contours import Contours, contour_axes, contour_directions
 
 # Weight, in left-out images, of what is known without them: of the average over landmarks that are alike in the
 # estimate of one's covariance, and of 1 in the factor on a fit's own variances. With 5, the noise of 20 images makes

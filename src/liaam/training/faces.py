@@ -1,7 +1,7 @@
 """Lamps for faces: a bank learnt from generated heads, for training images whose objects turn out to be faces.
 
 A model of the generated heads is fitted to some of the training images. If the fits agree on where a face lies among
-the landmarks, whatever these are, the bank is carried there. ``docs/figures/make_face_lamps.py`` makes both files.
+the landmarks, whatever these are, the bank is carried there. ``making/face_lamps.py`` makes both files.
 """
 
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from liaam.fitting import Fitter
-from liaam.lamps import Lamps
-from liaam.lamps.bank import carried
-from liaam.lamps.learning import unit_shape
 from liaam.model import load_model
 from liaam.model.shape import align
 from liaam.photometry import CameraModel
 from liaam.training.entries import Entry
+from liaam.training.lamps import Lamps
+from liaam.training.lamps.bank import carried
+from liaam.training.lamps.learning import unit_shape
 from liaam.training.reliability import OPTIONS
 
 FOLDER = Path(__file__).with_name("faces")

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from liaam.fitting.loop.objective import pixels_for
 from liaam.fitting.methods import DEFAULT_METHOD, METHODS, Method, check_holds, get_method, methods_of, needed_by
-from liaam.fitting.objective import pixels_for
-from liaam.fitting.templates import pixels_for_search
+from liaam.fitting.search.templates import pixels_for_search
 from liaam.model import AAM, MESH, Level, View
 from liaam.model.appearance import CHANNELS, AppearanceModel
 from liaam.model.rounding import rounded

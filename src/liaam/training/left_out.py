@@ -8,13 +8,13 @@ import numpy as np
 
 from liaam.fitting.methods import Method, needed_by
 from liaam.io.files import some_names
-from liaam.lamps import Copies
 from liaam.model import AAM, VIEWS, Level
 from liaam.model.appearance import COPIED_APPEARANCES, train_appearance_model
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
+from liaam.training.lamps import Copies
 from liaam.training.reliability import LeftOut, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 

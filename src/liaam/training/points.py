@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from liaam.errors import TrainingError
-from liaam.fitting.starts import LANDMARKERS
+from liaam.fitting.landmarkers import LANDMARKERS
 from liaam.io import LANDMARK_SUFFIXES, read_landmarks
 from liaam.model.file import MAX_POINTS
 from liaam.model.point_map import PointMap, learn_point_map
@@ -16,7 +16,7 @@ from liaam.training.entries import Entry, image_of
 from liaam.training.left_out import folds_of
 
 Points = str | os.PathLike[str] | Callable[[np.ndarray], np.ndarray | None] | Sequence[np.ndarray | None] | np.ndarray
-"""A folder of landmark files or a name of :data:`liaam.fitting.starts.LANDMARKERS`; a function from an image to
+"""A folder of landmark files or a name of :data:`liaam.fitting.landmarkers.LANDMARKERS`; a function from an image to
 its points; or the points of each image."""
 
 

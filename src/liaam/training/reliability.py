@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from liaam.evaluation import contour_turns, outline_errors
 from liaam.fitting import Fitter
 from liaam.fitting.detection import Detection
-from liaam.fitting.levels import LinearImage
+from liaam.fitting.loop.levels import LinearImage
+from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import Method
-from liaam.fitting.search import Finder
-from liaam.fitting.solver import SolverOptions
-from liaam.fitting.templates import is_searchable
-from liaam.fitting.uncertainty import fitted_covariances
+from liaam.fitting.quality.uncertainty import fitted_covariances
+from liaam.fitting.search.finder import Finder
+from liaam.fitting.search.templates import is_searchable
 from liaam.model import AAM, Reliability
+from liaam.model.contours import contour_turns, outline_errors
 from liaam.model.shape import align, diagonal_of, rotation, shifted_into
 from liaam.photometry import is_grey
 from liaam.training.covariances import Alike, learn_covariances, surprise, variance_factor, widened

@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from liaam.fitting.templates import TEMPLATE, Grey, soft_directions
+from liaam.fitting.search.templates import TEMPLATE, Grey, soft_directions
 from liaam.model import AAM
 from liaam.model.mesh import ReferenceFrame
 from liaam.model.shape import align, rotation

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from liaam.lamps.copies import mirrored
 from liaam.model.shape import align
 from liaam.model.warp import PiecewiseAffineWarp
 from liaam.photometry import CameraModel
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry
+from liaam.training.lamps.copies import mirrored
 from liaam.training.textures import sample_appearance
 from liaam.workers import in_threads
 

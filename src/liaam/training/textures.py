@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from liaam.fitting.methods import ENCODING_OF
-from liaam.lamps import Copies
 from liaam.model import AAM
 from liaam.model.appearance import (
     CHANNELS,
@@ -25,6 +24,7 @@ from liaam.photometry.encoding import Encoding, as_colour
 from liaam.photometry.features import Encoder
 from liaam.progress import Progress
 from liaam.training.entries import Entry
+from liaam.training.lamps import Copies
 from liaam.training.options import Blurs
 from liaam.training.search_filter import FilterLearner
 

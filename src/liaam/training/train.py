@@ -10,7 +10,6 @@ import numpy as np
 
 from liaam.errors import TrainingError
 from liaam.fitting.methods import Method
-from liaam.lamps import Copies, Lamps, learn_lamps
 from liaam.model import AAM, MESH, SURROUNDINGS, VIEWS, Level, View
 from liaam.model.cost import TooLargeError, check_cost
 from liaam.model.shape import Recipe, ShapeModel, choose_recipe, mirror_order, scaled_mean, shape_model_on
@@ -23,6 +22,7 @@ from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, rea
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
 from liaam.training.kept import ALL, chosen, keep_only, wanted
+from liaam.training.lamps import Copies, Lamps, learn_lamps
 from liaam.training.left_out import Settings, calibrated, can_be_calibrated, fitted_of, folds_of
 from liaam.training.options import AUTO, TrainingOptions
 from liaam.training.points import Points, map_of_points, points_of
@@ -61,8 +61,8 @@ def train(
         The training camera. Default: an angle of 122 degrees and sRGB.
     lamps : "auto", Lamps, Dataset or iterable of Sample, optional
         Lamps under which copies of the images are relit, or images of a few objects under several lamps to learn these
-        from (:func:`liaam.lamps.learn_lamps`); None for none. ``"auto"``: lamps of generated heads if the objects are
-        faces (:func:`liaam.training.faces.face_lamps`), else none.
+        from (:func:`liaam.training.learn_lamps`); None for none. ``"auto"``: lamps of generated heads if the objects
+        are faces (:func:`liaam.training.faces.face_lamps`), else none.
     training_lamp : str, optional
         Name of the light of ``data`` in the names of the images of ``lamps``.
     points : path, callable or sequence, optional
@@ -359,7 +359,7 @@ def _lamps(task: _Task, entries: list[Entry], mean: np.ndarray) -> Lamps | None:
         if lamps != AUTO:
             raise TrainingError(
                 f"lamps {str(lamps)!r}: give 'auto', lamps, images to learn them from, or None; for a file give "
-                "liaam.lamps.load_lamps(file), for a folder liaam.load_folder(folder)"
+                "liaam.training.load_lamps(file), for a folder liaam.load_folder(folder)"
             )
         return faces.face_lamps(entries, mean, camera)
     if not isinstance(lamps, Lamps):

@@ -12,7 +12,7 @@ const PHASES = { hard: 500, wipe: 1900, flat: 2600, end: 16000 }; // millisecond
 const MIDDLE = [0.5, 0.47]; // of the face, as fractions of the picture
 const GAMMA = Uint8ClampedArray.from({ length: 2048 }, (_, i) => 255 * (i / 2047) ** (1 / 2.2));
 
-/** Light of lamps as a sum of layers, which make_first_screen.py has prepared. */
+/** Light of lamps as a sum of layers, which making/first_screen.py has prepared. */
 export class Layers {
   /** pixels: RGBA of all layers, one below the other; the first is ambient light. */
   constructor(pixels, { low, high, lamps, coefficients }) {

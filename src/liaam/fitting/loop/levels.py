@@ -1,0 +1,269 @@
+"""Coarse-to-fine fitting: each level starts from the solution of the one before.
+
+:class:`Levels` is one call of the core. :func:`solve_levels` does the same level by level in Python, for what the core
+leaves out, and where it could not be built.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from liaam import _core
+from liaam.fitting.loop.angles import best_image_angle
+from liaam.fitting.loop.level_image import (
+    LOG_RANGE,
+    MARGIN,
+    NEAR,
+    NO_NOISE,
+    LevelImage,
+    noise_around,
+    noise_table,
+)
+from liaam.fitting.loop.objective import Objective, State
+from liaam.fitting.loop.options import SolverOptions, spare
+from liaam.fitting.methods import Method
+from liaam.fitting.reference.thresholds import THRESHOLDS
+from liaam.model.sampling import Light
+from liaam.model.shape import Similarity, align, diagonal_of, own_parameters
+from liaam.photometry import NoiseModel, Response, is_grey
+from liaam.photometry.encoding import ENCODINGS, Encoding, Means, light_of_floats, light_table, log_floor
+
+# Pixels of an image of floats up to which its light is computed once for all levels and starts; else by level.
+LARGEST_FLOATS = 4_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class FittedLevel:
+    """Solution of one level."""
+
+    objective: Objective
+    pose: Similarity  # model pixels to image pixels, to which the solution refers
+    solution: Any  # LevelFit of the core, or its like of liaam.fitting.reference.loop
+    to_patch: Similarity  # image pixels to pixels of the encoded patch
+    patch_size: tuple[int, int]  # its height and width
+    begun_at: np.ndarray | None = None  # (n, 2) shape that it began at, if it has fewer modes than the last level
+
+    @cached_property
+    def beyond(self) -> np.ndarray | float:
+        """What the level's modes cannot show of the shape that it began at; it stays as it is."""
+        if self.begun_at is None:
+            return 0.0
+        return self.begun_at - self.pose(self.objective.warp.shape(self.solution.path[0]))
+
+    @cached_property
+    def reached(self) -> np.ndarray:
+        """Shape of the solution, (n, 2) float64, image pixels."""
+        return self.shapes(self.solution.p)
+
+    def shapes(self, p: np.ndarray) -> np.ndarray:
+        """Return the shapes (..., n, 2) of parameters (..., n_p), image pixels."""
+        return self.pose(self.objective.warp.shape(p)) + self.beyond
+
+
+@dataclass(frozen=True, eq=False)
+class LinearImage:
+    """An image without vignetting, and what all fits to it share."""
+
+    image: np.ndarray  # (h, w, 3) uint8, uint16 or float32
+    response: Response
+    lights: dict[bool, Means] = field(default_factory=dict)  # of an image of floats, by whether of logarithms
+
+    @cached_property
+    def grey(self) -> bool:
+        """Whether the image is grey, so that its colours cannot be used."""
+        return is_grey(self.image)
+
+    def light_of(self, encoding: Encoding) -> Means:
+        """Return the light of each pixel of an image of floats."""
+        logarithmic = encoding in ("log", "soft")
+        if logarithmic not in self.lights:
+            self.lights[logarithmic] = light_of_floats(self.image, encoding, self.response)
+        return self.lights[logarithmic]
+
+    def crop(self, low: np.ndarray, high: np.ndarray) -> "LinearImage":
+        """Return the image between two corners (x, y), the second excluded; itself if that is all."""
+        if not low.any() and (high == self.image.shape[1::-1]).all():
+            return self
+        return LinearImage(self.image[low[1] : high[1], low[0] : high[0]], self.response)
+
+
+class Target(NamedTuple):
+    """An image to fit, its start and its camera's properties, the same for all levels."""
+
+    linear: LinearImage
+    start: np.ndarray  # (n, 2): initial positions of the landmarks (of a homography, the corners), image pixels
+    noise: NoiseModel | float | None = None  # of the image's camera
+    theta: float | None = None  # angle of the image's camera if it is not estimated, radians; by default the model's
+    margin: float = MARGIN  # around the start that the fit may use, as a fraction of the object's diagonal
+    # A Gaussian prior: landmarks (n, 2) mapped from another landmarker's points, and the precision of their parameters.
+    mapped: np.ndarray | None = None
+    pull: np.ndarray | None = None
+
+    @property
+    def image(self) -> np.ndarray:
+        """(h, w, 3) uint8, uint16 or float32, corrected for vignetting."""
+        return self.linear.image
+
+    def prepared(self, objectives: Sequence[Objective]) -> "Target":
+        """Return a target with the noise measured if it is needed, and the nearest shape of the model as start (eq 2).
+
+        That shape is for several levels, of which the coarse ones cannot show all; one level starts from it anyway.
+        """
+        target, warp = self.measured(objectives[-1].method), objectives[-1].warp
+        if len(objectives) == 1:
+            return target
+        pose = align(warp.rest, self.start)
+        return target._replace(start=pose(warp.shape(warp.parameters(pose.inverse()(self.start)))))
+
+    def measured(self, method: Method) -> "Target":
+        """Return a target with the noise measured in the image, if the method needs it and it is unknown."""
+        if self.noise is not None or not method.weighs_noise:
+            return self
+        return self._replace(noise=noise_around(self.image, self.start, self.linear.response))
+
+
+class Levels:
+    """Objectives from coarse to fine, which the core fits in one call without the interpreter's lock.
+
+    :func:`solve_levels` does the same for what the core leaves out, and where it could not be built.
+    """
+
+    def __init__(self, objectives: Sequence[Objective], keeps_samples: bool = False) -> None:
+        self.objectives, self.keeps_samples = tuple(objectives), keeps_samples
+        self._compiled: dict[tuple[int, int | None], Any] = {}
+
+    def __getstate__(self) -> dict:
+        """Leave out what the core holds, which is valid in this process only."""
+        return {**vars(self), "_compiled": {}}
+
+    def can_take(self, target: Target, options: SolverOptions) -> bool:
+        """Return whether the core can fit an image in one call with these options."""
+        if options.elimination != "varpro" or not all(each.is_compiled for each in self.objectives):
+            return False
+        floats = target.image.dtype.kind == "f" and target.image[..., 0].size > LARGEST_FLOATS
+        return isinstance(self.objectives[0].method.encoding, str) and not floats
+
+    def fit(self, target: Target, options: SolverOptions, first: int = 0, last: int | None = None) -> list[FittedLevel]:
+        """Fit an image at the levels from one on, up to another; fewer levels if the fit diverges."""
+        objectives, levels = self.objectives[first:last], []
+        if not self.can_take(target, options):
+            return solve_levels(objectives, target, options)
+        if (first, last) not in self._compiled:
+            self._compiled[first, last] = self._prepare(objectives)
+        target = target.prepared(objectives)
+        shape = target.start
+        for objective, each in zip(objectives, self._call(self._compiled[first, last], target, options), strict=False):
+            pose, to_patch = (Similarity(rows[:, :2], rows[:, 2]) for rows in (each.pose, each.to_patch))
+            about = pose, each.fit, to_patch, each.patch_size
+            levels.append(FittedLevel(objective, *about, None if objective is objectives[-1] else shape))
+            shape = levels[-1].reached
+        return levels
+
+    def _prepare(self, objectives: Sequence[Objective]) -> Any:
+        warps: list[Any] = [objective.warp for objective in objectives]  # of a mesh: that is what the core can fit
+        method, theta = objectives[0].method, objectives[0].theta_model
+        levels = [
+            {
+                "objective": each.compiled,
+                "blur": float(each.blur),
+                "density": float(each.density),
+                "basis": np.ascontiguousarray(warp.shape_model.basis, np.float64),
+            }
+            for each, warp in zip(objectives, warps, strict=True)
+        ]
+        about = {"levels": levels, "mean": _flat(warps[0].rest), "encoding": ENCODINGS.index(method.encoding)}
+        about |= {"theta_1": float(theta), "has_invariant": method.solves_angle, "keeps_samples": self.keeps_samples}
+        return _core.prepare(about)
+
+    def _call(self, compiled: Any, target: Target, options: SolverOptions) -> list:
+        objective, linear, noise = self.objectives[0], target.linear, target.noise
+        image, encoding, response = linear.image, objective.method.encoding, linear.response
+        about = {
+            "start": _flat(target.start),
+            "points": _flat(np.zeros(0) if target.mapped is None else target.mapped),
+            "point_precision": np.ascontiguousarray(np.zeros((0, 0)) if target.pull is None else target.pull),
+            "margin": float(target.margin),
+            "theta_2": float(objective.theta_model if target.theta is None else target.theta),
+            "log_noise": NO_NOISE if noise is None else noise_table(noise).astype(np.float32),
+            "first_log": LOG_RANGE[0],
+            "last_log": LOG_RANGE[1],
+        }
+        given = encoding == "soft" and linear.grey, log_floor(response), about, options.as_dict
+        if image.dtype.kind == "f":
+            means = linear.light_of(encoding)
+            return compiled.fit_light(means.light, means.finite, *given)
+        return compiled.fit(image, light_table(image.dtype.str, encoding, response), *given)
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(points, np.float64).ravel()
+
+
+def solve_levels(objectives: Sequence[Objective], target: Target, options: SolverOptions) -> list[FittedLevel]:
+    """Solve the levels from coarse to fine, each from the solution of the one before; fewer if the fit diverges."""
+    finest, stages = objectives[-1], []
+    target = target.prepared(objectives)
+    light, shape = light_for(objectives, target), target.start
+    for objective in objectives:
+        own = options if objective is finest else spare(options)
+        image, state, pose = prepare_level(objective, target, stages, own, light)
+        solution = objective.solve(image, state, own, evaluate_last=objective is finest)
+        about = pose, solution, image.patch.from_image, image.channels.shape[:2]
+        stages.append(FittedLevel(objective, *about, None if objective is finest else shape))
+        shape = stages[-1].reached
+        if not is_sane(shape, target.start):
+            break
+    return stages
+
+
+def light_for(objectives: Sequence[Objective], target: Target) -> Light:
+    """Return the image averaged once for all levels."""
+    about = {"encoding": objectives[0].method.encoding, "response": target.linear.response, "margin": target.margin}
+    pose, blurs = align(objectives[0].warp.rest, target.start), [objective.blur for objective in objectives]
+    return Light.around(target.image, target.start, pose, blurs=blurs, **about)
+
+
+def prepare_level(
+    objective: Objective,
+    target: Target,
+    stages: Sequence[FittedLevel],
+    options: SolverOptions,
+    light: Light | None = None,
+) -> tuple[LevelImage, State, Similarity]:
+    """Return the encoded image, the initial state and the pose of a level, given the levels before it.
+
+    The pose is updated at each level because shape modes rotate and scale with it, and the patch is cut around the
+    current shape. ``light`` is the image averaged for all levels; by default it is averaged here.
+    """
+    shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
+    warp, method = objective.warp, objective.method
+    pose = align(warp.rest, shape)
+    about = method, target.linear.response, objective.blur, target.noise, margin, objective.density
+    image = LevelImage.at(target.image if light is None else light, shape, pose, *about)
+    if target.pull is not None and target.mapped is not None:
+        points = warp.parameters(pose.inverse()(target.mapped))
+        own = own_parameters(len(points), len(target.pull))
+        image = replace(image, point_precision=target.pull[np.ix_(own, own)], points=points)
+    state = objective.start(warp.parameters(pose.inverse()(shape)))
+    angles = stages[-1].solution.angles if stages else _first_angles(objective, image, state, options, target.theta)
+    return image, state._replace(angles=np.array(angles, np.float64)), pose
+
+
+def _first_angles(
+    objective: Objective, image: LevelImage, state: State, options: SolverOptions, theta: float | None
+) -> np.ndarray:
+    if theta is not None and objective.method.free_angles == "none":
+        return np.array([state.angles[0], theta])
+    if objective.method.free_angles != "image" or not objective.method.solves_angle or options.angle_start == "model":
+        return state.angles
+    return np.array([state.angles[0], best_image_angle(objective, image, state)])
+
+
+def is_sane(shape: np.ndarray, start: np.ndarray) -> bool:
+    """Return whether a shape is finite and its size not too far from that of the start."""
+    if not np.isfinite(shape).all():
+        return False
+    return THRESHOLDS["LEAST_GROWTH"] < diagonal_of(shape) / diagonal_of(start) < THRESHOLDS["MOST_GROWTH"]

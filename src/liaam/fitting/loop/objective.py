@@ -1,0 +1,309 @@
+"""The objective of a model, a method and a level: the model's side of the residual (eq 10, generalised)."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from liaam import _core
+from liaam.errors import MethodError
+from liaam.fitting.loop.level_image import LevelImage, correlated_pixels
+from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, at_angle, check_holds, gaussian_median
+from liaam.fitting.reference.loop import solve_level
+from liaam.fitting.reference.problem import CORRELATED, GRADIENT_ROWS, Problem
+from liaam.model import AAM, Level
+from liaam.model.appearance import AppearanceModel
+from liaam.model.warp import PiecewiseAffineWarp, Warp, padded
+from liaam.photometry.features import Encoder, name_of
+
+RIDGE = 1e-6
+"""Ridge on A'A relative to the mode's squared norm before projection by the metric. It keeps modes that the metric
+cannot observe, such as pure shading under L(theta), at the mean; otherwise rounding errors determine them."""
+
+
+class State(NamedTuple):
+    """The unknowns of a fit."""
+
+    p: np.ndarray  # (n_p,) float64: parameters of the warp
+    angles: np.ndarray  # (2,) float64: theta_1 (model) and theta_2 (image), radians
+    lam: np.ndarray  # (m,) float64: coordinates of the appearance, extra modes last
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """The cost of a method for a model at one level (eq 10, generalised)."""
+
+    method: Method
+    warp: Warp
+    appearance: AppearanceModel
+    theta_model: float  # the training camera's angle, radians
+    # (n_p,): precision of a Gaussian prior on p; 0 for none. The loop scales it to correct for correlated pixels, with
+    # ``dof`` degrees of freedom (fitting.reference.loop.next_prior_scale); infinite for a scale of 1.
+    prior: np.ndarray
+    illumination: AppearanceModel | None = None  # basis, for methods that add one
+    blur: float = 0.0  # of the image: its standard deviation, model pixels
+    density: float = 1.0  # fraction of the frame's pixels that are used
+    dof: float = np.inf
+    # Appearance and illumination at all of the frame's pixels in raster order, for spatial gradients; by default those
+    # at the warp's pixels.
+    in_frame: tuple[AppearanceModel, AppearanceModel | None] | None = None
+
+    @property
+    def correlated(self) -> float:
+        """Number of pixels per independent residual, for weights that do not account for correlation."""
+        return max(1.0, self.density * correlated_pixels(self.blur))
+
+    @property
+    def n_q(self) -> int:
+        """Number of warp parameters plus free angles."""
+        return self.warp.n_parameters + self.method.angle_directions.shape[1]
+
+    @property
+    def n_lambda(self) -> int:
+        """Number of appearance modes plus extra modes."""
+        return len(self.fields["rows"]) - 1
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the core can fit this objective; the reference fits any."""
+        return _core.BUILT and isinstance(self.warp, PiecewiseAffineWarp) and not self.method.normalise
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The objective in the form that the core takes."""
+        return _core.make_objective(self.fields)
+
+    @cached_property
+    def fields(self) -> dict[str, Any]:
+        """Arrays and numbers of the objective, as ``src/core/objective.hpp`` names and describes them.
+
+        ``rows`` (1 + m, n k) are P(theta_1) A_0 and P(theta_1) A_i, and ``row_parts`` their constant, cos and sin parts
+        where theta_1 is free.
+        """
+        n, k, method = len(self.appearance.mean), self.method.n_rows, self.method
+        parts = self._rows_of(self.appearance, self.illumination)
+        rows, slope_parts = at_angle(parts, self.theta_model).reshape(-1, n * k), self._slope_parts
+        m, none = len(rows) - 1, np.zeros((0, 0, 0), np.float32)
+        lines = np.zeros((n * k, padded(m)), np.float32)
+        lines[:, :m] = rows[1:].T
+        own = np.repeat(np.sqrt(self.appearance.usable), k).astype(np.float32)
+        weighted = rows[1:].astype(np.float64) * own
+        return {
+            **(self.warp.mesh()._asdict() if isinstance(self.warp, PiecewiseAffineWarp) else {}),
+            "rows": rows,
+            "lines": lines.ravel(),
+            "slopes": at_angle(slope_parts, self.theta_model) if self._turns else slope_parts[0],
+            "row_parts": parts.reshape(3, -1, n * k) if self._turns else none,
+            "slope_parts": slope_parts if self._turns else none,
+            "sqrt_weights": own,
+            "gram": weighted @ weighted.T,
+            "ridge": self._ridge(),
+            "errors": self._errors(),
+            "prior": np.array(self.prior, np.float64),
+            "correlated": float(self.correlated),
+            "dof": float(self.dof),
+            "colours": self._knows_colours,
+            "metric": method.metric_parts.astype(np.float32).reshape(3, -1),
+            "directions": np.ascontiguousarray(method.angle_directions, dtype=np.float64),
+            "weighting": WEIGHTS.index(method.weights),
+            "loss": LOSSES.index(method.loss) + 1 if method.loss in LOSSES else 0,
+            "gaussian_median": gaussian_median(method.n_rows) if method.loss in LOSSES else 1.0,
+            "step": STEPS.index(method.step),
+        }
+
+    def __getstate__(self) -> dict:
+        """Leave out what the core holds, which is valid in this process only."""
+        return {name: value for name, value in self.__dict__.items() if name != "compiled"}
+
+    @property
+    def _turns(self) -> bool:
+        """Whether theta_1, and so the model's side, changes during a fit."""
+        return bool(self.method.angle_directions[0].any())
+
+    def _textures(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> list[np.ndarray]:
+        """Return the mean, the modes and what the method adds to them, each (count, n, c)."""
+        added = [illumination.modes] if self.method.illumination and illumination is not None else []
+        gain = [appearance.mean[None]] if self.method.gain else []  # its mode is the mean
+        return [appearance.mean[None], appearance.modes, *added, *gain]
+
+    def _rows_of(self, appearance: AppearanceModel, illumination: AppearanceModel | None) -> np.ndarray:
+        """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
+        n, k, textures = len(appearance.mean), self.method.n_rows, self._textures(appearance, illumination)
+        bias = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}[self.method.bias]
+        constant = np.broadcast_to(bias.astype(np.float32), (len(bias), n, k))
+        parts = [
+            np.concatenate([*(texture @ metric.T for texture in textures), constant if i == 0 else 0.0 * constant])
+            for i, metric in enumerate(self.method.model_metric_parts.astype(np.float32))
+        ]
+        return np.stack(parts).astype(np.float32)
+
+    def _ridge(self) -> np.ndarray:
+        """Return the ridge on the diagonal of A'A, (m,) float64, from the norms of the modes before projection."""
+        appearance, k = self.appearance, self.method.n_rows
+        textures = self._textures(appearance, self.illumination)[1:]
+        sizes = [np.square(own, dtype=np.float64).sum(axis=(1, 2)) for own in textures]
+        biases = {"none": [], "common": [k * len(appearance.mean)], "rows": [len(appearance.mean)] * k}
+        ridge = RIDGE * np.maximum(np.concatenate([*sizes, biases[self.method.bias]]), 1e-12)
+        ridge[: appearance.n_modes] += self._ordinary_unit() / np.maximum(appearance.eigenvalues, 1e-12)
+        return ridge
+
+    def _ordinary_unit(self) -> float:
+        """Return the variance at weight 1 in images like those of training, for weights by rows; else 0.
+
+        It converts the prior of lambda, N(0, eigenvalues), to units of squared residuals. If an image leaves more
+        unexplained than training images do, its appearance may deviate as much more: the common scale cancels.
+        """
+        unexplained, usable = self.appearance.unexplained, self.appearance.usable
+        if self.method.weights != "rows" or unexplained is None or not usable.any():
+            return 0.0
+        variances = np.average(np.einsum("ncc->nc", unexplained), axis=0, weights=usable)
+        group = np.where(np.arange(len(variances)) < GRADIENT_ROWS, 0, 1)
+        precisions = 1.0 / (CORRELATED[group] * np.maximum(variances, 1e-9))
+        return float(self.correlated / np.where(self._knows_colours | (group == 0), precisions, 0.0).mean())
+
+    @property
+    def _knows_colours(self) -> bool:
+        return bool(self.appearance.mean[:, -1].any())
+
+    @cached_property
+    def _slope_parts(self) -> np.ndarray:
+        """Spatial gradients of mean and modes, (1 or 3, 1 + m, 2 n k) float32; empty for methods that use none.
+
+        Three parts, as of :meth:`_rows_of`, if theta_1 is free; else one at the model's angle.
+        """
+        parts = self._rows_of(*(self.in_frame or (self.appearance, self.illumination)))
+        parts = parts if self._turns else at_angle(parts, self.theta_model)[None]
+        if not self.method.expects:
+            return np.zeros((*parts.shape[:2], 0), np.float32)
+        n_parts, n_modes, n_all, k = parts.shape
+        columns = parts.transpose(2, 0, 1, 3).reshape(n_all, -1)
+        slopes = self.warp.slopes(columns).reshape(-1, 2, n_parts, n_modes, k)
+        return np.ascontiguousarray(slopes.transpose(2, 3, 0, 1, 4), np.float32).reshape(n_parts, n_modes, -1)
+
+    def _errors(self) -> np.ndarray:
+        """Return the variance of the model's errors, mean over the rows of P, (n,) float64; 0 if unknown."""
+        unexplained = self.appearance.unexplained
+        if unexplained is None:
+            return np.zeros(len(self.appearance.mean))
+        metric = self.method.model_metric(self.theta_model)
+        return np.einsum("kc,ncd,kd->n", metric, unexplained, metric, optimize=True) / len(metric)
+
+    def start(self, p: np.ndarray) -> State:
+        """Return a state with the mean appearance and the model's angle for both cameras."""
+        return State(np.array(p, np.float64), np.full(2, self.theta_model), np.zeros(self.n_lambda))
+
+    def mean_at(self, theta: float) -> np.ndarray:
+        """Return P(theta_1) A_0, (n k,)."""
+        if not self._turns:
+            return self.fields["rows"][0]
+        return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["row_parts"][:, 0]
+
+    def problem(self, image: LevelImage) -> Any:
+        """Return the objective at an image, in the parts that the loop calls (:class:`Problem`)."""
+        return _core.Problem(self.compiled, image.compiled) if self.is_compiled else Problem(self, image)
+
+    def evaluate(self, image: LevelImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
+        """Evaluate the residual of a state, solve for lambda there if asked, and update the weights ``weigh`` times.
+
+        The result are the arrays of :meth:`Problem.arrays`.
+        """
+        problem = self.problem(image)
+        problem.begin(state.p, tuple(state.angles), state.lam)
+        problem.evaluate(solves)
+        for _ in range(weigh):
+            problem.reweigh(solves)
+        return problem.arrays()
+
+    def solve(self, image: LevelImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
+        """Minimise the cost over one image from a state (:class:`liaam.fitting.loop.options.SolverOptions`).
+
+        A fit that fails is returned, not raised. The solution is a ``LevelFit`` of the core or of the reference.
+        """
+        p, angles, lam = state.p, tuple(state.angles.tolist()), state.lam
+        if self.is_compiled and options.elimination == "varpro":
+            controls = options.as_dict, image.blur, evaluate_last
+            return _core.solve_level(self.compiled, image.compiled, p, angles, lam, *controls)
+        return solve_level(self, image, p, angles, lam, options, image.blur, evaluate_last)
+
+    def noise_variance(self, solution: Any) -> float:
+        """Return the variance at weight 1, including correlation, from the weights or else from the cost."""
+        if self.method.weights == "rows" and np.isfinite(solution.noise_variance):
+            return float(solution.noise_variance)
+        return float(self.correlated * solution.squares / solution.weight) if solution.weight > 0 else 0.0
+
+
+THINNING = 1.5
+"""Distance between sampled pixels, in standard deviations of a level's blur, rounded to whole pixels. Closer pixels are
+redundant at the sharpest level; coarse levels need theirs (experiments/notes/engine.md). Of these levels, model files
+hold only the pixels that this distance needs (:func:`pixels_for`)."""
+
+
+def pixels_for(warp: PiecewiseAffineWarp, blur: float) -> np.ndarray:
+    """Return a mask of the pixels that fits at a level need: those sampled, and the rows and columns through them.
+
+    The gradients of the model's textures are those of splines along rows and columns.
+    """
+    pixels = warp.frame.pixels
+    sampled = pixels[warp.every(THINNING * blur)]
+    return np.isin(pixels[:, 0], sampled[:, 0]) | np.isin(pixels[:, 1], sampled[:, 1])
+
+
+def make_objectives(model: AAM, method: Method, thinning: float | None = None) -> tuple[Objective, ...]:
+    """Make the objectives of a model and a method, one per level, coarse to fine.
+
+    ``thinning`` is the distance between sampled pixels, in standard deviations of a level's blur. By default it is
+    :data:`THINNING`, and 0 (every pixel) for orientations: they are normalised after the blur, so neighbours are less
+    redundant. Measured with ``igo`` on unseen persons of IMM: 6.1 % with all pixels, 7.1 % otherwise. MethodError is
+    raised if the model lacks what the method needs, such as colour.
+    """
+    if method.needs_colour and not model.is_colour:
+        raise MethodError(
+            f"method {method.name} compares colours, but the model was trained on grey images; "
+            "use method 'soft-li' or 'grey'"
+        )
+    method = _encoded(model, method)
+    check_holds(model, method)
+    if thinning is None:
+        thinning = 0.0 if method.encoding == "orientation" else THINNING
+    warp, levels = model.views[method.view].warp, model.views[method.view].levels
+    seen = [replace(warp, shape_model=warp.shape_model.seen_at(level.blur)) for level in levels[:-1]]
+    return tuple(_objective(model, method, *each, thinning) for each in zip([*seen, warp], levels, strict=True))
+
+
+def _objective(model: AAM, method: Method, warp: PiecewiseAffineWarp, level: Level, thinning: float) -> Objective:
+    """Make the objective of one level, on a thinned set of pixels."""
+    appearance, illumination = level.appearances[method.appearance], level.appearances.get("illumination")
+    # Estimating the prior's scale needs weights that account for correlation.
+    dof = warp.shape_model.freedom if method.weights == "rows" else np.inf
+    # N(0, eigenvalue) for the shape modes; the four similarity vectors have no prior.
+    prior = np.concatenate([1.0 / np.maximum(warp.shape_model.eigenvalues, 1e-12), np.zeros(4)])
+
+    kept = warp.every(thinning * level.blur)
+    return Objective(
+        method,
+        warp.at(kept),
+        appearance.at(kept),
+        model.theta,
+        prior,
+        None if illumination is None else illumination.at(kept),
+        blur=level.blur,
+        density=len(kept) / len(appearance.mean),
+        dof=dof,
+        in_frame=(appearance, illumination),
+    )
+
+
+def _encoded(model: AAM, method: Method) -> Method:
+    """Return a method whose encoding, if it is a function of the user, ends with the model's projection."""
+    if not callable(method.encoding) or isinstance(method.encoding, Encoder):
+        return method
+    function: Any = method.encoding
+    known, name = model.features, name_of(function)
+    if known is None or known.name != name:
+        given = "was trained without features" if known is None else f"was trained with the features {known.name}"
+        raise MethodError(
+            f"method {method.name} compares the features {name}, but the model {given}; train it with this function "
+            "(train(..., features=function))"
+        )
+    return replace(method, encoding=Encoder(function, known))

@@ -1,0 +1,118 @@
+"""Uncertainty of a fit: covariances, and the evidence for its quality (docs/explanation/uncertainty.md)."""
+
+import numpy as np
+
+from liaam.fitting.loop.levels import FittedLevel
+from liaam.fitting.loop.objective import Objective
+from liaam.model import Reliability
+from liaam.model.contours import Contours, contour_turns
+from liaam.model.shape import ShapeModel, Similarity, own_parameters
+
+
+def covariance(
+    stage: FittedLevel, whole: Objective | None = None, strength: float = 1.0, pull: np.ndarray | None = None
+) -> np.ndarray:
+    """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 10 plus the prior.
+
+    :meth:`Objective.noise_variance` scales the Hessian, since the blur and the model's errors correlate neighbouring
+    pixels. Unobservable directions have a variance of 1e12. ``strength`` is that of the prior on p, and ``pull``
+    (n_p, n_p) the precision of p by the points of another landmarker. ``whole`` is an objective with all shape modes,
+    of which the stage may have only the first.
+    """
+    objective, solution, whole = stage.objective, stage.solution, whole or stage.objective
+    n_p, own = whole.warp.n_parameters, own_parameters(objective.warp.n_parameters, whole.warp.n_parameters)
+    own, precision = np.r_[own, n_p : whole.n_q], np.zeros((whole.n_q, whole.n_q))
+    precision[np.ix_(own, own)] = solution.expected_hessian / max(objective.noise_variance(solution), 1e-12)
+    precision[~np.isfinite(precision)] = 0.0  # of a diverged fit
+    precision[np.arange(n_p), np.arange(n_p)] += strength * whole.prior
+    if pull is not None:
+        precision[:n_p, :n_p] += pull
+    try:
+        factor = np.linalg.cholesky(precision)
+    except np.linalg.LinAlgError:
+        factor = np.zeros((1, 1))
+    pivots = factor.diagonal()
+    if pivots.min() > 1e-5 * pivots.max():  # everything is observable; takes a quarter of the time
+        half = np.linalg.inv(factor)
+        return half.T @ half
+    values, vectors = np.linalg.eigh(precision)
+    inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
+    return (vectors * inverse) @ vectors.T
+
+
+# Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
+# noise, and the upper limit of that fraction (experiments/notes/engine.md).
+BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
+
+
+def explains_more_than_noise(stage: FittedLevel) -> bool:
+    """Return whether a fit explains more of its image, under its own weights, than it would of noise."""
+    objective, solution = stage.objective, stage.solution
+    contrast, left = _contrast(objective, solution.weighted_contrast)
+    count = objective.n_q + objective.n_lambda
+    by_chance = BY_CHANCE * count * objective.correlated / max(solution.n_counted, 1)
+    return left < (1.0 - min(by_chance, MOST_BY_CHANCE)) * contrast
+
+
+def _contrast(objective: Objective, sums: np.ndarray) -> tuple[float, float]:
+    """Return the weighted squares of a fit's samples and of its residual, over the rows that count.
+
+    For ``soft-li`` these are the gradients. Values and logarithms count relative to their mean.
+    """
+    weight, total, squares, left = sums.T
+    if objective.method.encoding in ("value", "log"):
+        about_mean = squares - total**2 / np.maximum(weight, 1e-300)
+        squares = np.where(about_mean > 1e-9 * squares, about_mean, 0.0)  # else it is rounding
+    return float(squares.sum()), float(left.sum())
+
+
+def quality_features(stage: FittedLevel) -> np.ndarray:
+    """Compute the features that separate right fits from wrong ones, (2,) float64.
+
+    The first is the explained fraction of the image's contrast, minus a penalty for an unlikely appearance. It is
+    multiplied by the square root of the contrast, so that a blurred or partly visible object counts little. The second
+    is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations).
+    """
+    objective, solution = stage.objective, stage.solution
+    contrast, left = _contrast(objective, solution.contrast)
+    if not np.isfinite(left):
+        return np.array([-1.0, 14.0])
+    unlikely = float(objective.fields["ridge"] @ np.square(solution.lam))
+    # The mean over all of the model's pixels: unusable pixels count as unexplained.
+    strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
+    explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
+    modes = np.square(solution.p) * objective.prior
+    far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
+    return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])
+
+
+def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
+    """Propagate the covariance of p (first in ``spread``) to the landmarks, (n, 2, 2) float64, model pixels squared."""
+    n_p = len(shapes.basis)
+    basis = shapes.basis.reshape(n_p, -1, 2)
+    weighted = (spread[:n_p, :n_p] @ shapes.basis).reshape(n_p, -1, 2)
+    return np.einsum("ina,inb->nab", basis, weighted)
+
+
+def landmark_covariances(
+    shapes: ShapeModel,
+    pose: Similarity,
+    p: np.ndarray,
+    spread: np.ndarray,
+    contours: Contours = (),
+    reliability: Reliability | None = None,
+    unit: float = 1.0,
+) -> np.ndarray:
+    """Return the covariance of each landmark, (n, 2, 2) float64, image pixels squared: of the fit plus left-out errors.
+
+    ``spread`` is the covariance of (p, free angles), and ``pose`` maps model pixels to image pixels. Errors on left-out
+    images are those along and across the contours, from the model's calibration; by default the shape model's errors on
+    left-out shapes. They depend on ``unit``, the variance of a residual at weight 1.
+    """
+    fitted = fitted_covariances(shapes, spread)
+    unexplained = shapes.unexplained if reliability is None else reliability.errors(unit)
+    if contours and unexplained is not None:
+        turns = contour_turns(shapes.mean, shapes.shape(p), contours)
+        unexplained = turns @ unexplained @ np.swapaxes(turns, 1, 2)
+    own = fitted if unexplained is None else fitted + unexplained
+    return pose.matrix @ own @ pose.matrix.T

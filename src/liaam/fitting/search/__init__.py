@@ -1,0 +1,1 @@
+"""Where a fit starts: given starts, the search for the object, and further places and shapes after a poor fit."""

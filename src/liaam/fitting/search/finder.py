@@ -1,0 +1,457 @@
+"""Detection of the object, for fits without a given start.
+
+Templates of gradient orientations (:mod:`liaam.fitting.search.templates`) are correlated with the orientations in the
+image at many sizes. The best places are fitted with the reduced model by method ``igo``, and scored by how well it
+explains the orientations there. If one object is wanted, small ones are searched for only if no large one is certain.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from liaam.errors import MethodError, ModelFileError
+from liaam.fitting.detection import DOUBTFUL, Detection, are_apart, are_beside, choose, is_inside
+from liaam.fitting.loop.levels import FittedLevel, Levels, LinearImage, Target
+from liaam.fitting.loop.objective import THINNING, make_objectives
+from liaam.fitting.loop.options import SolverOptions
+from liaam.fitting.methods import get_method
+from liaam.fitting.search.responses import Bank, Peaks, strongest
+from liaam.fitting.search.templates import (
+    TEMPLATE,
+    TURNS,
+    Field,
+    Grey,
+    Template,
+    make_templates,
+    rotated_filters,
+    shrink,
+)
+from liaam.model import AAM
+from liaam.model.aam import named_model
+from liaam.model.shape import Similarity, align, diagonal_of, rotation
+from liaam.photometry import Response
+from liaam.photometry.picture import described, load_picture
+from liaam.workers import in_threads
+
+# What was measured for these is in experiments/notes/engine.md.
+
+SMALLEST, LARGEST = 0.15, 1.25  # diagonals searched, as fractions of the image's shorter side
+LEAST_PIXELS = 20.0  # smallest diagonal, pixels of the image
+STEP = 1.2  # ratio of consecutive sizes
+PADDING = 0.25  # largest distance that an object may extend beyond the image, as a fraction of its diagonal
+# Pixels of all fields of a search together, with their padding. Images of up to 11 to 1 need fewer. In longer ones the
+# smallest objects, which take most of the time, are not searched for: below 0.5 of the shorter side at 100 to 1.
+MOST_PIXELS = 3_000_000
+SETTINGS = SolverOptions(max_iterations=10, tolerance=0.1)  # of the fits of places
+VISITED = 0.25  # margin around a place that its fit may use, as a fraction of the object's diagonal
+GROWTH = (0.5, 2.0)  # limits on the change of size in the fit of a place; beyond them it has diverged
+SHAPE_PENALTY = 0.05  # on the score, per unit of the mean squared shape mode in standard deviations
+MOST = 20  # objects in an image
+# Largest number of places that are fitted: so many, and so many more for each object that is wanted.
+PLACES, PLACES_PER_OBJECT = 6, 4
+# Distance, in diagonals, and fraction of its size, within which a place is the same as a stronger one.
+APART = 0.2
+
+# One object: sum of score and response at which the search stops. Seven of ten right places have more, and no wrong
+# place of 861 images has more than 1.18.
+SURE = 1.25
+# Fraction of the strongest response below which places are left out. Right places have at least 0.77.
+WORTH = 0.75
+# Diagonal of large objects as a fraction of the image's shorter side, and number of their places that are fitted. Small
+# objects are searched for only if none of these is sure: they take three quarters of the time.
+LARGE, LARGE_PLACES = 0.3, 2
+
+# Further objects, where one is wanted: the least sum of score and response. Of 12 pairs of faces 10 have more; places
+# without a face have at most 1.12.
+SURE_BESIDE = 1.15
+CLEAR = 0.45  # least response of the places that are fitted for them
+MOST_BESIDE = 4  # number of these places
+LEAST_BESIDE = 0.5  # least diagonal of these places, relative to the best detection
+
+# Other places to fit if the first is not the object: their number, and that of places scored for each. With twice as
+# many, the search takes 1.6 times as long and sees no more faces.
+OTHERS, LOOKED = 12, 2
+# Bonus on their score per unit of the learnt filter's response, which is 1 at the mean. Without it, one face in forty
+# falls behind the first six places.
+RESPONSE_WORTH = 0.5
+SIZE_WORTH = 0.05  # bonus on their score per unit of log size: there are more wrong places of small sizes
+
+# Objects that fill the frame: diagonals as fractions of its shorter side, and rotations, degrees, of those in TURNS.
+FILLING = (0.95, 1.1)
+FILLING_TURNS: dict[str, tuple[float, ...]] = {"upright": (0.0,), "all": (-180.0, -90.0, 0.0, 90.0)}
+IN_THE_MIDDLE = 0.8  # diagonal of the mean shape that stands for no detection, as a fraction of the shorter side
+
+
+@dataclass(frozen=True, eq=False)
+class Finder:
+    """A detector for a model, to be used on many images.
+
+    Attributes
+    ----------
+    model : AAM
+    rotations : {"upright", "all"}
+        Rotations searched: up to about 25 degrees, or all, at four times the time.
+
+    Examples
+    --------
+    >>> finder = Finder(model)                              # doctest: +SKIP
+    >>> best = [finder.find(image)[0] for image in images]  # doctest: +SKIP
+    """
+
+    model: AAM
+    rotations: str = "upright"
+
+    def __post_init__(self) -> None:
+        """Raise an error if the model is not one, or the rotations are unknown."""
+        if not isinstance(self.model, AAM):
+            raise ModelFileError(
+                f"{described(self.model)} is not a model; give a model first; of a file, give liaam.load_model(path)"
+            )
+        if self.rotations not in TURNS:
+            raise MethodError(f"unknown rotations {self.rotations!r}; choose from {', '.join(TURNS)}")
+
+    @cached_property
+    def small(self) -> AAM:
+        """The reduced model: the coarsest level on a smaller frame."""
+        return shrink(self.model)
+
+    @cached_property
+    def parts(self) -> tuple["Finder", ...]:
+        """A detector for each shape of the model."""
+        return tuple(replace(self, model=part) for part in self.model.parts)
+
+    @cached_property
+    def templates(self) -> Bank:
+        """All templates of the reduced model."""
+        return Bank(make_templates(self.small, self.rotations), self._padding)
+
+    @cached_property
+    def filters(self) -> Bank:
+        """The model's learnt filter in several rotations; the templates if it has none."""
+        if self.model.search_filter is None:
+            return self.templates
+        rotated = rotated_filters(self.model.search_filter, self.rotations, self.small)
+        return Bank(rotated, self._padding, normalised=True)
+
+    @property
+    def _padding(self) -> int:
+        """Pixels of a field that an object may extend beyond it."""
+        return int(PADDING * self.small.diagonal)
+
+    @cached_property
+    def level(self) -> Levels:
+        """The level of the fits of places."""
+        # The limits on scores were set with this thinning. All pixels find no more, and take longer.
+        return Levels(make_objectives(self.small, get_method("igo"), thinning=THINNING), keeps_samples=True)
+
+    def find(
+        self,
+        image,
+        *,
+        limit: int | None = 1,
+        least: float = 0.0,
+        response: Response | None = None,
+        name: str = "image",
+    ) -> list[Detection]:
+        """Find the object in an image; see :func:`find`."""
+        if limit is not None and limit < 1:
+            raise MethodError(f"limit {limit} is too small; give 1 or more, or None for all objects")
+        response = self.model.response if response is None else response
+        return self.find_in(LinearImage(load_picture(image, name)[0], response), limit=limit, least=least)
+
+    def find_in(self, linear: LinearImage, *, limit: int | None = 1, least: float = 0.0) -> list[Detection]:
+        """Find the object in an image that is checked already; see :func:`find`."""
+        most = MOST if limit is None else min(limit, MOST)
+        if self.model.others:
+            detections = []
+            for part in self.parts:
+                detections += part.find_in(linear, limit=limit, least=least)
+            return choose(_best_first(detections), are_beside, most)
+        search = _Search(self, linear, count=PLACES + PLACES_PER_OBJECT * most, bank=self.templates)
+        detections = search.for_one(least) if most == 1 else search.for_all()
+        if not detections:
+            detections = [self._in_the_middle(linear.image)]
+        chosen = choose(_best_first(detections), are_beside, most)
+        if most == 1:
+            chosen = [replace(chosen[0], others=search.beside(chosen[0]))]
+        return [detection for detection in chosen if detection.score >= least]
+
+    def others_in(self, linear: LinearImage, most: int = OTHERS) -> list[Detection]:
+        """Find other places to fit if the first is not the object: the next best, and some that fill the frame.
+
+        The best come first, ``most`` at most, then those that fill the frame. Their shapes are the aligned mean shape,
+        because deformations of the reduced model are a bad start.
+        """
+        search = _Search(self, linear, count=LOOKED * most, bank=self.filters)
+        response_worth = 0.0 if self.model.search_filter is None else RESPONSE_WORTH
+        best = choose(search.ranked(response_worth), are_apart, most)
+        places = choose([*best, *search.filling()], are_apart)
+        mean = self.model.shape_model.mean
+        return [replace(place, landmarks=align(mean, place.landmarks)(mean)) for place in places]
+
+    def _fit_place(self, linear: LinearImage, place: "_Place") -> Detection:
+        """Fit the reduced model at a place, and score the result; 0 if the fit diverges."""
+        warp = self.level.objectives[0].warp
+        pose = Similarity(rotation(place.template.turn) * place.scale, place.centre)
+        start = pose(warp.shape(place.template.p))
+        (level,) = self.level.fit(Target(linear, start, margin=VISITED), SETTINGS)
+        shape = level.reached
+        growth = diagonal_of(shape) / diagonal_of(start)
+        if not (np.isfinite(shape).all() and GROWTH[0] < growth < GROWTH[1]):
+            return self._detection(start, 0.0)
+        strength = place.field.strength(level.pose(warp.points(level.solution.p)))
+        return self._detection(shape, self._score(level, strength))
+
+    def _score(self, level: FittedLevel, strength: np.ndarray) -> float:
+        """Return the mean cosine between image and fitted appearance, minus a penalty for an unusual shape.
+
+        ``strength`` (n_pixels,) is that of the gradients at the model's pixels.
+        """
+        solution = level.solution
+        weights = level.objective.appearance.usable[:, None].astype(np.float64)
+        seen = solution.samples.reshape(-1, 2).astype(np.float64)
+        expected = seen - solution.residual.reshape(-1, 2)
+        # Pixels outside the image count as unexplained: otherwise half an object at the border scores as a whole one.
+        product = float((weights * (solution.usable * strength)[:, None] * seen * expected).sum())
+        power = float((weights * np.square(expected)).sum() * weights.sum())
+        if not power > 0:
+            return 0.0
+        variances = np.maximum(self.small.shape_model.eigenvalues, 1e-12)
+        modes = solution.p[:-4]  # the last four are the similarity
+        unusual = float((np.square(modes) / variances).mean()) if len(variances) else 0.0
+        score = product / np.sqrt(power) - SHAPE_PENALTY * unusual
+        return float(np.clip(score, 0.0, 1.0)) if np.isfinite(score) else 0.0
+
+    def _detection(self, shape: np.ndarray, score: float) -> Detection:
+        """Return a detection with the rotation and the scale of a shape relative to the mean."""
+        pose = align(self.model.shape_model.mean, shape)
+        angle = float(np.arctan2(pose.matrix[1, 0], pose.matrix[0, 0]))
+        return Detection(shape, score, angle, pose.scale)
+
+    def _in_the_middle(self, image: np.ndarray) -> Detection:
+        """Return the mean shape in the middle of the image with score 0, for images without any detection."""
+        size = np.array(image.shape[1::-1])
+        mean = self.model.shape_model.mean
+        scale = IN_THE_MIDDLE * size.min() / diagonal_of(mean)
+        return self._detection(mean * scale + 0.5 * (size - 1), 0.0)
+
+
+def _best_first(detections: list[Detection]) -> list[Detection]:
+    """Sort detections by their score."""
+    return sorted(detections, key=lambda detection: -detection.score)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where to fit the reduced model, and from which template's shape."""
+
+    centre: np.ndarray  # (2,): of the shape, image pixels
+    scale: float  # image pixels per pixel of the reduced model
+    template: Template
+    field: Field
+
+
+class _Search:
+    """The search of one image, with its fields, responses and fits so far.
+
+    Parameters
+    ----------
+    finder : Finder
+    linear : LinearImage
+    count : int
+        Largest number of places to fit.
+    bank : Bank
+        Templates that the image is compared with.
+    """
+
+    def __init__(self, finder: Finder, linear: LinearImage, count: int, bank: Bank) -> None:
+        self.finder = finder
+        self.linear = linear
+        self.image = linear.image
+        self.count = count
+        self.bank = bank
+        diagonal = finder.small.diagonal
+        self.sizes = search_sizes(self.image.shape[:2], diagonal)
+        self.grey = Grey.of(self.image, linear.response, self.sizes[0] / diagonal)
+        self.fields: list[Field] = []
+        self.peaks_of_fields: list[Peaks] = []
+        self.peaks: Peaks  # of all fields; a place is known by its index in these
+        self.strongest: np.ndarray  # places without those near a stronger one, the strongest first
+        self.fits: dict[int, Detection] = {}  # by place
+
+    def for_one(self, least: float) -> list[Detection]:
+        """Fit the best places until one is certain and scores at least ``least``, large objects first."""
+        is_large = self.sizes >= LARGE * min(self.image.shape[:2])  # some are: the largest size exceeds the image
+        places = self._look(self.sizes[is_large], WORTH)
+        if is_large.all():
+            detections, _ = self._fit_in_turn(places, least)
+        else:
+            detections, is_certain = self._fit_in_turn(places[:LARGE_PLACES], least)
+            if not is_certain:
+                detections, _ = self._fit_in_turn(self._look(self.sizes[~is_large], WORTH), least)
+        if not detections and self.fits:  # the best places all lie outside the image, and weaker ones were left out
+            return self.for_all()
+        return detections
+
+    def for_all(self) -> list[Detection]:
+        """Fit the best places of all sizes."""
+        return [detection for detection, _ in self._fit_all()]
+
+    def ranked(self, response_worth: float) -> list[Detection]:
+        """Fit the best places of all sizes, and sort them by score, size and ``response_worth`` times the response."""
+
+        def rank(detection: Detection, response: float) -> float:
+            return detection.score + response_worth * response + SIZE_WORTH * np.log(detection.scale)
+
+        ranked = sorted(self._fit_all(), key=lambda each: -rank(*each))
+        return [detection for detection, _ in ranked]
+
+    def _fit_all(self) -> list[tuple[Detection, float]]:
+        """Fit the best places of all sizes; return detections inside the image, with the responses at their places."""
+        # Begin anew: weak responses may be left out of fields that were searched for one object.
+        self.fields = []
+        self.peaks_of_fields = []
+        self.fits = {}
+        fits = [(self._fit(place), float(self.peaks.responses[place])) for place in self._look(self.sizes)]
+        return [(detection, response) for detection, response in fits if is_inside(detection.landmarks, self.image)]
+
+    def beside(self, best: Detection) -> tuple[Detection, ...]:
+        """Return further certain objects, from the responses that the search for one object has seen."""
+        centres = self.peaks.centres[self.strongest]
+        diagonals = self.peaks.scales[self.strongest] * self.finder.small.diagonal
+        responses = self.peaks.responses[self.strongest]
+        low, high = best.landmarks.min(axis=0), best.landmarks.max(axis=0)
+        is_outside = ((centres < low) | (centres > high)).any(axis=1)
+        is_large = diagonals >= LEAST_BESIDE * diagonal_of(best.landmarks)
+        places = self.strongest[is_outside & is_large & (responses >= CLEAR)][:MOST_BESIDE]
+        certain = [
+            self._fit(place) for place in places if self._fit(place).score + self.peaks.responses[place] >= SURE_BESIDE
+        ]
+        return tuple(choose([best, *_best_first(certain)], are_beside)[1:])
+
+    def filling(self) -> list[Detection]:
+        """Fit objects in the middle that fill the frame, as in images cropped around an object.
+
+        Templates respond little there, because they extend beyond the image.
+        """
+        size = np.array(self.image.shape[1::-1])
+        rotations = self.finder.rotations
+        templates = [self.bank.templates[TURNS[rotations].index(turn)] for turn in FILLING_TURNS[rotations]]
+        places = []
+        for template in templates:
+            for fraction in FILLING:
+                scale = fraction * size.min() / self.finder.small.diagonal
+                places.append(_Place(0.5 * (size - 1.0), scale, template, self._field_of(scale)))
+        return [self.finder._fit_place(self.linear, place) for place in places]
+
+    def _field_of(self, scale: float) -> Field:
+        """Return the field whose scale is nearest."""
+        return min(self.fields, key=lambda field: abs(np.log(field.scale / scale)))
+
+    def _look(self, sizes: np.ndarray, worth: float = 0.0) -> np.ndarray:
+        """Search these sizes; return the places of the strongest responses, also of those searched before.
+
+        Responses below the fraction ``worth`` of the strongest may be left out.
+        """
+        small = self.finder.small
+        n_before = len(self.fields)
+
+        def look_at(i: int) -> tuple[Field, Peaks]:
+            field = self.grey.field(sizes[i], small)
+            return field, self.bank.peaks(field, n_before + i, self.count, worth)
+
+        # The largest field comes first, so that no thread starts a long task at the end.
+        for field, peaks in in_threads(look_at, range(len(sizes))):
+            self.fields.append(field)
+            self.peaks_of_fields.append(peaks)
+        self.peaks = Peaks(*map(np.concatenate, zip(*self.peaks_of_fields, strict=True)))
+        self.strongest = strongest(self.peaks, APART * small.diagonal, self.count)
+        return self.strongest
+
+    def _fit_in_turn(self, places: np.ndarray, least: float) -> tuple[list[Detection], bool]:
+        """Fit places, the strongest first, until one is certain or responses are low; return whether one is certain."""
+        detections: list[Detection] = []
+        for place in places:
+            response = self.peaks.responses[place]
+            if response < WORTH * self.peaks.responses[places[0]]:
+                break
+            detection = self._fit(place)
+            if not is_inside(detection.landmarks, self.image):
+                continue
+            detections.append(detection)
+            if detection.score >= max(least, DOUBTFUL) and detection.score + response >= SURE:
+                return detections, True
+        return detections, False
+
+    def _fit(self, place: int) -> Detection:
+        """Fit a place, once."""
+        if place not in self.fits:
+            at = _Place(
+                centre=self.peaks.centres[place],
+                scale=self.peaks.scales[place],
+                template=self.bank.templates[self.peaks.templates[place]],
+                field=self.fields[self.peaks.fields[place]],
+            )
+            self.fits[place] = self.finder._fit_place(self.linear, at)
+        return self.fits[place]
+
+
+def find(
+    model: AAM | str, image, *, limit: int | None = 1, least: float = 0.0, response: Response | None = None
+) -> list[Detection]:
+    """Find the model's object in an image. For many images make a :class:`Finder` once.
+
+    Parameters
+    ----------
+    model : AAM or "face"
+    image : (h, w, 3) or (h, w) uint8, uint16 or float array, or path
+    limit : int or None
+        Largest number of objects; None for all, up to 20.
+    least : float
+        Minimum score, such as 0.52.
+    response : Response, optional
+        Response of the image's camera; by default the training camera's.
+
+    Returns
+    -------
+    list of Detection
+        Detections without overlap, the best first. With ``limit=1``, the search goes from large to small and stops at
+        the first certain detection. Empty only if ``least`` is above 0: without any detection, the result is the mean
+        shape in the middle of the image with score 0.
+
+    Raises
+    ------
+    ImageError
+        For an array or a file that is not an image.
+    MethodError
+        For a model of an early version, without orientations.
+    """
+    return Finder(named_model(model)).find(image, limit=limit, least=least, response=response)
+
+
+def search_sizes(size: tuple[int, ...], diagonal: float) -> np.ndarray:
+    """Return the diagonals of objects to search for in an image (height, width), pixels, in ratios of ``STEP``.
+
+    ``diagonal`` is that of templates, to which fields are scaled. Fields of all sizes have :data:`MOST_PIXELS` at most.
+    Long images are therefore searched for fewer small objects, and extremely long ones for a single larger size.
+    """
+    shorter_side = min(size)
+    smallest = max(SMALLEST * shorter_side, LEAST_PIXELS)
+    largest = LARGEST * shorter_side
+    while _field_pixels(size, diagonal / largest) > MOST_PIXELS:  # extremely long: not even one field is allowed
+        largest *= STEP
+    if smallest >= largest:
+        return np.array([largest])
+    n_sizes = int(np.log(largest / smallest) / np.log(STEP)) + 1
+    sizes = smallest * STEP ** np.arange(n_sizes)
+    pixels_from_large = [_field_pixels(size, diagonal / each) for each in sizes[::-1]]
+    n_affordable = int((np.cumsum(pixels_from_large) <= MOST_PIXELS).sum())
+    return sizes[-n_affordable:] if n_affordable else np.array([largest])
+
+
+def _field_pixels(size: tuple[int, ...], scale: float) -> float:
+    """Return the number of pixels of a field of an image (height, width), with its padding."""
+    height, width = size
+    around = 2.0 * PADDING * TEMPLATE  # TEMPLATE is the diagonal of templates, pixels of fields
+    return (height * scale + around) * (width * scale + around)

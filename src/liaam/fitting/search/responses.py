@@ -1,0 +1,151 @@
+"""Responses of templates: their correlation with an image's gradient orientations, and its strongest maxima."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from liaam import _core
+from liaam.fitting.search.templates import Field, Template, spectra
+
+# Number of field pixels for which spectra are cached, about 100 bytes each. Larger fields, of panoramas and strips, are
+# cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.
+SPECTRA_KEPT = 600_000
+SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
+LEAST_RESPONSE = 1e-3  # of a place
+
+
+class Peaks(NamedTuple):
+    """Local maxima of the templates' responses."""
+
+    centres: np.ndarray  # (k, 2) float64: centre of the shape, image pixels
+    scales: np.ndarray  # (k,) float64: image pixels per pixel of the reduced model
+    fields: np.ndarray  # (k,) int: index of the image's field
+    templates: np.ndarray  # (k,) int: index of the template
+    responses: np.ndarray  # (k,) float64: mean cosine between expected and measured orientation, by length of both
+
+
+class Bank:
+    """Templates that are correlated with fields of images.
+
+    Objects may extend ``pad`` pixels beyond a field. If ``normalised``, responses are the correlations themselves, not
+    mean cosines.
+    """
+
+    def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:
+        self.templates, self.pad = tuple(templates), pad
+        self.shapes = np.array([template.field.shape for template in templates])
+        self.origins = np.array([template.origin for template in templates])
+        fields = np.zeros((len(templates) + len(templates) % 2, *self.shapes.max(axis=0)), np.complex64)
+        for i, template in enumerate(self.templates):
+            height, width = template.field.shape
+            norm = 1.0 if normalised else max(float(np.abs(template.field).sum()), 1e-9)
+            fields[i, :height, :width] = template.field / norm
+        first, second = fields[::2], fields[1::2]  # what an image and its conjugate are compared with, for both at once
+        self.pairs = 0.5 * np.stack([first - 1j * second, first.conj() - 1j * second.conj()], axis=1)
+        self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
+
+    def peaks(self, field: Field, which: int, count: int, worth: float) -> Peaks:
+        """Return the strongest local maxima of each template's correlation with a field (of index ``which``).
+
+        Maxima below the fraction ``worth`` of the strongest may be left out.
+        """
+        size = np.maximum(np.array(field.values.shape) + 2 * self.pad, self.shapes.max(axis=0))
+        inside = (size + 1 - self.shapes).tolist()  # where templates lie in the padded field
+        places, responses, floor = [], [], LEAST_RESPONSE
+        for (height, width), cosine in zip(inside, self._correlated(field, size), strict=False):
+            best, values = _core.best_peaks(cosine[:height, :width], count, floor, SURROUNDINGS)
+            floor = max(floor, worth * float(values[0])) if len(values) else floor
+            places.append(best)
+            responses.append(values)
+        numbers = np.repeat(np.arange(len(self.templates)), [len(values) for values in responses])
+        scales, same = (np.full(len(numbers), value) for value in (field.scale, which))
+        centres = field.to_image(np.concatenate(places)[:, ::-1] - self.origins[numbers] - self.pad)
+        return Peaks(centres, scales, same, numbers, np.concatenate(responses))
+
+    def _correlated(self, field: Field, size: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the correlation with each template in turn: cosines between orientations, times both lengths.
+
+        It is the real part of that of complex fields, c: half the sum of c and its conjugate, which is the correlation
+        of the conjugate fields. So one inverse transform of complex numbers makes those of two templates.
+        """
+        import cv2  # heavy: imported when first needed
+
+        fast, tiles = self._tiles(size)
+        seen = [spectra(*self._cut(field.values, tile), fast) for tile in tiles]
+        product = np.empty((*fast, 2), np.float32)
+        joined = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
+        for expected in self._spectra_of(fast):
+            for tile, own in zip(tiles, seen, strict=True):
+                _core.correlate(own, expected, product)
+                cv2.idft(product, product)
+                if joined is not product:
+                    part = joined[tile]  # the next tile overwrites what this one cannot know
+                    part[:] = product[: part.shape[0], : part.shape[1]]
+            yield joined[..., 0]
+            yield joined[..., 1]
+
+    def _tiles(self, size: np.ndarray) -> tuple[tuple[int, int], list[tuple[slice, slice]]]:
+        """Cut a padded field of a size along its longer side; return the size of transforms, and the tiles.
+
+        Tiles overlap, so that each template lies in one of them wherever it is.
+        """
+        import cv2  # heavy: imported when first needed
+
+        axis = int(size[1] >= size[0])
+        length = int(size[axis])
+        longest_template = int(self.shapes[:, axis].max())
+        shortest_template = int(self.shapes[:, axis].min())
+        longest_tile = max(SPECTRA_KEPT // int(size[1 - axis]), 4 * longest_template)
+        tile_size = size.copy()
+        tile_size[axis] = min(length, longest_tile)
+        fast = int(cv2.getOptimalDFTSize(int(tile_size[0]))), int(cv2.getOptimalDFTSize(int(tile_size[1])))
+        if length <= longest_tile:
+            return fast, [(slice(0, int(size[0])), slice(0, int(size[1])))]
+        step = fast[axis] + 1 - longest_template
+        across = slice(0, int(size[1 - axis]))
+        tiles = []
+        for first in range(0, length - shortest_template + 1, step):
+            along = slice(first, min(first + fast[axis], length))
+            tiles.append((across, along) if axis else (along, across))
+        return fast, tiles
+
+    def _cut(self, values: np.ndarray, tile: tuple[slice, slice]) -> tuple[np.ndarray, tuple[int, int]]:
+        """Return a tile's part of a field and its conjugate, (2, h, w), and its first row and column in the tile."""
+        rows, columns = (slice(max(each.start - self.pad, 0), max(each.stop - self.pad, 0)) for each in tile)
+        first = max(self.pad - tile[0].start, 0), max(self.pad - tile[1].start, 0)
+        part = values[rows, columns]
+        return np.array([part, part.conj()]), first
+
+    def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
+        """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
+        known = self._spectra.get(size)
+        if known is not None:
+            return known
+        n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
+        made = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
+        kept = [*self._spectra, size]  # a copy: other threads may search at the same time
+        while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
+            self._spectra.pop(kept.pop(0), None)
+        if kept:
+            self._spectra[size] = made
+        return made
+
+    def __getstate__(self) -> dict:
+        """Leave out the spectra, which are large and quick to compute."""
+        return {**self.__dict__, "_spectra": {}}
+
+
+def strongest(peaks: Peaks, apart: float, count: int) -> np.ndarray:
+    """Return indices of the strongest peaks, without those near a stronger one of similar size."""
+    left, chosen = peaks.responses.copy(), []
+    logs = np.log(peaks.scales)
+    while len(chosen) < count and left.size and left.max() > 0:
+        best = int(left.argmax())
+        chosen.append(best)
+        near = np.linalg.norm(peaks.centres - peaks.centres[best], axis=1) < apart * np.minimum(
+            peaks.scales, peaks.scales[best]
+        )
+        left[near & (np.abs(logs - logs[best]) < 0.3)] = 0.0
+        left[best] = 0.0
+    return np.array(chosen, dtype=int)

@@ -1,7 +1,0 @@
-"""Lamps for training: what a lamp does to an image, learnt from a few objects, and copies of others under it."""
-
-from liaam.lamps.bank import Lamps, load_lamps
-from liaam.lamps.copies import Copies
-from liaam.lamps.learning import learn_lamps
-
-__all__ = ["Copies", "Lamps", "learn_lamps", "load_lamps"]

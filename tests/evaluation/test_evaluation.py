@@ -1,0 +1,242 @@
+"""Evaluations of models on landmarked images."""
+
+import csv
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+import liaam
+from liaam import Evaluation, FitStatus, Landmarks, Sample
+from liaam.error_measures import landmark_errors, within_ellipses
+from liaam.errors import LiaamError
+from liaam.evaluation import measure
+from liaam.io import write_image, write_landmarks
+
+SQUARE = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 40.0], [0.0, 40.0]])  # the diagonal is 50
+OPTIONS = {"diagonal": 40.0, "leave_out": False, "copies": 0, "methods": "grey"}
+
+
+def evaluation(shifts, statuses, limit=0.03) -> Evaluation:
+    """Fits that are all off by some pixels to the right."""
+    k = len(shifts)
+    moved = SQUARE + np.array(shifts)[:, None, None] * [1, 0]
+    arrays = np.repeat(SQUARE[None], k, axis=0), moved, np.tile(np.eye(2), (k, 4, 1, 1)), np.full(k, 0.5)
+    images = (np.zeros((50, 50, 3), np.uint8),) * k
+    names = tuple(f"im{i}" for i in range(k))
+    return Evaluation(names, images, *arrays, statuses, np.full(k, 50.0), "the diagonal", limit, tuple("abcd"))
+
+
+OK, DOUBTFUL, DIVERGED = FitStatus.CONVERGED, FitStatus.DOUBTFUL, FitStatus.DIVERGED
+
+
+@pytest.fixture
+def mixed() -> Evaluation:
+    return evaluation([1.0, 1.5, 1.6, 5.0, np.nan], (OK, DOUBTFUL, OK, DOUBTFUL, DIVERGED))
+
+
+def test_fits_are_right_refused_silent_or_lost(mixed):
+    assert mixed.outcomes == ["right", "refused", "silent", "lost", "lost"]
+    np.testing.assert_allclose(mixed.errors, [0.02, 0.03, 0.032, 0.1, np.inf])
+    report = mixed.report()
+    assert "median 3.20, 90th percentile inf, largest inf" in report
+    assert "lost (error above 3.0%): 3 of 5, of which silent (called right): 1" in report
+    assert "refused (right, but called doubtful or failed): 1" in report
+    assert mixed.worst(2).tolist() == [4, 3]
+    assert mixed.coverage == 1.0  # of im0 and im2
+    assert evaluation([2.4, 2.5], (OK, OK)).coverage == 0.5  # the radius is 2.45 standard deviations
+    assert np.isnan(evaluation([1.0], (DOUBTFUL,)).coverage)
+
+
+def test_tables_count_landmarks_from_1_and_name_them(mixed):
+    table = mixed.to_dataframe()
+    assert len(table) == 20
+    assert table.iloc[5][["image", "landmark", "name", "error", "error_percent"]].tolist() == ["im1", 2, "b", 1.5, 3.0]
+    assert table.error.iloc[-1] == np.inf and table.true_x.iloc[-2] == 30.0
+    assert mixed.by_image()["outcome"] == mixed.outcomes
+    columns = mixed.by_landmark()
+    assert (columns["landmark"], columns["name"]) == ([1, 2, 3, 4], list("abcd"))
+    assert columns["median"] == pytest.approx([1.6] * 4)
+    assert (columns["p90"], columns["inside_percent"]) == ([np.inf] * 4, [100.0] * 4)
+
+
+def test_the_curve_and_the_worst_fits_are_drawn(mixed):
+    line = mixed.plot().lines[0]
+    at = dict(zip(np.round(line.get_xdata(), 3), line.get_ydata(), strict=True))
+    assert (at[1.995], at[3.0], at[6.0]) == pytest.approx((0.0, 40.0, 60.0))
+    figure = mixed.plot_worst(2)
+    assert [axis.get_title() for axis in figure.axes] == ["im4\ninf%, diverged", "im3\n10.0%, doubtful"]
+
+
+def test_ellipses_hold_the_truth_or_not_or_that_is_unknown():
+    truth = np.array([[0.0, 0.0], [np.nan, np.nan], [0.0, 0.0], [0.0, 0.0], [1e200, 0.0]])
+    shape = np.array([[2.0, 0.0], [0.0, 0.0], [np.inf, 0.0], [0.0, 0.0], [0.0, 0.0]])
+    spread = np.array([np.diag([1.0, 1e-300]), np.eye(2), np.eye(2), np.full((2, 2), np.nan), np.eye(2)])
+    found = within_ellipses(shape, truth, spread)
+    np.testing.assert_array_equal(found, [1, np.nan, 0, np.nan, 0])
+    assert within_ellipses(shape[:1], truth[:1], np.zeros((1, 2, 2)))[0] == 0
+    np.testing.assert_array_equal(landmark_errors(shape, truth), [2, np.nan, np.inf, 0, 1e200])
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    """Six kites of different proportions, in four colours."""
+    return [kite(np.random.default_rng(i)) for i in range(6)]
+
+
+def kite(rng) -> SimpleNamespace:
+    corners = np.array([[48, 8], [84, 30], [50, 84], [12, 30], [48, 32]]) + rng.normal(0, 1.5, (5, 2))
+    image = np.full((96, 96, 3), 200, np.uint8)
+    for i, colour in enumerate([(150, 60, 50), (60, 120, 70), (70, 80, 150), (160, 140, 40)]):
+        triangle = np.rint(16 * corners[[i, (i + 1) % 4, 4]]).astype(np.int32)
+        cv2.fillPoly(image, [triangle], colour, cv2.LINE_AA, 4)
+    noisy = image + rng.normal(0, 2, image.shape)
+    return SimpleNamespace(image=np.clip(noisy, 0, 255).astype(np.uint8), landmarks=corners)
+
+
+@pytest.fixture(scope="module")
+def small(scenes):
+    return liaam.train([(scene.image, scene.landmarks) for scene in scenes[:4]], **OPTIONS)
+
+
+def as_samples(scenes, **more):
+    return [Sample(f"im{i}", scene.image, Landmarks(scene.landmarks, **more)) for i, scene in enumerate(scenes)]
+
+
+def test_models_are_evaluated_on_samples_and_pairs(small, scenes):
+    tested, starts = scenes[4:], [scene.landmarks for scene in scenes[4:]]
+    found = liaam.evaluate(small, as_samples(tested), starts, "grey", normalise="1-3")
+    results = liaam.fit_many(small, [scene.image for scene in tested], starts, "grey")
+    np.testing.assert_array_equal(found.landmarks, [result.landmarks for result in results])
+    size = np.linalg.norm(tested[0].landmarks[0] - tested[0].landmarks[2])
+    error = np.linalg.norm(results[0].landmarks - tested[0].landmarks, axis=1).mean()
+    assert found.errors[0] == pytest.approx(error / size)
+    assert (found.limit, found.normaliser) == (0.08, "the distance between landmarks 1-3")
+    pairs = liaam.evaluate(small, [(s.image, s.landmarks) for s in tested], starts, "grey")
+    assert (pairs.names, pairs.limit) == (("image 1", "image 2"), 0.03)
+    np.testing.assert_array_equal(pairs.distances, found.distances)
+
+
+def test_names_decide_and_images_that_do_not_suit_are_left_out(small, scenes):
+    names = tuple(f"p{i}" for i in range(5))
+    named, (first, second) = replace(small, landmark_names=names), as_samples(scenes[4:], names=names)
+    turned = replace(first, landmarks=Landmarks(first.landmarks.points[::-1], names=names[::-1]))
+    few = Sample("few", first.image, Landmarks(SQUARE))
+    other = replace(second, landmarks=Landmarks(second.landmarks.points, names=("q", *names[1:])))
+    gone = replace(second, name="gone", landmarks=Landmarks(np.full((5, 2), np.nan)))
+    found = liaam.evaluate(named, [turned, few, other, gone], first.landmarks.points, "grey")
+    np.testing.assert_array_equal(found.truths, [first.landmarks.points])
+    assert found.names == ("im0",)
+    for words, line in zip(("has 4 landmarks", "no landmark p0", "0 or unknown"), found.left_out, strict=True):
+        assert words in line
+    with pytest.raises(LiaamError, match="no images to evaluate: few: it has 4 landmarks, where 5 are fitted"):
+        liaam.evaluate(small, [few])
+    for wrong, words in (
+        ("1", "give two landmarks, such as 3-7"),
+        ("1-99", "no landmark '99'; give numbers from 1 to 5"),
+    ):
+        with pytest.raises(LiaamError, match=words):
+            liaam.evaluate(small, [first], normalise=wrong)
+    with pytest.raises(LiaamError, match="limit 0: give a positive fraction"):
+        liaam.evaluate(small, [first], limit=0.0)
+
+
+def test_each_image_keeps_its_start_where_others_are_left_out(small, scenes):
+    first, second = as_samples(scenes[4:])
+    few = Sample("few", SQUARE, Landmarks(SQUARE))
+    starts = [first.landmarks.points, SQUARE, second.landmarks.points]
+    found = liaam.evaluate(small, [first, few, second], starts, "grey")
+    whole = liaam.evaluate(small, [first, second], starts[::2], "grey")
+    np.testing.assert_array_equal(found.landmarks, whole.landmarks)
+    with pytest.raises(LiaamError, match="3 images but 2 starts"):
+        liaam.evaluate(small, [first, few, second], starts[:2], "grey")
+    with pytest.raises(LiaamError, match="3 images but 2 starts"):
+        liaam.evaluate(small, [first, few, second], iter(starts[:2]), "grey")
+
+
+def test_of_several_objects_the_nearest_counts(small, scenes):
+    image, points = scenes[4].image, scenes[4].landmarks
+    two = [Sample("a", image, Landmarks(points + 60)), Sample("a#2", image, Landmarks(points))]
+    found = liaam.evaluate(small, two, points, "grey")
+    assert found.names == ("a",)
+    np.testing.assert_array_equal(found.truths[0], points)
+
+
+def test_no_image_is_evaluated_by_a_model_that_has_seen_it(scenes, monkeypatch):
+    seen = []
+    trained = liaam.train
+    monkeypatch.setattr(measure, "train", lambda data, **o: seen.append([s.name for s in data]) or trained(data, **o))
+    samples = as_samples(scenes)
+    found = liaam.cross_validate(samples, 2, "grey", training=OPTIONS, limit=0.5)
+    assert found.names == tuple(sample.name for sample in samples)
+    assert seen == [["im3", "im4", "im5"], ["im0", "im1", "im2"]]
+    with pytest.raises(LiaamError, match="folds 1: give 2 or more"):
+        liaam.cross_validate(samples, 1)
+    with pytest.raises(LiaamError, match="no images to evaluate; give landmarked images"):
+        liaam.cross_validate([])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, scenes, small):
+    folder = tmp_path_factory.mktemp("evaluate")
+    small.save(folder / "face.liaam")
+    (folder / "faces").mkdir()
+    for i, scene in enumerate(scenes[2:]):
+        write_image(folder / "faces" / f"f{i}.png", scene.image)
+        write_landmarks(folder / "faces" / f"f{i}.pts", scene.landmarks)
+    return folder
+
+
+def test_the_command_writes_tables_and_pictures(run, folder, tmp_path):
+    options = ("-m", "grey", "--init", folder / "faces", "--limit", 20, "-o", tmp_path / "out")
+    code, out, _ = run("evaluate", folder / "face.liaam", folder / "faces", *options)
+    assert code == 0
+    assert "4 images; mean error in % of the diagonal of the landmarks' box" in out
+    assert "lost (error above 20.0%): 0 of 4" in out
+    tables = {name: (tmp_path / f"out/{name}.csv").open() for name in ("errors", "images", "landmarks")}
+    rows = {name: list(csv.DictReader(table)) for name, table in tables.items()}
+    assert [len(own) for own in rows.values()] == [4 * 5, 4, 5]
+    assert {row["outcome"] for row in rows["images"]} == {"right"}
+    assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in ("errors.png", "worst.png"))
+
+
+def test_the_command_trains_on_folds(run, folder, tmp_path, monkeypatch):
+    changed = OPTIONS | {"progress": False}
+    monkeypatch.setattr(measure, "train", lambda data, **options: liaam.train(data, **options | changed))
+    run_folds = partial(run, "evaluate", "--folds", 4, "-m", "grey", "--limit", 50, "-o", tmp_path / "e.csv")
+    code, out, _ = run_folds(folder / "faces")
+    assert code == 0 and "lost (error above 50.0%): 0 of 4" in out
+    assert len((tmp_path / "e.csv").read_text().splitlines()) == 1 + 4 * 5
+    for more, words in (
+        ((folder / "face.liaam", folder / "faces"), "give the folder only, or leave --folds out"),
+        ((folder / "faces", "--init", "1,2,3"), "leave --init or --folds out"),
+        ((folder / "faces", "-o", folder / "faces" / "e.csv"), "is inside the folder of landmarks"),
+    ):
+        code, _, err = run_folds(*more)
+        assert code == 1 and words in err
+    code, _, err = run("evaluate", tmp_path / "none.liaam", folder / "faces", "-o", tmp_path / "none")
+    assert code == 1 and not (tmp_path / "none").exists()
+    code, _, err = run("evaluate", folder / "faces")
+    assert code == 1 and "give a model and a folder of landmarked images, or one folder and --folds 5" in err
+
+
+def test_errors_along_contours_are_told_from_errors_across():
+    found = replace(evaluation([1.0, 4.0], (OK, OK)), contours=(((0, 1, 2), False),))
+    assert found.outcomes == ["right", "silent"]
+    np.testing.assert_allclose(found.outline_errors, [0.015, 0.06])  # three of four are across
+    table = found.by_landmark()
+    assert table["along_percent"][0] == pytest.approx(5.0) and table["across_percent"][0] == 0.0
+    assert np.isnan(table["along_percent"][3]) and table["inside_across_percent"][0] == 100.0
+    assert found.by_image()["outline_outcome"] == found.outline_outcomes
+    assert found.to_columns()["along"][:2] == pytest.approx([1.0, 1.0 * 30 / 50])
+    assert "by outline" in found.report() and "along" in found.report()
+    assert "by outline" not in evaluation([1.0], (OK,)).report()
+    line = np.column_stack([[0.0, 10.0, 20.0, 30.0], np.zeros(4)])[None]
+    slid = replace(
+        evaluation([0.0], (OK,)), truths=line, landmarks=np.add(line, [4.0, 0.0]), contours=((range(4), False),)
+    )
+    assert slid.outcomes == ["silent"]
+    assert slid.outline_outcomes == ["right"]  # only the last is off, beyond the end
