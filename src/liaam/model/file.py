@@ -2,7 +2,7 @@
 
 import os
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,10 @@ from liaam.model.views import MESH, VIEWS, Level, Reliability, View
 from liaam.photometry import camera_from, parse_response
 from liaam.photometry.features import LARGEST, WIDEST, Features
 
-# Versions of the format, increased when its meaning changes: of a model, of one of several shapes, and of one with
-# shapes that are stored as mirror images of others
-SCHEMA_VERSION, OF_SHAPES, OF_MIRRORED = 5, 6, 7
+# Versions of the format, increased when its meaning changes
+SCHEMA_VERSION = 5  # Of a model of one shape
+OF_SHAPES = 6  # Of a model of several shapes
+OF_MIRRORED = 7  # Of a model with shapes that are stored as mirror images of others
 # Versions that are read. Version 4 has the appearances of all methods, modes in single precision.
 READABLE = (4, 5, 6, 7)
 # Key of a shape's header that is the mirror image of the shape before: the index of each landmark's mirror image
@@ -34,7 +35,8 @@ MAX_POINTS = 4000  # Largest number of landmarks: the ring around a mesh takes m
 # Largest ratio of a mesh's area to its number of pixels. It exceeds 1 because borders matter in small frames.
 ROOMY = 4.0
 LONGEST_NAME = 1000  # Largest number of characters of a model's name, its credit and the name of a landmark
-MAX_BLUR, MAX_LEVELS = 10.0, 10  # Largest blur, pixels of the reference frame, and largest number of levels
+MAX_BLUR = 10.0  # Largest blur of a level, pixels of the reference frame
+MAX_LEVELS = 10  # Largest number of levels of a view
 MAX_LIGHTS = 100  # Largest number of modes of a light basis
 MAX_IMAGES = 10**9  # Largest number of training images and copies
 # Limits on numbers of files, so that no result overflows. What training finds is stated for the faces of liaam.
@@ -43,7 +45,7 @@ MAX_VALUE = LARGEST
 MAX_LOG_LIGHT = 20.0  # Largest logarithm of a ratio of lights; those of faces are below 1.2
 MAX_VARIANCE = MAX_DIAGONAL**2  # Largest variance of a landmark, square pixels of the frame; of faces 31
 MAX_FACTOR = 1e6  # Largest factor on the variances of a fit (faces: 2.2), odds (9), and magnitude of their weights (34)
-UNITS = 1e-12, 1e12  # Least and largest variance of a residual at weight 1; of faces 0.35
+LEAST_UNIT, LARGEST_UNIT = 1e-12, 1e12  # Least and largest variance of a residual at weight 1; of faces 0.35
 LEAST_FREEDOM = 1.0  # Least degrees of freedom: with fewer, shapes have no mean
 LARGEST_FILTER = 100  # Largest height and width of the search's filter, pixels
 # Smallest fraction of the pixels that a file stores. The others take memory that its size does not suggest.
@@ -57,9 +59,10 @@ STORED = {
     "shape": ("modes", "eigenvalues", "unexplained"),
     "reliability": ("landmarks", "bias", "unit", "weights", "variance_factor", "typical", "prior"),
 }
-MOST_WEIGHT = 1e6  # Largest weight of such a point
+MOST_WEIGHT = 1e6  # Largest weight of another landmarker's point
 UNIT = 0.1  # Tolerance of scalar products of orthonormal modes; weak modes have large rounding errors
-FORMAT, LAMPS_FORMAT = "liaam-aam", "liaam-lamps"  # Formats in the headers of model files and of lamp files
+FORMAT = "liaam-aam"  # Format in the headers of model files
+LAMPS_FORMAT = "liaam-lamps"  # Format in the headers of lamp files
 UNNAMED = "soft-li"  # Method whose calibration is stored without its name
 
 
@@ -81,7 +84,8 @@ def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str,
     """
     from liaam.model.tensors import read_tensors
 
-    path, make = Path(path), "liaam train FOLDER -o MODEL"
+    path = Path(path)
+    make = "liaam train FOLDER -o MODEL"
     broken = (
         "this is not a complete liaam model ({fault}); it may be truncated or of another kind: copy it again or "
         "train it again"
@@ -101,6 +105,7 @@ def read_fields(path: str | os.PathLike) -> tuple[dict[str, Any], list[dict[str,
 
 
 def _checked_header(path: Path, text: str) -> dict:
+    """Parse a header, and raise ModelFileError unless it is that of a model in a version that is read."""
     header = json_object(text) or {}
     if header.get("format") == LAMPS_FORMAT:
         raise ModelFileError(
@@ -119,6 +124,50 @@ def _checked_header(path: Path, text: str) -> dict:
 
 
 def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return the validated fields of the model of one shape."""
+    mean, triangles = _mesh(tensors)
+    n = len(mean)
+    n_images = _count(header, "n_images")
+    n_textures = _count(header, "n_textures")
+    n_lamps = _count(header, "n_lamps")
+    if not n_images:
+        raise ValueError("there are no training images")
+    views = header["views"]
+    if not isinstance(views, dict) or MESH not in views:
+        raise ValueError(f"there is no view {MESH}")
+    if not isinstance(header["camera"], dict):
+        raise ValueError(f"camera {shortened(header['camera'])} is not an object")
+    camera = camera_from(header["camera"])
+    features = _features(header, tensors)
+    search_filter = _search_filter(tensors)
+    contours = _contours(header, n)
+    limits = _limits_of_appearances(n_images, n_textures, features)
+    checked_views = {name: _view(name, about, tensors, mean, triangles, limits) for name, about in views.items()}
+    cost.check_cost(checked_views.values())
+    has_invariant = "invariant" in checked_views[MESH].levels[-1].appearances
+    return {
+        "views": checked_views,
+        "triangles": triangles,
+        # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
+        "camera": replace(camera, theta=finite(header["theta"]), response=parse_response(header["response"])),
+        "n_images": n_images,
+        "contours": contours,
+        "landmark_names": _names(header.get("landmark_names", []), n),
+        "name": _text(header["name"]),
+        "credit": _text(header.get("credit", "")),
+        "same_images": bool(header.get("same_images", False)),
+        "n_textures": n_textures,
+        "n_lamps": n_lamps,
+        "light": _light(tensors, n) if "light.modes" in tensors else None,
+        "points": _point_map(tensors, n),
+        "features": features,
+        "search_filter": search_filter,
+        "is_colour": bool(header.get("colour", has_invariant)),
+    }
+
+
+def _mesh(tensors: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean shape, (n, 2) float64, and the triangles, (t, 3) int32, after a check that they form a mesh."""
     mean = checked_tensor(tensors, "mean", np.float64, (None, 2))
     n = len(mean)
     triangles = checked_tensor(tensors, "triangles", np.int32, (None, 3))
@@ -134,68 +183,70 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
         raise ValueError("the mesh overlaps itself")
     if not (signed_areas(mean, triangles) > 0).all():
         raise ValueError("the mesh is flat or folded")
-    n_images, n_textures, n_lamps = (_count(header, key) for key in ("n_images", "n_textures", "n_lamps"))
-    if not n_images:
-        raise ValueError("there are no training images")
-    views = header["views"]
-    if not isinstance(views, dict) or MESH not in views:
-        raise ValueError(f"there is no view {MESH}")
-    if not isinstance(header["camera"], dict):
-        raise ValueError(f"camera {shortened(header['camera'])} is not an object")
-    camera = camera_from(header["camera"])
-    # Number of textures that each appearance was learnt from.
-    counts = dict.fromkeys(CHANNELS, n_images) | dict.fromkeys(COPIED_APPEARANCES, max(n_images, n_textures))
-    features = _features(header, tensors)
-    channels = CHANNELS if features is None else {**CHANNELS, "features": features.width}
-    sizes = {name: (channels[name], count) for name, count in counts.items()}
-    searched = half_or_single(tensors, "search_filter", (None, None, 2)) if "search_filter" in tensors else None
-    if searched is not None and not 1 <= min(searched.shape[:2]) <= max(searched.shape[:2]) <= LARGEST_FILTER:
-        raise ValueError(f"search_filter has shape {searched.shape}")
-    if searched is not None:
-        check_magnitude("search_filter", searched, MAX_VALUE)
+    return mean, triangles
+
+
+def _search_filter(tensors: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Return the filter of the search, (h, w, 2) float32; None if the model has none."""
+    key = "search_filter"
+    if key not in tensors:
+        return None
+    search_filter = half_or_single(tensors, key, (None, None, 2))
+    height, width = search_filter.shape[:2]
+    if not (1 <= height <= LARGEST_FILTER and 1 <= width <= LARGEST_FILTER):
+        raise ValueError(f"{key} has shape {search_filter.shape}")
+    check_magnitude(key, search_filter, MAX_VALUE)
+    return search_filter
+
+
+def _contours(header: dict, n: int) -> tuple[tuple[tuple[int, ...], bool], ...]:
+    """Return the contours through the n landmarks: the indices of each, and whether it is closed."""
     contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in header["contours"])
     if any(not 0 <= i < n for indices, _ in contours for i in indices):
         raise ValueError("a contour names a landmark that does not exist")
-    made = {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()}
-    cost.check_cost(made.values())
-    return {
-        "views": made,
-        "triangles": triangles,
-        # The header holds the exact angle with which the appearance was learnt; the camera's is rounded.
-        "camera": replace(camera, theta=finite(header["theta"]), response=parse_response(header["response"])),
-        "n_images": n_images,
-        "contours": contours,
-        "landmark_names": _names(header.get("landmark_names", []), n),
-        "name": _text(header["name"]),
-        "credit": _text(header.get("credit", "")),
-        "same_images": bool(header.get("same_images", False)),
-        "n_textures": n_textures,
-        "n_lamps": n_lamps,
-        "light": _light(tensors, n) if "light.modes" in tensors else None,
-        "points": _point_map(tensors, n),
-        "features": features,
-        "search_filter": searched,
-        "is_colour": bool(header.get("colour", "invariant" in made[MESH].levels[-1].appearances)),
-    }
+    return contours
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What the size of an appearance may be: its channels, and the number of textures that it was learnt from."""
+
+    n_channels: int
+    n_textures: int
+
+
+def _limits_of_appearances(n_images: int, n_textures: int, features: Features | None) -> dict[str, _Limits]:
+    """Return the limits on each appearance, by name; ``n_textures`` is the number of images with their copies."""
+    limits = {}
+    for name, n_channels in CHANNELS.items():
+        if name == "features" and features is not None:
+            n_channels = features.width
+        n_learnt = max(n_images, n_textures) if name in COPIED_APPEARANCES else n_images
+        limits[name] = _Limits(n_channels, n_learnt)
+    return limits
+
+
+# Key of the modes of an appearance: of one of the other shapes, if any, of a view, of a level
+MODES_KEY = re.compile(r"(?:others/(?P<other>[0-9])/)?(?P<view>[a-z]+)/[0-9]+/(?P<appearance>[a-z]+)\.modes")
 
 
 def _check_memory(header: dict, tensors: dict[str, np.ndarray]) -> None:
     """Raise ValueError if the modes of all shapes take too much memory; files hold a byte of four, on some pixels."""
-    named = re.compile(r"(?:others/([0-9])/)?([a-z]+)/[0-9]+/([a-z]+)\.modes")
     total = 0.0
     for key, modes in tensors.items():
-        if not (found := named.fullmatch(key)) or found[3] not in CHANNELS:
+        match = MODES_KEY.fullmatch(key)
+        if match is None or match["appearance"] not in CHANNELS:
             continue
-        n_pixels = _n_pixels(header, found[1], found[2])
-        total += cost.LOADED * float(len(modes)) * n_pixels * CHANNELS[found[3]]
+        n_pixels = _n_pixels(header, match["other"], match["view"])
+        total += cost.LOADED * float(len(modes)) * n_pixels * CHANNELS[match["appearance"]]
     cost.check_memory(total)
 
 
 def _n_pixels(header: dict, other: str | None, view: str) -> float:
     """Number of pixels of a view, as a header states it; 0 if it does not, for which the file is refused later."""
     try:
-        about = header if other is None else header["others"][int(other)]
-        return float(about["views"][view]["n_pixels"])
+        header_of_shape = header if other is None else header["others"][int(other)]
+        return float(header_of_shape["views"][view]["n_pixels"])
     except (KeyError, IndexError, TypeError, ValueError):
         return 0.0
 
@@ -213,32 +264,45 @@ def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict
     others = header.get("others", [])
     if not isinstance(others, list) or len(others) >= MOST_SHAPES:
         raise ValueError(f"there are not 1 to {MOST_SHAPES} shapes")
-    made: list[dict[str, Any] | np.ndarray] = []
-    for i, about in enumerate(others):
-        if i and MIRRORED in about:
-            order, n = np.array(about[MIRRORED]), len(tensors["mean"])
-            if order.shape != (n,) or order.dtype.kind != "i" or not 0 <= order.min() <= order.max() < n:
-                raise ValueError(f"{MIRRORED} has not {n} indices of landmarks")
-            if not np.array_equal(order[order], np.arange(n)):
-                raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
-            made.append(order)
+    fields: list[dict[str, Any] | np.ndarray] = []
+    for i, header_of_shape in enumerate(others):
+        if i and MIRRORED in header_of_shape:
+            fields.append(_mirror_order(header_of_shape, len(tensors["mean"])))
             continue
-        own = {key.removeprefix(prefix_of(i)): value for key, value in tensors.items() if key.startswith(prefix_of(i))}
-        if own["mean"].shape != tensors["mean"].shape:
+        tensors_of_shape = _below(tensors, prefix_of(i))
+        if tensors_of_shape["mean"].shape != tensors["mean"].shape:
             raise ValueError("the shapes do not have the same number of landmarks")
-        made.append(_fields(about, own))
-    return made
+        fields.append(_fields(header_of_shape, tensors_of_shape))
+    return fields
+
+
+def _mirror_order(header: dict, n: int) -> np.ndarray:
+    """Return the index of each landmark's mirror image, (n,) int, from the header of a mirrored shape."""
+    order = np.array(header[MIRRORED])
+    if order.shape != (n,) or order.dtype.kind != "i" or not 0 <= order.min() <= order.max() < n:
+        raise ValueError(f"{MIRRORED} has not {n} indices of landmarks")
+    if not np.array_equal(order[order], np.arange(n)):
+        raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
+    return order
+
+
+def _below(tensors: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the tensors whose names start with a prefix, by the rest of their names."""
+    return {key.removeprefix(prefix): tensor for key, tensor in tensors.items() if key.startswith(prefix)}
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
+    """Return the light basis of a model with n landmarks."""
     mean = checked_tensor(tensors, "light.mean", np.float64, (n, 2))
-    known = _known(tensors, "light", SIDE * SIDE)
-    square = (SIDE, SIDE) if known is None else (int(known.sum()),)
-    modes = _modes(tensors, "light", (None, *square, 3))
+    stored = _stored_pixels(tensors, "light", SIDE * SIDE)
+    if stored is None:
+        modes = _modes(tensors, "light", (None, SIDE, SIDE, 3))
+    else:
+        modes = _modes(tensors, "light", (None, int(stored.sum()), 3))
     if not 1 <= len(modes) <= MAX_LIGHTS:
         raise ValueError(f"light.modes has shape {modes.shape}")
-    if known is not None:
-        modes = spread(modes, known, axis=1).reshape(-1, SIDE, SIDE, 3)
+    if stored is not None:
+        modes = spread(modes, stored, axis=1).reshape(-1, SIDE, SIDE, 3)
     remainder = checked_tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
@@ -254,7 +318,8 @@ def _features(header: dict, tensors: dict[str, np.ndarray]) -> Features | None:
         return None
     mean = checked_tensor(tensors, "features.mean", np.float64, (None,))
     projection = checked_tensor(tensors, "features.projection", np.float64, (len(mean), None))
-    name, width = str(header["features"]), projection.shape[1]
+    name = str(header["features"])
+    width = projection.shape[1]
     if not name.isidentifier() or not 1 <= width <= WIDEST or not are_unit(projection.T):
         raise ValueError("features.projection is not a projection")
     if np.abs(mean).max(initial=0.0) > LARGEST:
@@ -282,15 +347,16 @@ def _view(
     tensors: dict[str, np.ndarray],
     mean: np.ndarray,
     triangles: np.ndarray,
-    counts: dict[str, tuple[int, int]],
+    limits: dict[str, _Limits],
 ) -> View:
-    """Make one view; all views share the mean shape. ``counts`` are the channels and most modes of each appearance."""
+    """Make one view from its header ``about``; all views share the mean shape. ``limits`` are by appearance."""
     if name not in VIEWS:
         raise ValueError(f"view {shortened(name)!r} is unknown; the views are {', '.join(VIEWS)}")
     if not isinstance(about, dict):
         raise ValueError(f"view {name} is described by {shortened(about)}")
-    tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
-    blurs, n, n_pixels = [finite(blur) for blur in about["blurs"]], len(mean), about["n_pixels"]
+    tensors = _below(tensors, f"{name}/")
+    blurs = [finite(blur) for blur in about["blurs"]]
+    n_pixels = about["n_pixels"]
     if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
         raise ValueError(f"blurs {shortened(blurs)}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     if not isinstance(n_pixels, int) or n_pixels < 1:
@@ -300,26 +366,49 @@ def _view(
     # Appearances first: their tensors limit the number of pixels to what the size of the file allows.
     levels = []
     for i, blur in enumerate(blurs):
-        names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
-        found = {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
-        if name == MESH and i == 0 and "search" not in found and "orientation" in found:
-            found["search"] = strongest_modes(found["orientation"])
-        levels.append(Level(blur, found))
-    # The drawings of a model and the light on its object need the logarithms of the sharpest level.
-    if "log" not in levels[-1].appearances if name == MESH else not all(level.appearances for level in levels):
+        appearances = {}
+        for kind in CHANNELS:
+            if f"{i}/{kind}.mean" in tensors:
+                appearances[kind] = _appearance(tensors, f"{i}/{kind}", n_pixels, limits[kind])
+        # In files without an appearance for the search, it is the strongest modes of the orientations.
+        if name == MESH and i == 0 and "search" not in appearances and "orientation" in appearances:
+            appearances["search"] = strongest_modes(appearances["orientation"])
+        levels.append(Level(blur, appearances))
+    if _lacks_appearance(name, levels):
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     warp = VIEWS[name](_shape_model(about, tensors, mean), triangles)
     if n_pixels != warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    named = re.compile(r"(reliability(?:/([a-z0-9-]{1,40}))?)\.weights")
-    calibrations = {found[2] or UNNAMED: found[1] for key in sorted(tensors) if (found := named.fullmatch(key))}
-    known = {method: _reliability(tensors, own, n) for method, own in calibrations.items()}
-    return View(replace(warp, from_right=bool(about.get("from_right", False))), tuple(levels), known)
+    warp = replace(warp, from_right=bool(about.get("from_right", False)))
+    return View(warp, tuple(levels), _reliabilities(tensors, len(mean)))
+
+
+def _lacks_appearance(view: str, levels: list[Level]) -> bool:
+    """Return whether a view lacks an appearance that every model has."""
+    if view == MESH:
+        # The drawings of a model and the light on its object need the logarithms of the sharpest level.
+        return "log" not in levels[-1].appearances
+    return not all(level.appearances for level in levels)
+
+
+# Key of the weights of a method's calibration
+WEIGHTS_KEY = re.compile(r"(?P<calibration>reliability(?:/(?P<method>[a-z0-9-]{1,40}))?)\.weights")
+
+
+def _reliabilities(tensors: dict[str, np.ndarray], n: int) -> dict[str, Reliability]:
+    """Return the calibrations in the tensors of a view with n landmarks, by method."""
+    prefixes = {}
+    for key in sorted(tensors):
+        match = WEIGHTS_KEY.fullmatch(key)
+        if match is not None:
+            prefixes[match["method"] or UNNAMED] = match["calibration"]
+    return {method: _reliability(tensors, prefix, n) for method, prefix in prefixes.items()}
 
 
 def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
+    """Return the shape model of a view from its header and its tensors."""
     n = len(mean)
     modes = checked_tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
     if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
@@ -340,56 +429,64 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
 
 
-def _reliability(tensors: dict[str, np.ndarray], own: str, n: int) -> Reliability:
-    landmarks, bias = (checked_tensor(tensors, f"{own}.{key}", np.float64, (n, 2, 2)) for key in ("landmarks", "bias"))
-    tensors = {f"{own}.prior": np.ones(1), **tensors}  # older files have none
-    unit, factor, typical, prior = (
-        float(checked_tensor(tensors, f"{own}.{name}", np.float64, (1,))[0])
-        for name in ("unit", "variance_factor", "typical", "prior")
-    )
-    check_covariances(f"{own}.landmarks", landmarks, MAX_VARIANCE)
-    check_covariances(f"{own}.bias", bias, MAX_VARIANCE)
-    if not (unit > 0.0 and prior > 0.0):
-        raise ValueError(f"{own}.{'prior' if unit > 0.0 else 'unit'} is not positive")
-    if not UNITS[0] <= unit <= UNITS[1]:
-        raise ValueError(f"{own}.unit {unit:g} is not between {UNITS[0]:g} and {UNITS[1]:g}")
+def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliability:
+    """Return the calibration of a method with n landmarks; ``prefix`` starts the names of its tensors."""
+    landmarks = checked_tensor(tensors, f"{prefix}.landmarks", np.float64, (n, 2, 2))
+    bias = checked_tensor(tensors, f"{prefix}.bias", np.float64, (n, 2, 2))
+    unit = _number(tensors, f"{prefix}.unit")
+    factor = _number(tensors, f"{prefix}.variance_factor")
+    typical = _number(tensors, f"{prefix}.typical")
+    has_prior = f"{prefix}.prior" in tensors  # older files have none
+    prior = _number(tensors, f"{prefix}.prior") if has_prior else 1.0
+    check_covariances(f"{prefix}.landmarks", landmarks, MAX_VARIANCE)
+    check_covariances(f"{prefix}.bias", bias, MAX_VARIANCE)
+    if not unit > 0.0:
+        raise ValueError(f"{prefix}.unit is not positive")
+    if not prior > 0.0:
+        raise ValueError(f"{prefix}.prior is not positive")
+    if not LEAST_UNIT <= unit <= LARGEST_UNIT:
+        raise ValueError(f"{prefix}.unit {unit:g} is not between {LEAST_UNIT:g} and {LARGEST_UNIT:g}")
     if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
-        raise ValueError(f"{own}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
+        raise ValueError(f"{prefix}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
     if factor < 1.0:
-        raise ValueError(f"{own}.variance_factor is below 1")
-    check_magnitude(f"{own}.variance_factor", np.array(factor), MAX_FACTOR)
+        raise ValueError(f"{prefix}.variance_factor is below 1")
+    check_magnitude(f"{prefix}.variance_factor", np.array(factor), MAX_FACTOR)
     if not 0.0 <= typical <= 1.0:
-        raise ValueError(f"{own}.typical is not a probability")
-    weights = checked_tensor(tensors, f"{own}.weights", np.float64, (3,))
-    check_magnitude(f"{own}.weights", weights, MAX_FACTOR)
-    return Reliability(landmarks, bias, unit, weights, factor, typical, prior)
+        raise ValueError(f"{prefix}.typical is not a probability")
+    weights = checked_tensor(tensors, f"{prefix}.weights", np.float64, (3,))
+    check_magnitude(f"{prefix}.weights", weights, MAX_FACTOR)
+    return Reliability(
+        landmarks=landmarks,
+        bias=bias,
+        unit=unit,
+        weights=weights,
+        variance_factor=factor,
+        typical=typical,
+        prior=prior,
+    )
 
 
-def _appearance(
-    tensors: dict[str, np.ndarray], prefix: str, n_pixels: int, channels: int, n_textures: int
-) -> AppearanceModel:
-    known = _known(tensors, prefix, n_pixels)
-    n = n_pixels if known is None else int(known.sum())
-    modes = _modes(tensors, prefix, (None, n, channels))
+def _number(tensors: dict[str, np.ndarray], key: str) -> float:
+    """Return the value of a tensor of one number."""
+    return float(checked_tensor(tensors, key, np.float64, (1,))[0])
+
+
+def _appearance(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int, limits: _Limits) -> AppearanceModel:
+    """Return an appearance on all pixels of a view, from the tensors whose names start with ``prefix``."""
+    channels = limits.n_channels
+    stored = _stored_pixels(tensors, prefix, n_pixels)
+    n_stored = n_pixels if stored is None else int(stored.sum())
+    modes = _modes(tensors, prefix, (None, n_stored, channels))
     # More modes than images would need more memory in a fit than the file's size suggests.
-    most = min(n_pixels * channels, n_textures)
+    most = min(n_pixels * channels, limits.n_textures)
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
-    in_part = known is not None or not modes.any(axis=(0, 2)).all()  # of some, only pixels that are used are kept
-    if not are_unit(modes.reshape(len(modes), n * channels), at_most=in_part):
+    # Modes of which only the used pixels are stored, or not 0, are shorter than they were learnt.
+    is_part = stored is not None or not modes.any(axis=(0, 2)).all()
+    if not are_unit(modes.reshape(len(modes), n_stored * channels), at_most=is_part):
         raise ValueError(f"{prefix}.modes are not of unit length")
-    key, errors = f"{prefix}.unexplained", None
-    if key in tensors and tensors[key].ndim == 3:  # of version 4
-        errors = half_or_single(tensors, key, (n, channels, channels))
-    elif key in tensors:
-        rows, columns = np.triu_indices(channels)
-        stored = half_or_single(tensors, key, (n, len(rows)))
-        errors = np.empty((n, channels, channels), np.float32)
-        errors[:, rows, columns] = errors[:, columns, rows] = stored
-    if errors is not None:
-        check_variances(key, errors)
-        check_covariances(key, errors, MAX_VALUE**2, ROUNDED)
-    mean = half_or_single(tensors, f"{prefix}.mean", (n, channels))
+    unexplained = _unexplained(tensors, f"{prefix}.unexplained", n_stored, channels)
+    mean = half_or_single(tensors, f"{prefix}.mean", (n_stored, channels))
     check_magnitude(f"{prefix}.mean", mean, MAX_VALUE)
     eigenvalues = checked_tensor(tensors, f"{prefix}.eigenvalues", np.float64, (len(modes),))
     check_magnitude(f"{prefix}.eigenvalues", eigenvalues, n_pixels * channels * MAX_VALUE**2)
@@ -397,24 +494,46 @@ def _appearance(
         mean=mean,
         modes=modes,
         eigenvalues=eigenvalues,
-        usable=half_or_single(tensors, f"{prefix}.usable", (n,)),
-        unexplained=errors,
+        usable=half_or_single(tensors, f"{prefix}.usable", (n_stored,)),
+        unexplained=unexplained,
     )
-    return appearance if known is None else appearance.spread(known)
+    return appearance if stored is None else appearance.spread(stored)
 
 
-def _known(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.ndarray | None:
-    """Mask of the pixels that are stored, (n_pixels,) bool; None if all are."""
-    if f"{prefix}.known" not in tensors:
+def _unexplained(tensors: dict[str, np.ndarray], key: str, n_pixels: int, channels: int) -> np.ndarray | None:
+    """Return the covariance of an appearance's errors at each pixel, (n_pixels, channels, channels) float32, or None.
+
+    Files store the upper triangle of each matrix, row by row; those of version 4 the whole matrices.
+    """
+    if key not in tensors:
         return None
-    bits = checked_tensor(tensors, f"{prefix}.known", np.uint8, (-(-n_pixels // 8),))
-    known = np.unpackbits(bits, count=n_pixels).astype(bool)
-    if known.sum() < LEAST_SHARE * n_pixels:
-        raise ValueError(f"{prefix} has {known.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
-    return known
+    if tensors[key].ndim == 3:
+        matrices = half_or_single(tensors, key, (n_pixels, channels, channels))
+    else:
+        rows, columns = np.triu_indices(channels)
+        triangle = half_or_single(tensors, key, (n_pixels, len(rows)))
+        matrices = np.empty((n_pixels, channels, channels), np.float32)
+        matrices[:, rows, columns] = triangle
+        matrices[:, columns, rows] = triangle
+    check_variances(key, matrices)
+    check_covariances(key, matrices, MAX_VALUE**2, ROUNDED)
+    return matrices
 
 
-def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple) -> np.ndarray:
+def _stored_pixels(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.ndarray | None:
+    """Mask of the pixels that are stored, (n_pixels,) bool; None if all are. Files store one bit of it per pixel."""
+    key = f"{prefix}.known"
+    if key not in tensors:
+        return None
+    n_bytes = -(-n_pixels // 8)  # rounded up
+    bits = checked_tensor(tensors, key, np.uint8, (n_bytes,))
+    stored = np.unpackbits(bits, count=n_pixels).astype(bool)
+    if stored.sum() < LEAST_SHARE * n_pixels:
+        raise ValueError(f"{prefix} has {stored.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
+    return stored
+
+
+def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple[int | None, ...]) -> np.ndarray:
     """Modes in single precision; they are stored as codes and steps, or in 16 or 32 bits."""
     key = f"{prefix}.modes"
     if tensors[key].dtype != np.int8:
@@ -427,38 +546,44 @@ def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple) -> np.ndar
 
 
 def _names(names: list, n: int) -> tuple[str, ...]:
+    """Return the names of the n landmarks; there may be none."""
     if not isinstance(names, list) or len(names) not in (0, n):
         raise ValueError(f"there are not {n} names of landmarks")
     return tuple(_text(name) for name in names)
 
 
 def _text(value: object) -> str:
+    """Return a text of a header in a form that can be shown and written, shortened."""
     return writable(str(value))[:LONGEST_NAME]
 
 
-def half_or_single(tensors: dict[str, np.ndarray], key: str, shape: tuple) -> np.ndarray:
+def half_or_single(tensors: dict[str, np.ndarray], key: str, shape: tuple[int | None, ...]) -> np.ndarray:
     """A tensor in 16 or 32 bits, in single precision."""
     dtype = np.float16 if tensors[key].dtype == np.float16 else np.float32
     return checked_tensor(tensors, key, dtype, shape).astype(np.float32, copy=False)
 
 
-def checked_tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple) -> np.ndarray:
+def checked_tensor(tensors: dict[str, np.ndarray], key: str, dtype: type, shape: tuple[int | None, ...]) -> np.ndarray:
     """Return a tensor of a type and shape (None for any length), whose values its name allows. Raises ValueError."""
     tensor = tensors[key]
-    fits = tensor.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, tensor.shape, strict=True)
-    )
-    if tensor.dtype != dtype or not fits:
+    if tensor.dtype != dtype or not _has_shape(tensor, shape):
         raise ValueError(f"{key} has type {tensor.dtype} and shape {tensor.shape}")
     if tensor.dtype.kind == "f" and not np.isfinite(tensor).all():
         raise ValueError(f"{key} has values that are not finite")
-    if (key.endswith(("eigenvalues", "usable")) and (tensor < 0).any()) or (
-        key.endswith("usable") and (tensor > 1).any()
-    ):
+    if key.endswith("eigenvalues") and (tensor < 0).any():
+        raise ValueError(f"{key} has values out of range")
+    if key.endswith("usable") and ((tensor < 0).any() or (tensor > 1).any()):
         raise ValueError(f"{key} has values out of range")
     if key.endswith(("shape.unexplained", "landmarks", "bias")):
         check_variances(key, tensor)
     return tensor
+
+
+def _has_shape(tensor: np.ndarray, shape: tuple[int | None, ...]) -> bool:
+    """Return whether a tensor has a shape, of which None stands for any length."""
+    if tensor.ndim != len(shape):
+        return False
+    return all(expected in (None, length) for expected, length in zip(shape, tensor.shape, strict=True))
 
 
 def check_variances(key: str, matrices: np.ndarray) -> None:
@@ -467,16 +592,23 @@ def check_variances(key: str, matrices: np.ndarray) -> None:
         raise ValueError(f"{key} has negative variances")
 
 
-# Share of a covariance's trace by which rounding may make it indefinite: of double precision, and of the 16 bits in
-# which errors of appearances are stored, to which the second number adds what its smallest numbers are apart.
-EXACT, ROUNDED = (1e-9, 1e-12), (1e-2, 1e-6)
+@dataclass(frozen=True)
+class _Rounding:
+    """By how much rounding may make a covariance asymmetric or indefinite."""
+
+    of_trace: float  # relative to the trace
+    least: float  # added to that, since the smallest numbers of a type are this far apart, or less
 
 
-def check_covariances(key: str, matrices: np.ndarray, largest: float, rounding: tuple[float, float] = EXACT) -> None:
+EXACT = _Rounding(of_trace=1e-9, least=1e-12)  # Of double precision, after the sums of a covariance
+ROUNDED = _Rounding(of_trace=1e-2, least=1e-6)  # Of the 16 bits in which errors of appearances are stored
+
+
+def check_covariances(key: str, matrices: np.ndarray, largest: float, rounding: _Rounding = EXACT) -> None:
     """Raise ValueError unless matrices (n, c, c) are symmetric and positive semidefinite, with bounded variances."""
     check_magnitude(key, matrices, largest)
     matrices = matrices.astype(np.float64, copy=False)
-    allowed = rounding[0] * np.trace(matrices, axis1=1, axis2=2) + rounding[1]
+    allowed = rounding.of_trace * np.trace(matrices, axis1=1, axis2=2) + rounding.least
     if (np.abs(matrices - matrices.swapaxes(1, 2)) > allowed[:, None, None]).any():
         raise ValueError(f"{key} has matrices that are not symmetric")
     try:
