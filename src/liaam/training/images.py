@@ -23,7 +23,8 @@ LEAST_INSIDE = 0.5
 # usual in photographs that cut an object off, by up to half of it; farther ones are mistakes that distort the shapes.
 FAR = 0.35
 LEAST_USABLE = 0.2  # Least fraction of the object that is neither black nor saturated
-LEAST_COLOUR = 3  # Least number of colour images to learn colours from: as of images at all, see FEWEST
+# Least number of colour images to learn colours from, which is that of images at all (liaam.training.entries.FEWEST)
+LEAST_COLOUR = 3
 
 
 @dataclass(frozen=True)

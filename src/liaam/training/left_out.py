@@ -2,14 +2,14 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from liaam.fitting.methods import Method, needed_by
 from liaam.io.files import some_names
 from liaam.model import AAM, VIEWS, Level
-from liaam.model.appearance import COPIED_APPEARANCES, train_appearance_model
+from liaam.model.appearance import COPIED_APPEARANCES, AppearanceModel, Textures, train_appearance_model
 from liaam.model.pca import Variance
 from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
@@ -18,12 +18,29 @@ from liaam.training.lamps import Copies
 from liaam.training.reliability import LeftOut, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
-# Largest numbers of models to train without a fold, and of left-out images to fit
-LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
+LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, which takes as long as a level
+LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes as long as sampling FITTED images
+
+FILE_SUFFIX = re.compile(r"\.[A-Za-z]{2,4}\d?$")  # such as .png or .jp2
+# What tells apart the images of one object at the end of their names: the part after the last separator, or a number
+NUMBER_OF_IMAGE = re.compile(r"([-_. ][^-_. /]*|\d+)$")
 
 
-Settings = Mapping[str, tuple[Recipe, Variance, Variance]]
-"""Recipe of the shapes, and variances of shapes and appearances to keep, by view."""
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """What the models of a view are trained with.
+
+    Attributes
+    ----------
+    recipe : Recipe
+        Settings of the covariance of shapes.
+    shape_variance, appearance_variance : Variance
+        Share of the variance of shapes and of appearances to keep, or how to choose it.
+    """
+
+    recipe: Recipe
+    shape_variance: Variance
+    appearance_variance: Variance
 
 
 def calibrated(
@@ -32,7 +49,7 @@ def calibrated(
     shapes: np.ndarray,
     sampled: Sampled,
     copied: Copies,
-    settings: Settings,
+    settings: Mapping[str, Settings],
     methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
@@ -41,6 +58,31 @@ def calibrated(
 
     Images of one object, recognised by their names, are left out together. With each fold one half of the lamps is left
     out, because the light of later images differs from all lamps, and more than neighbouring lamps differ.
+
+    Parameters
+    ----------
+    model : AAM
+        Model of all images.
+    entries : list of Entry
+        All m images.
+    shapes : (m, n, 2) float64
+        Their landmarks.
+    sampled : Sampled
+        Their textures, and those of their copies.
+    copied : Copies
+        How images are relit.
+    settings : mapping of str to Settings
+        What the whole model was trained with, by view.
+    methods : sequence of Method
+    folds : list of arrays of int
+        Images that are left out together, by index.
+    steps : Steps
+        Reports each image.
+
+    Returns
+    -------
+    AAM
+        The model, with the calibrations in its views.
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
@@ -49,8 +91,8 @@ def calibrated(
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
-            known = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, sampled, settings, methods, known)
+            under_other_lamps = np.flatnonzero(~np.isin(copied.lit_by, lamps))
+            part = _without(model, fold, shapes, sampled, settings, methods, under_other_lamps)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
@@ -58,10 +100,12 @@ def calibrated(
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOut(part, relit, shapes[j], relit=True)
 
-    found = calibrate(model, images(), methods)
+    reliabilities = calibrate(model, images(), methods)
     for view in VIEWS:
-        own = {method.name: found[method.name] for method in methods if method.view == view and method.name in found}
-        model = model.with_view(view, reliabilities=own)
+        names = [method.name for method in methods if method.view == view]
+        model = model.with_view(
+            view, reliabilities={name: reliabilities[name] for name in names if name in reliabilities}
+        )
     return model
 
 
@@ -71,9 +115,10 @@ def can_be_calibrated(method: Method) -> bool:
 
 
 def fitted_of(fold: np.ndarray, folds: list[np.ndarray]) -> np.ndarray:
-    """Images of a left-out fold to fit."""
-    each = max(1, LEFT_OUT_PICTURES // len(folds))
-    return fold[np.linspace(0, len(fold) - 1, min(each, len(fold))).astype(int)]
+    """Return the images of a left-out fold to fit, by index: all, or some at even distances in it."""
+    most = max(1, LEFT_OUT_PICTURES // len(folds))
+    n_fitted = min(most, len(fold))
+    return fold[np.linspace(0, len(fold) - 1, n_fitted).astype(int)]
 
 
 def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
@@ -83,9 +128,11 @@ def objects_of(names: Sequence[str]) -> dict[str, list[int]]:
     """
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(map(image_of, names)):
-        object_name = re.sub(r"([-_. ][^-_. /]*|\d+)$", "", re.sub(r"\.[A-Za-z]{2,4}\d?$", "", name))
+        object_name = NUMBER_OF_IMAGE.sub("", FILE_SUFFIX.sub("", name))
         groups.setdefault(object_name or name, []).append(i)
-    return groups if len(groups) >= 3 and max(map(len, groups.values())) <= len(names) / 2 else {}
+    if len(groups) < 3 or max(map(len, groups.values())) > len(names) / 2:
+        return {}
+    return groups
 
 
 def describe_objects(names: Sequence[str]) -> str:
@@ -99,9 +146,13 @@ def describe_objects(names: Sequence[str]) -> str:
 
 def folds_of(names: Sequence[str], most: int = LEFT_OUT_FOLDS) -> list[np.ndarray]:
     """At most so many folds of samples, by object if their names identify it (:func:`objects_of`)."""
-    members = list(objects_of(names).values()) or [[i] for i in range(len(names))]
-    parts = np.array_split(np.arange(len(members)), min(len(members), most))
-    return [np.array(sorted(i for member in part for i in members[member])) for part in parts]
+    samples_of_objects = list(objects_of(names).values()) or [[i] for i in range(len(names))]
+    n_objects = len(samples_of_objects)
+    folds = []
+    for objects in np.array_split(np.arange(n_objects), min(n_objects, most)):
+        samples = [sample for i in objects for sample in samples_of_objects[i]]
+        folds.append(np.array(sorted(samples)))
+    return folds
 
 
 def _without(
@@ -109,30 +160,42 @@ def _without(
     fold: np.ndarray,
     shapes: np.ndarray,
     sampled: Sampled,
-    settings: Settings,
+    settings: Mapping[str, Settings],
     methods: Sequence[Method],
-    known: np.ndarray,
+    under_other_lamps: np.ndarray,
 ) -> AAM:
     """Train a model without a fold, on the frame and with the settings of the whole model.
 
-    Of the textures with copies, only the ``known`` are used: those under lamps that are not left out.
+    Of the textures of :data:`COPIED_APPEARANCES`, only those under lamps that are not left out are used: the indices
+    ``under_other_lamps``.
     """
     others = np.setdiff1d(np.arange(len(shapes)), fold)
     for name in dict.fromkeys(method.view for method in methods):
-        recipe, variance, appearance_variance = settings[name]
-        view, levels = model.views[name], []
+        view = model.views[name]
+        of_view = settings[name]
         needed = set().union(*(needed_by(method) for method in methods if method.view == name))
+        levels = []
         for i, level in enumerate(view.levels):
-            found = {}
+            appearances = {}
             for kind in needed & level.appearances.keys():
-                whole, rows = level.appearances[kind], sampled.rows(kind, others)
-                rows = np.intersect1d(rows, known) if kind in COPIED_APPEARANCES else rows
-                kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
-                part = train_appearance_model(sampled.textures[kind][i], kept, rows, left_out=None)
-                # The error on unseen images is that of the whole model's folds.
-                found[kind] = replace(part, unexplained=whole.unexplained)
-            levels.append(Level(level.blur, found))
-        modes = len(view.shape_model.modes) if variance == "auto" else variance
-        part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
-        model = model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))
+                rows = sampled.rows(kind, others)
+                if kind in COPIED_APPEARANCES:
+                    rows = np.intersect1d(rows, under_other_lamps)
+                appearances[kind] = _learnt_again(
+                    level.appearances[kind], sampled.textures[kind][i], rows, of_view.appearance_variance
+                )
+            levels.append(Level(level.blur, appearances))
+        shape_variance = of_view.shape_variance
+        modes = len(view.shape_model.modes) if shape_variance == "auto" else shape_variance
+        shape_model = shape_model_on(view.shape_model.mean, shapes[others], modes, of_view.recipe)
+        warp = replace(view.warp, shape_model=shape_model)
+        model = model.with_view(name, warp=warp, levels=tuple(levels))
     return model
+
+
+def _learnt_again(whole: AppearanceModel, textures: Textures, rows: np.ndarray, variance: Variance) -> AppearanceModel:
+    """Learn an appearance from some rows of its textures, with as many modes as the whole one if that is automatic."""
+    modes = whole.n_modes if variance == "auto" else variance  # a number of modes, or a share of the variance
+    part = train_appearance_model(textures, modes, rows, left_out=None)
+    # The error on unseen images is that of the whole model's folds.
+    return replace(part, unexplained=whole.unexplained)

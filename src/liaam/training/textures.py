@@ -1,6 +1,8 @@
 """Sample the textures of all training images and their relit copies on the reference frame, and learn from them."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from liaam.model.pca import Variance, count_by_evidence, some_folds
 from liaam.model.sampling import make_patch, sample_texture
 from liaam.model.shape import align
 from liaam.model.warp import PiecewiseAffineWarp
-from liaam.photometry import Response, invariant_row
+from liaam.photometry import CameraModel, Response, invariant_row
 from liaam.photometry.encoding import Encoding, as_colour
 from liaam.photometry.features import Encoder
 from liaam.progress import Progress
@@ -31,9 +33,20 @@ from liaam.training.search_filter import FilterLearner
 # Appearances that are learnt from the textures of another
 SOURCES = {"invariant": "log", "search": "orientation", "illumination": "varied"}
 FITTED = 6  # Time of fitting a left-out image, from near and far starts, in units of the time of sampling an image
+ALL_COLOUR = 0.99  # Least share of usable colours around a sample of ``soft`` to learn its colour, as fits compare it
+# Share of the variance of relit copies that the modes of illumination explain, if their number is automatic: evidence
+# from left-out images under the training light cannot choose it.
+ILLUMINATION_VARIANCE = 0.98
 
 Wanted = dict[str, list[list[str]]]
 """Names of the appearances to learn, by view and level."""
+
+
+class ViewLevel(NamedTuple):
+    """A level of a view, by its number from coarse to fine."""
+
+    view: str
+    level: int
 
 
 def learning_cost(n: int) -> int:
@@ -58,7 +71,7 @@ class Steps:
 
 @dataclass(frozen=True)
 class Sampled:
-    """Textures of all samples by appearance and level, and whether all images are grey.
+    """Textures of all samples by appearance and level.
 
     ``owners`` (n_textures,) is the sample of each texture of :data:`COPIED_APPEARANCES`; copies follow their sample.
     ``coloured`` (m,) are the samples of the other appearances: those in colour, or all if all are grey.
@@ -67,7 +80,7 @@ class Sampled:
     textures: dict[str, dict[int, Textures]]
     owners: np.ndarray
     coloured: np.ndarray
-    grey: bool
+    grey: bool  # whether all images are grey
 
     @property
     def n_samples(self) -> int:
@@ -81,13 +94,17 @@ class Sampled:
 
     def rows(self, name: str, samples: np.ndarray) -> np.ndarray:
         """Indices of an appearance's textures of some samples."""
-        return np.flatnonzero(np.isin(self.owners if name in COPIED_APPEARANCES else self.coloured, samples))
+        samples_of_textures = self.owners if name in COPIED_APPEARANCES else self.coloured
+        return np.flatnonzero(np.isin(samples_of_textures, samples))
 
     def folds(self, name: str, folds: list[np.ndarray]) -> list[np.ndarray]:
         """Convert folds of samples to folds of textures of an appearance."""
-        rows = [each for each in (self.rows(name, fold) for fold in folds) if len(each)]
-        # Grey images may be in all folds but one.
-        return rows if len(rows) > 1 else list(np.concatenate(rows)[:, None])
+        all_rows = [self.rows(name, fold) for fold in folds]
+        rows = [rows_of_fold for rows_of_fold in all_rows if len(rows_of_fold)]
+        if len(rows) > 1:
+            return rows
+        # All folds but one have grey images only: leave out its textures one by one.
+        return list(np.concatenate(rows)[:, None])
 
 
 def sample_all(
@@ -108,71 +125,135 @@ def sample_all(
 
     Grey images (mask ``grey``) among colour images have no colours to learn: only their gradients are sampled.
     """
-    camera, owners = model.camera, copied.owners
+    camera = model.camera
+    owners = copied.owners
     coloured = np.arange(len(entries)) if grey.all() else np.flatnonzero(~grey)
-    absent = {"varied": not copied.are_relit, "features": encoder is None}
-    levels: dict[str, list[int]] = {}
-    view_of: dict[str, str] = {}
-    for view, by_level in wanted.items():
-        for level, names in enumerate(by_level):
-            for name in dict.fromkeys(SOURCES.get(name, name) for name in names):
-                if not absent.get(name):
-                    view_of[name] = view
-                    levels.setdefault(name, []).append(level)
-    channels = CHANNELS if encoder is None else {**CHANNELS, "features": encoder.width}
-    counts = {name: len(owners) if name in COPIED_APPEARANCES else len(coloured) for name in view_of}
-    warps = {name: model.views[view].warp for name, view in view_of.items()}
-    room = {
-        name: {level: _room(n, warps[name], name, channels[name]) for level in levels[name]}
-        for name, n in counts.items()
-    }
+    absent = set()
+    if not copied.are_relit:
+        absent.add("varied")
+    if encoder is None:
+        absent.add("features")
+    stores = {}
+    for name, levels in _levels_to_sample(wanted, absent).items():
+        n_textures = len(owners) if name in COPIED_APPEARANCES else len(coloured)
+        stores[name] = _store(name, levels, n_textures, model, blurs, encoder)
+    stores_of_copies = [store for name, store in stores.items() if name in COPIED_APPEARANCES]
+    other_stores = [store for name, store in stores.items() if name not in COPIED_APPEARANCES]
 
-    def sample(image: np.ndarray, points: np.ndarray, name: str, row: int, colour: bool) -> None:
-        encoding = encoder if encoder is not None and name == "features" else ENCODING_OF[name]
-        for level, (values, usable) in room[name].items():
-            blur = blurs[view_of[name]][level]
-            found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
-            values[row], usable[row] = _learnt(encoding, *found, camera.theta, colour)
-
-    copied_names = [name for name in view_of if name in COPIED_APPEARANCES]
-    first = np.searchsorted(owners, np.arange(len(entries)))
+    first_rows = np.searchsorted(owners, np.arange(len(entries)))  # of each image among the textures with copies
     for i, entry in enumerate(entries):
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
+        has_colour = not grey[i]
         filters.add(image, entry.points)
-        own = np.flatnonzero(coloured == i)
-        for name in view_of:
-            for row in [first[i]] if name in COPIED_APPEARANCES else own:
-                sample(image, entry.points, name, int(row), not grey[i])
-        made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
-        for row, (copy, points) in enumerate(made, first[i] + 1):
+        row = int(first_rows[i])
+        for store in stores_of_copies:
+            store.add(row, image, entry.points, camera, has_colour)
+        for row_of_coloured in np.flatnonzero(coloured == i):  # one row, or none
+            for store in other_stores:
+                store.add(int(row_of_coloured), image, entry.points, camera, has_colour)
+        copies = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
+        for row, (copy, points) in enumerate(copies, first_rows[i] + 1):
             steps.next(f"a copy of {entry.name}")
             filters.add(copy, points)
-            for name in copied_names:
-                sample(copy, points, name, row, not grey[i])
-    textures = {name: {i: Textures.of(*each) for i, each in by_level.items()} for name, by_level in room.items()}
+            for store in stores_of_copies:
+                store.add(row, copy, points, camera, has_colour)
+    textures = {name: store.textures() for name, store in stores.items()}
     return Sampled(textures, owners, coloured, bool(grey.all()))
 
 
-def _room(n: int, warp: PiecewiseAffineWarp, name: str, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Allocate the values of n textures of an appearance, and their usable masks."""
-    shape = (n, warp.frame.n_pixels, channels)
-    # ``soft`` has separate masks for gradient and invariant.
-    return np.empty(shape, np.float32), np.empty(shape if name == "soft" else shape[:2], np.float32)
+def _levels_to_sample(wanted: Wanted, absent: Collection[str]) -> dict[str, list[ViewLevel]]:
+    """Return where each appearance is sampled, by name: those wanted and the sources of these, without the absent."""
+    levels: dict[str, list[ViewLevel]] = {}
+    for view, names_by_level in wanted.items():
+        for level, names in enumerate(names_by_level):
+            sampled_names = dict.fromkeys(SOURCES.get(name, name) for name in names)  # each once
+            for name in sampled_names:
+                if name not in absent:
+                    levels.setdefault(name, []).append(ViewLevel(view, level))
+    return levels
 
 
-def _learnt(
-    encoding: Encoding, values: np.ndarray, usable: np.ndarray, theta: float, colour: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Convert samples in an encoding to values to learn, (n_pixels, c), and their usable mask.
+@dataclass(frozen=True, eq=False)
+class _Store:
+    """How one appearance is sampled, and room for its textures.
 
-    For ``soft``, log RGB is projected to the invariant, which is unusable without colour.
+    Attributes
+    ----------
+    encoding : Encoding
+    warp : PiecewiseAffineWarp
+        Warp of the appearance's view.
+    blurs : dict of int to float
+        Standard deviation of the blur of each level at which it is learnt, pixels of the reference frame.
+    values : dict of int to (n_textures, n_pixels, c) float32 array
+        Values by level.
+    usable : dict of int to (n_textures, n_pixels) or (n_textures, n_pixels, c) float32 array
+        Whether they are usable, 0 or 1, by level.
     """
+
+    encoding: Encoding
+    warp: PiecewiseAffineWarp
+    blurs: dict[int, float]
+    values: dict[int, np.ndarray]
+    usable: dict[int, np.ndarray]
+
+    def add(self, row: int, image: np.ndarray, points: np.ndarray, camera: CameraModel, has_colour: bool) -> None:
+        """Sample an image, warped by its landmarks (n, 2), and keep that in a row of all levels."""
+        for level, blur in self.blurs.items():
+            values, usable = sample_appearance(image, points, self.warp, self.encoding, camera.response, blur)
+            values, usable = _to_learn(self.encoding, values, usable, camera.theta, has_colour)
+            self.values[level][row] = values
+            self.usable[level][row] = usable
+
+    def textures(self) -> dict[int, Textures]:
+        """Return the textures by level."""
+        return {level: Textures.of(self.values[level], self.usable[level]) for level in self.blurs}
+
+
+def _store(
+    name: str,
+    levels: list[ViewLevel],
+    n_textures: int,
+    model: AAM,
+    blurs: dict[str, Blurs],
+    encoder: Encoder | None,
+) -> _Store:
+    """Make room for the textures of an appearance at some levels, all of one view."""
+    view = levels[0].view
+    warp = model.views[view].warp
+    encoding = ENCODING_OF[name]
+    n_channels = CHANNELS[name]
+    if name == "features" and encoder is not None:
+        encoding = encoder
+        n_channels = encoder.width
+    shape = (n_textures, warp.frame.n_pixels, n_channels)
+    # ``soft`` has separate masks for gradient and invariant.
+    shape_of_usable = shape if name == "soft" else shape[:2]
+    return _Store(
+        encoding=encoding,
+        warp=warp,
+        blurs={each.level: blurs[view][each.level] for each in levels},
+        values={each.level: np.empty(shape, np.float32) for each in levels},
+        usable={each.level: np.empty(shape_of_usable, np.float32) for each in levels},
+    )
+
+
+def _to_learn(
+    encoding: Encoding, values: np.ndarray, usable: np.ndarray, theta: float, has_colour: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Convert samples in an encoding, (n_pixels, c'), to values to learn, (n_pixels, c), and their usable mask.
+
+    For ``soft``, log RGB is projected to the invariant, which is unusable without colour; the mask is (n_pixels, c).
+    """
+    if not isinstance(encoding, str):  # channels of a function of the user
+        return values, usable
     if encoding != "soft":
-        return values[:, : CHANNELS[encoding] if isinstance(encoding, str) else None], usable
-    direction, log_rgb, known = np.split(values, [2, 5], axis=1)
-    rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
-    return rows, np.column_stack([usable, usable, usable * ((known[:, 0] > 0.99) & colour)])
+        return values[:, : CHANNELS[encoding]], usable
+    direction, log_rgb, colour_weight = np.split(values, [2, 5], axis=1)
+    invariant = log_rgb @ invariant_row(theta).T.astype(np.float32)
+    is_usable_colour = (colour_weight[:, 0] > ALL_COLOUR) & has_colour
+    to_learn = np.concatenate([direction, invariant], axis=1)
+    return to_learn, np.column_stack([usable, usable, usable * is_usable_colour])
 
 
 def sample_appearance(
@@ -200,25 +281,32 @@ def level_appearances(
     sampled: Sampled, names: list[str], level: int, theta: float, variance: Variance, folds: list[np.ndarray]
 ) -> dict[str, AppearanceModel]:
     """Learn the appearances of the given names at one level of a view, as far as images were sampled for them."""
-    appearances, every = {}, some_folds(sampled.n_samples)
+    folds_of_errors = some_folds(sampled.n_samples)  # by which the errors on unseen images are measured
+    appearances = {}
     for name in names:
-        source = sampled.textures.get(SOURCES.get(name, name), {})
-        if level not in source or (name == "invariant" and sampled.grey):
+        textures_by_level = sampled.textures.get(SOURCES.get(name, name), {})
+        if level not in textures_by_level or (name == "invariant" and sampled.grey):
             continue
-        textures = source[level]
+        textures = textures_by_level[level]
         if name == "illumination":
-            # Evidence from left-out images under the training light cannot choose the number of illumination modes.
-            kept = 0.98 if variance == "auto" else variance
-            rows = sampled.copies
-            relit = Textures(textures.values[rows], textures.observed[rows], textures.usable[rows])
-            appearances[name] = train_illumination(appearances["value"], relit, kept)
+            appearances[name] = _illumination(appearances["value"], textures, sampled.copies, variance)
             continue
         if name == "invariant":
             # LIT: project first, then learn (paper section 4).
             textures = Textures.of(textures.values @ invariant_row(theta).T.astype(np.float32), textures.usable)
-        kept = count_by_evidence(textures.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
+        modes = count_by_evidence(textures.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
         if name == "search":
-            appearances[name] = strongest_modes(train_appearance_model(textures, kept))
+            appearances[name] = strongest_modes(train_appearance_model(textures, modes))
         else:
-            appearances[name] = train_appearance_model(textures, kept, left_out=sampled.folds(name, every))
+            left_out = sampled.folds(name, folds_of_errors)
+            appearances[name] = train_appearance_model(textures, modes, left_out=left_out)
     return appearances
+
+
+def _illumination(
+    values: AppearanceModel, textures: Textures, copies: np.ndarray, variance: Variance
+) -> AppearanceModel:
+    """Learn the modes of light in the copies among textures (mask ``copies``) that the modes of ``values`` lack."""
+    modes = ILLUMINATION_VARIANCE if variance == "auto" else variance
+    relit = Textures(textures.values[copies], textures.observed[copies], textures.usable[copies])
+    return train_illumination(values, relit, modes)

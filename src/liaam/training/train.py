@@ -1,7 +1,7 @@
 """Train an active appearance model from landmarked images."""
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
@@ -152,6 +152,7 @@ class _Shapes:
     models : dict of ShapeModel
         Shape models, by view.
     triangles : (t, 3) int32
+        Mesh of the mean shape, indices of landmarks.
     """
 
     landmarks: np.ndarray
@@ -173,7 +174,9 @@ def _train_one(data: TrainingData, points: Points | None, task: _Task) -> AAM:
         if len(sound) == len(entries):
             break
         # Learn again from the images that do not fold the mesh, which have been checked already.
-        entries, grey, points = [entries[i] for i in sound], grey[sound], points_of(points, sound)
+        entries = [entries[i] for i in sound]
+        grey = grey[sound]
+        points = points_of(points, sound)
         data = replace(data, entries=entries)
         shapes = _learn_shapes(data, options)
         model = _without_appearances(data, shapes, task)
@@ -226,7 +229,7 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
     folds = folds_of(data.names)
     mean = scaled_mean(landmarks, options.diagonal)
     check_flat(mean, landmarks)
-    triangles = mesh_of(mean, options.triangles, data.edges)  # whose faults are told before what takes long
+    triangles = mesh_of(mean, options.triangles, data.edges)  # first, so that its faults are raised soon
     prior_of = options.priors(landmarks.shape[1])
     # Views with the same prior share recipe and shape model, which take time to learn.
     recipes = {prior: choose_recipe(mean, landmarks, prior, folds) for prior in dict.fromkeys(prior_of.values())}
@@ -291,10 +294,16 @@ def _with_appearances(
     return model
 
 
-def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> Settings:
-    """Return what models are trained with from which some images are left out: the same as the whole model."""
-    kept = options.appearance_variances
-    return {view: (shapes.recipes[view], options.variance, kept[view]) for view in VIEWS}
+def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> Mapping[str, Settings]:
+    """Return what models without some images are trained with, by view: the same as the whole model."""
+    return {
+        view: Settings(
+            recipe=shapes.recipes[view],
+            shape_variance=options.variance,
+            appearance_variance=options.appearance_variances[view],
+        )
+        for view in VIEWS
+    }
 
 
 def _methods_to_calibrate(options: TrainingOptions) -> list[Method]:
@@ -321,7 +330,7 @@ def _check_cost(model: AAM) -> None:
 def _copies(
     lamps: Lamps | None, mirrored: np.ndarray | None, entries: list[Entry], model: AAM, options: TrainingOptions
 ) -> Copies:
-    """Return which copies of the images are made, and by how much the landmarks of mirrored ones are moved.
+    """Return which copies of the images are made, and how far the landmarks of mirrored ones are moved sideways.
 
     ``mirrored`` (n,) is the index of each landmark's mirror image; None if the landmarks are not symmetric.
     """

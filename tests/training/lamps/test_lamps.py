@@ -158,7 +158,7 @@ def test_lamps_serve_objects_with_the_same_landmarks(pictures, lamps):
 def test_a_lamp_file_or_a_name_without_images_is_told(pictures, lamps, tmp_path):
     pairs = [(each.image, each.landmarks.points) for each in pictures[:3]]
     for path in ("heads.lamps", tmp_path / "heads.lamps"):
-        with pytest.raises(TrainingError, match=r"heads\.lamps': .* for a file give liaam\.lamps\.load_lamps\(file\)"):
+        with pytest.raises(TrainingError, match=r"heads\.lamps': .* for a file give liaam\.training\.load_lamps\(file\)"):
             train(pairs, diagonal=40.0, lamps=path)
     for given in ("auto", None, lamps):
         with pytest.raises(TrainingError, match=r"'day' names the training light in lamp images; give these"):
@@ -261,8 +261,8 @@ def test_quality_is_learnt_under_lamps_that_are_left_out_of_training(lamps, monk
 
     def noted(*given, **named):
         part = trained_without(*given, **named)
-        known = signature(trained_without).bind(*given, **named).arguments["known"]
-        known_lamps[id(part)] = set(lit_by[known].tolist())
+        rows = signature(trained_without).bind(*given, **named).arguments["under_other_lamps"]
+        known_lamps[id(part)] = set(lit_by[rows].tolist())
         return part
 
     def lamp_of(each) -> int:

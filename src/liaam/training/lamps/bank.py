@@ -8,6 +8,7 @@ interpolates towards the square's border, which follows the shape's pose.
 import json
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,13 @@ from liaam.photometry.response import from_linear, linear_to_srgb, srgb_to_linea
 
 DARK = 4.0 / 255.0  # Added to stored values before the logarithm, to suppress rounding and noise in dark pixels
 GAMMA = 2.2  # Change of the logarithm of light with that of stored sRGB values, on average
-# Distances from the mean shape up to which a light basis is sharp, and at which it has faded out; and the standard
-# deviation of the blur in between, where surroundings differ from those of the lamps' objects. In diagonals.
-SHARP, FADED, SOFTNESS = 0.15, 0.5, 0.15
-# Number of modes of a light basis, and standard deviation of the uniform changes of colour that are added to it
-MODES, TINT = 16, 0.1
+# A light basis is blurred and fades out around the mean shape, where surroundings differ from those of the lamps'
+# objects. In diagonals:
+SHARP = 0.15  # Distance from the mean shape up to which it does not fade; from twice that on, it is only blurred
+FADED = 0.5  # Distance at which it has faded out
+SOFTNESS = 0.15  # Standard deviation of the blur
+MODES = 16  # Largest number of modes of a light basis
+TINT = 0.1  # Standard deviation of the uniform changes of colour that are added to it
 STRIDE = 4  # Spacing of the pixels for which the map is computed; it is interpolated in between
 
 SCHEMA_VERSION = 1
@@ -98,17 +101,16 @@ class Lamps:
             If the lamps were learnt with another number of landmarks.
         """
         self.check_landmarks(len(points), "these images")
-        at, values = places(self.mean, points, image.shape[1::-1]), as_srgb(image, response) + np.float32(DARK)
-        grey, images = is_grey(image), []
+        at = places(self.mean, points, image.shape[1::-1])
+        values = as_srgb(image, response) + np.float32(DARK)
+        grey = is_grey(image)
+        images = []
         for i in which:
             field = self.fields[i].astype(np.float32)
-            field = field.mean(axis=2, keepdims=True).repeat(3, axis=2) if grey else field
+            if grey:
+                field = field.mean(axis=2, keepdims=True).repeat(3, axis=2)
             relit = np.clip(values * cv2.exp(sample_field(field, at)) - np.float32(DARK), 0.0, 1.0)
-            if response != "srgb":
-                relit = from_linear(srgb_to_linear(relit), response).astype(np.float32)
-            if image.dtype.kind != "f":
-                relit = np.rint(np.clip(relit, 0.0, 1.0) * np.float32(np.iinfo(image.dtype).max)).astype(image.dtype)
-            images.append(relit)
+            images.append(_stored(relit, response, image.dtype))
         return images
 
     def halves(self) -> list[np.ndarray]:
@@ -122,29 +124,31 @@ class Lamps:
         list of (m,) int64
             Indices of each half's lamps; there is only one half of a single lamp.
         """
-        known, lamps = np.unique([name.rpartition("-")[2] for name in self.names], return_inverse=True)
+        names = [name.rpartition("-")[2] for name in self.names]  # without the objects
+        unique_names, lamps = np.unique(names, return_inverse=True)
         brightness = self.fields.astype(np.float32).mean(axis=3).reshape(len(self), -1)
-        mean = np.array([brightness[lamps == i].mean(axis=0) for i in range(len(known))])
-        away = mean - mean.mean(axis=0)
-        along = np.linalg.eigh(away @ away.T)[1][:, -1]
-        order = np.argsort(along * (1.0 if along[0] >= 0 else -1.0), kind="stable")
+        mean_of_lamps = np.array([brightness[lamps == i].mean(axis=0) for i in range(len(unique_names))])
+        deviations = mean_of_lamps - mean_of_lamps.mean(axis=0)
+        _, vectors = np.linalg.eigh(deviations @ deviations.T)
+        coordinates = vectors[:, -1]  # along the strongest mode, up to a factor
+        sign = 1.0 if coordinates[0] >= 0 else -1.0  # that of an eigenvector is arbitrary
+        order = np.argsort(coordinates * sign, kind="stable")
         return [np.flatnonzero(np.isin(lamps, half)) for half in np.array_split(order, min(2, len(order)))]
 
     def basis(self, mirrored: bool) -> LightBasis:
         """Summarise the lamps, and their mirror images if the objects are symmetric, by a low-rank basis."""
-        away = _away_from(self.mean)[..., None]
-        sharp, kept = (np.clip((far - away) / (FADED - SHARP), 0.0, 1.0) for far in (2 * SHARP, FADED))
-        kept = kept * kept * (3.0 - 2.0 * kept)
-        fields = GAMMA * self.fields.astype(np.float32)
-        blur = SOFTNESS * SIDE / (2 * HALF)
-        fields = np.stack([f * sharp + cv2.GaussianBlur(f, (0, 0), blur) * (1.0 - sharp) for f in fields]) * kept
-        fields = np.concatenate([fields, fields[:, :, ::-1]]) if mirrored else fields
+        distances = _away_from(self.mean)
+        fade = _fade(distances)
+        fields = _softened(GAMMA * self.fields.astype(np.float32), distances) * fade
         objects = [name.rpartition("-")[0] for name in self.names]
         groups = objects if len(set(objects)) > 1 else list(self.names)
-        inside = away[..., 0] <= 0
-        rest = _left_out(fields, np.tile(groups, len(fields) // len(groups)), inside)
+        if mirrored:
+            fields = np.concatenate([fields, fields[:, :, ::-1]])
+            groups = groups * 2
+        rest = _left_out(fields, np.array(groups), inside=distances <= 0)
         remainder = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
-        modes = np.concatenate([_modes(fields), TINT * CHROMATICITY[:, None, None] * kept])
+        tints = TINT * CHROMATICITY[:, None, None] * fade
+        modes = np.concatenate([_modes(fields), tints])
         return LightBasis(self.mean, rounded(modes), remainder.astype(np.float16))
 
     def save(self, path: str | os.PathLike) -> None:
@@ -157,8 +161,37 @@ class Lamps:
         """
         from safetensors.numpy import save
 
-        about = {"format": LAMPS_FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
-        write_bytes_atomically(path, save({"mean": self.mean, "fields": self.fields}, {"liaam": json.dumps(about)}))
+        tensors = {"mean": self.mean, "fields": self.fields}
+        header = {"format": LAMPS_FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
+        write_bytes_atomically(path, save(tensors, {"liaam": json.dumps(header)}))
+
+
+def _stored(srgb: np.ndarray, response: Response, dtype: np.dtype) -> np.ndarray:
+    """Convert sRGB values (h, w, 3) float32 in [0, 1] to values that a camera stores, of a type."""
+    stored = srgb
+    if response != "srgb":
+        stored = from_linear(srgb_to_linear(srgb), response).astype(np.float32)
+    if dtype.kind == "f":
+        return stored
+    white = np.float32(np.iinfo(dtype).max)
+    return np.rint(np.clip(stored, 0.0, 1.0) * white).astype(dtype)
+
+
+def _fade(distances: np.ndarray) -> np.ndarray:
+    """Return the factor on a light basis at distances (side, side) from the mean shape, (side, side, 1), 1 to 0."""
+    linear = np.clip((FADED - distances[..., None]) / (FADED - SHARP), 0.0, 1.0)
+    return linear * linear * (3.0 - 2.0 * linear)
+
+
+def _softened(fields: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """Blur fields (k, side, side, 3) float32 the more, the farther they are from the mean shape."""
+    sharp = np.clip((2 * SHARP - distances[..., None]) / (FADED - SHARP), 0.0, 1.0)
+    blur = SOFTNESS * SIDE / (2 * HALF)  # pixels of a field
+    softened = []
+    for field in fields:
+        soft = cv2.GaussianBlur(field, (0, 0), blur)
+        softened.append(field * sharp + soft * (1.0 - sharp))
+    return np.stack(softened)
 
 
 def _modes(fields: np.ndarray) -> np.ndarray:
@@ -167,24 +200,27 @@ def _modes(fields: np.ndarray) -> np.ndarray:
     No mean is subtracted: the training light is the origin.
     """
     flat = fields.reshape(len(fields), -1)
-    left = np.linalg.eigh(flat @ flat.T)[1][:, ::-1][:, : min(MODES, (len(flat) + 1) // 2)]
-    return (left.T @ flat / np.sqrt(len(flat))).reshape(-1, *fields.shape[1:])
+    n_modes = min(MODES, (len(flat) + 1) // 2)
+    _, vectors = np.linalg.eigh(flat @ flat.T)
+    strongest = vectors[:, ::-1][:, :n_modes]
+    return (strongest.T @ flat / np.sqrt(len(flat))).reshape(-1, *fields.shape[1:])
 
 
 def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return what the modes of the other groups do not explain of each field.
 
-    The coordinates are those that fit best ``inside``, because relighting estimates them there.
+    The coordinates are those that fit best ``inside`` (side, side), because relighting estimates them there.
     """
     rest = fields.copy()
     for group in np.unique(groups):
-        own = groups == group
-        if own.all():
+        in_group = groups == group
+        if in_group.all():
             break
-        modes = _modes(fields[~own])
-        near = modes[:, inside].reshape(len(modes), -1)
-        coordinates = np.linalg.lstsq(near.T, fields[own][:, inside].reshape(own.sum(), -1).T, rcond=None)[0]
-        rest[own] -= np.tensordot(coordinates.T, modes, axes=1)
+        modes = _modes(fields[~in_group])
+        modes_inside = modes[:, inside].reshape(len(modes), -1)
+        fields_inside = fields[in_group][:, inside].reshape(in_group.sum(), -1)
+        coordinates = np.linalg.lstsq(modes_inside.T, fields_inside.T, rcond=None)[0]
+        rest[in_group] -= np.tensordot(coordinates.T, modes, axes=1)
     return rest
 
 
@@ -194,11 +230,13 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
     ``mean`` is the mean shape of the fields, and ``points`` are the landmarks in the image.
     """
     width, height = size
-    x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
+    x = np.arange(0, width + STRIDE, STRIDE)
+    y = np.arange(0, height + STRIDE, STRIDE)
     coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
-    found = in_field(_to_mean(mean, points, coarse))
-    across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
-    return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+    coarse_positions = in_field(_to_mean(mean, points, coarse))
+    columns = np.arange(width, dtype=np.float32) / STRIDE
+    rows = np.arange(height, dtype=np.float32) / STRIDE
+    return cv2.remap(coarse_positions, *np.meshgrid(columns, rows), cv2.INTER_LINEAR)
 
 
 def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarray:
@@ -206,9 +244,14 @@ def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarr
 
     ``shape`` (n, 2) are the landmarks of the first mean shape in the coordinates of the other.
     """
-    at = in_field(_to_mean(mean, shape, square())) * np.float32((fields.shape[1] - 1) / (SIDE - 1))
-    x, y, border = at[..., 0], at[..., 1], cv2.BORDER_REPLICATE
-    moved = [cv2.remap(field.astype(np.float32), x, y, cv2.INTER_CUBIC, borderMode=border) for field in fields]
+    pixels_per_pixel = np.float32((fields.shape[1] - 1) / (SIDE - 1))  # of the given fields, per one of a new field
+    at = in_field(_to_mean(mean, shape, square())) * pixels_per_pixel
+    x = at[..., 0]
+    y = at[..., 1]
+    moved = []
+    for field in fields:
+        field = field.astype(np.float32)
+        moved.append(cv2.remap(field, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
     return np.array(moved, np.float16)
 
 
@@ -216,11 +259,11 @@ def _to_mean(mean: np.ndarray, points: np.ndarray, at: np.ndarray) -> np.ndarray
     """Map positions (..., 2) in the image of the landmarks ``points`` to the coordinates of the mean shape."""
     from scipy.interpolate import LinearNDInterpolator  # heavy: imported when first needed
 
-    rest, there = anchors(mean, points)
+    on_mean, in_image = anchors(mean, points)
     # Triangulate the image's points, not the mean shape: this cannot fold.
-    found = LinearNDInterpolator(there, rest)(at)
+    inside = LinearNDInterpolator(in_image, on_mean)(at)  # NaN outside the border
     outside = align(mean, points).inverse()(at.reshape(-1, 2)).reshape(at.shape)
-    return np.where(np.isfinite(found), found, outside)
+    return np.where(np.isfinite(inside), inside, outside)
 
 
 def square() -> np.ndarray:
@@ -237,14 +280,22 @@ def _away_from(mean: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * np.float32(step)
 
 
-_STEPS, _ENDS = np.linspace(-HALF, HALF, 5), (-HALF, HALF)
-# Points on the square's border, (16, 2) float64, which follow the shape's pose
-BORDER = np.array([(s, e) for s in _STEPS for e in _ENDS] + [(e, s) for s in _STEPS[1:-1] for e in _ENDS])
+def _border() -> np.ndarray:
+    """Return five points on each side of the square, with its corners, (16, 2) float64."""
+    steps = np.linspace(-HALF, HALF, 5)
+    ends = (-HALF, HALF)
+    top_and_bottom = [(step, end) for step in steps for end in ends]
+    left_and_right = [(end, step) for step in steps[1:-1] for end in ends]  # the corners are above
+    return np.array(top_and_bottom + left_and_right)
+
+
+BORDER = _border()  # Points that follow the shape's pose
 
 
 def anchors(mean: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corresponding points (landmarks and border) in the coordinates of the mean shape and of an image."""
-    return np.concatenate([mean, BORDER]), np.concatenate([points, align(mean, points)(BORDER)])
+    """Corresponding points, landmarks and border, (n + 16, 2) each: on the mean shape, and in an image."""
+    border = align(mean, points)(BORDER)
+    return np.concatenate([mean, BORDER]), np.concatenate([points, border])
 
 
 def as_srgb(image: np.ndarray, response: Response) -> np.ndarray:
@@ -263,8 +314,9 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     """
     path = Path(path)
     broken = "this is not a complete lamp file ({fault}); copy it again or make it again"
-    names, tensors = read_tensors(path, lambda *header: _names(path, *header), LiaamError, "lamp file", MAKE, broken)
-    mean, fields = tensors["mean"], tensors["fields"]
+    names, tensors = read_tensors(path, partial(_names, path), LiaamError, "lamp file", MAKE, broken)
+    mean = tensors["mean"]
+    fields = tensors["fields"]
     has_types = mean.dtype == np.float64 and fields.dtype == np.float16
     # NaN is not below a limit, either.
     if not has_types or not (np.abs(fields) <= MAX_LOG_LIGHT).all() or not (np.abs(mean) <= 1.0).all():
@@ -277,10 +329,10 @@ _CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it aga
 
 def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
     """Read the names of the lamps from a file's header, and check them against the tensors' shapes."""
-    about = json_object(text) or {}
-    if (about.get("format"), about.get("schema")) != (LAMPS_FORMAT, SCHEMA_VERSION):
+    header = json_object(text) or {}
+    if header.get("format") != LAMPS_FORMAT or header.get("schema") != SCHEMA_VERSION:
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
-    names: Any = about.get("names")
+    names: Any = header.get("names")
     are_names = isinstance(names, list) and 1 <= len(names) <= MOST and all(isinstance(name, str) for name in names)
     mean = shapes.get("mean", ())
     is_shape = len(mean) == 2 and mean[0] >= 3 and mean[1] == 2

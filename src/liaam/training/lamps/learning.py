@@ -21,6 +21,7 @@ BLUR = 0.016
 # Mean distance of landmarks between two images of an object, as a fraction of its diagonal, above which the object
 # counts as moved
 MOVED = 0.03
+LEAST_BLUR = 0.2  # Blur in pixels below which it changes nothing: the weight of the next pixel is below 4e-6
 
 
 def learn_lamps(
@@ -58,7 +59,9 @@ def learn_lamps(
     training_lamp = _training_lamp(objects, training_lamp)
     bases = {name: _base(name, pictures, training_lamp) for name, pictures in objects.items()}
     mean = unit_shape(procrustes_mean(np.array([base.landmarks.points for base in bases.values()])))
-    fields, names, total = [], [], sum(map(len, objects.values())) - len(objects)
+    total = sum(map(len, objects.values())) - len(objects)  # the images under the training light are no lamps
+    fields = []
+    names = []
     for name, pictures in objects.items():
         base = bases[name]
         before = as_srgb(as_colour(base.read_image(), base.name), response)
@@ -82,6 +85,7 @@ def unit_shape(mean: np.ndarray) -> np.ndarray:
 
 
 def _by_object(data: Iterable) -> dict[str, list[Sample]]:
+    """Group samples by their object, the part of the name before the last hyphen, and check them."""
     objects: dict[str, list[Sample]] = {}
     for sample in data:
         if not hasattr(sample, "landmarks"):
@@ -105,19 +109,24 @@ def _by_object(data: Iterable) -> dict[str, list[Sample]]:
 
 
 def _lamp_of(picture: Sample) -> str:
+    """Return the name of an image's lamp, the part of its name after the last hyphen."""
     return picture.name.rpartition("-")[2]
 
 
 def _training_lamp(objects: dict[str, list[Sample]], requested: str | None) -> str:
     """Name of the training lamp: the given one, or the only one that all objects have in common."""
-    counts = Counter(lamp for pictures in objects.values() for lamp in set(map(_lamp_of, pictures)))
-    common = [lamp for lamp, count in counts.items() if count == len(objects)]
-    suited = common if requested is None else [lamp for lamp in counts if lamp == requested]
-    if len(suited) == 1:
-        return suited[0]
-    fault = f"no image has the lamp {requested!r} in its name"
+    counts = Counter()  # number of objects with each lamp
+    for pictures in objects.values():
+        counts.update({_lamp_of(picture) for picture in pictures})
     if requested is None:
+        common = [lamp for lamp, count in counts.items() if count == len(objects)]
+        if len(common) == 1:
+            return common[0]
         fault = "the training light is ambiguous: name its lamp (--training-lamp, or training_lamp=...)"
+    else:
+        if requested in counts:
+            return requested
+        fault = f"no image has the lamp {requested!r} in its name"
     raise TrainingError(f"{fault}; choose from {', '.join(sorted(counts))}")
 
 
@@ -149,7 +158,7 @@ def _field(before: np.ndarray, after: np.ndarray, base: Sample, picture: Sample,
         raise TrainingError(f"{picture.name} and {base.name} differ in size; use images of equal size")
     ratio = np.log((after + np.float32(DARK)) / (before + np.float32(DARK)))
     blur = BLUR * diagonal_of(base.landmarks.points)
-    if blur > 0.2:
+    if blur > LEAST_BLUR:
         ratio = cv2.GaussianBlur(ratio, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
     to_image = LinearNDInterpolator(*anchors(mean, base.landmarks.points))
     x, y = np.moveaxis(to_image(square()).astype(np.float32), -1, 0)
