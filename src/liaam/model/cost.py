@@ -6,6 +6,7 @@ few pixels, or by coarse levels that are not blurred, of which every pixel is sa
 """
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,15 +19,26 @@ MOST_WORK = 5e9
 # Largest memory of a model and of a fitter for one method, bytes. Those faces take 4e8.
 MOST_MEMORY = 2e9
 
-# Distance between sampled pixels, in standard deviations of the blur (liaam.fitting.loop.objective.THINNING);
-# orientations are compared at every pixel.
-THINNING, EVERYWHERE = 1.5, "orientation"
-# Fits at the coarsest level, at those between and at the sharpest, of a fit that is started again (liaam.fitting):
-# other starts are 15 at first and 18 later, few of which are fitted further.
-STARTS = 33, 5, 2
-# Bytes of a number of the appearance: as it is loaded, as textures are projected, and as a fitter keeps it with its
-# gradients at sampled pixels. Measured with 40 times the modes of a small model.
-LOADED, PROJECTED, KEPT = 4, 48, 64
+# Distance between sampled pixels, in standard deviations of the blur (liaam.fitting.loop.objective.THINNING)
+THINNING = 1.5
+EVERYWHERE = "orientation"  # The appearance that is compared at every pixel
+
+
+class Starts(NamedTuple):
+    """Fits at each level, of a fit that is started again (liaam.fitting)."""
+
+    coarsest: int
+    between: int  # at each level between the coarsest and the sharpest
+    sharpest: int
+
+
+# Other starts are 15 at first and 18 later, few of which are fitted further.
+STARTS = Starts(coarsest=33, between=5, sharpest=2)
+
+# Bytes of a number of the appearance, measured with 40 times the modes of a small model
+LOADED = 4  # As it is loaded
+PROJECTED = 48  # As textures are projected on it
+KEPT = 64  # As a fitter keeps it, with its gradients at sampled pixels
 
 
 class TooLargeError(ValueError):
@@ -55,18 +67,28 @@ def work_of(views: Collection[View]) -> float:
 
 
 def _work(view: View, kind: str) -> float:
+    """Return the multiplications of one step of every start, of one appearance of a view; 0 without it."""
     shapes = view.shape_model
     total = 0.0
     for i, level in enumerate(view.levels):
         if kind not in level.appearances:
             continue
         appearance = level.appearances[kind]
-        finest = i == len(view.levels) - 1
-        n_shape = len(shapes.modes) if finest else len(shapes.seen_at(level.blur).modes)
-        n_starts = STARTS[0 if i == 0 else 2 if finest else 1] if view.reliabilities else 1
+        is_sharpest = i == len(view.levels) - 1
+        n_shape = len(shapes.modes) if is_sharpest else len(shapes.seen_at(level.blur).modes)
         n_modes = 1 + appearance.n_modes + n_shape + 4  # with the mean, and the similarities
+        n_starts = _n_starts(view, i)
         total += n_starts * _n_samples(level, appearance, kind) * appearance.mean.shape[1] * float(n_modes) ** 2
     return total
+
+
+def _n_starts(view: View, i: int) -> int:
+    """Return how many fits there are at level i of a view; only fits whose quality is known are started again."""
+    if not view.reliabilities:
+        return 1
+    if i == 0:
+        return STARTS.coarsest
+    return STARTS.sharpest if i == len(view.levels) - 1 else STARTS.between
 
 
 def memory_of(views: Collection[View]) -> float:
@@ -78,11 +100,12 @@ def memory_of(views: Collection[View]) -> float:
 
 
 def _n_numbers(appearance: AppearanceModel) -> float:
+    """Return how many numbers the mean and the modes of an appearance have."""
     return float(appearance.mean.size) * (1 + appearance.n_modes)
 
 
 def _n_kept(level: Level, kind: str) -> float:
-    """Return how many numbers of an appearance a fitter keeps."""
+    """Return how many numbers of an appearance a fitter keeps of a level; 0 without it."""
     if kind not in level.appearances:
         return 0.0
     appearance = level.appearances[kind]
