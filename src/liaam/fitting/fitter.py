@@ -16,7 +16,7 @@ from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.prepared import Prepared
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
-from liaam.fitting.search.other_places import likeliest
+from liaam.fitting.search.other_places import PlacedFit, likeliest
 from liaam.fitting.search.restarts import fit_again
 from liaam.fitting.search.starts import mapped_points, part_of_start, region_of, start_shape
 from liaam.formatting import changed_repr
@@ -38,9 +38,7 @@ class _FirstFit:
     """A fit from the first start, before other places and starts are tried."""
 
     fitter: "Fitter"  # of the model's part
-    result: FitResult
-    target: Target
-    detection: Detection | None  # if the start is one
+    fit: PlacedFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +90,13 @@ class Fitter(Prepared):
         ``model`` may be the name of one that comes with liaam. An unknown setting raises an error that also suggests
         the parameters of the function ``known``, to which the settings were given.
         """
-        own = {name: settings.pop(name) for name in OWN_SETTINGS if name in settings}
+        fitter_settings = {name: settings.pop(name) for name in OWN_SETTINGS if name in settings}
         solver_settings = [field.name for field in fields(SolverOptions)]
         if not settings.keys() <= set(solver_settings):
             parameters = () if known is None else signature(known).parameters.values()
             of_function = [each.name for each in parameters if each.kind != each.VAR_KEYWORD]
             check_options(settings, [*dict.fromkeys([*of_function, *OWN_SETTINGS, *solver_settings])])
-        return cls(named_model(model), method, SolverOptions(**settings), **own)
+        return cls(named_model(model), method, SolverOptions(**settings), **fitter_settings)
 
     def __post_init__(self) -> None:
         """Raise errors now, not at the first image, where these attributes are first needed."""
@@ -188,8 +186,8 @@ class Fitter(Prepared):
             image, name = load_picture(image, name)  # once for all
         first_fits = [fitter._first_fit(image, init, name) for fitter in fitters]
         results = []
-        for first in sorted(first_fits, key=lambda each: likeliness(each.result), reverse=True):
-            result = first.fitter._completed(first, init)
+        for first in sorted(first_fits, key=lambda each: likeliness(each.fit.result), reverse=True):
+            result = first.fitter._completed(first.fit, init)
             results.append(replace(result, part=self.parts.index(first.fitter)))
             if result.status.ok:  # the other parts are less likely
                 break
@@ -237,22 +235,27 @@ class Fitter(Prepared):
     def _first_fit(self, image, init, name: str) -> _FirstFit:
         """Fit from the first start; see :meth:`fit`."""
         target, detection = self.target(image, init, name)
-        return _FirstFit(self, self.fit_target(target), target, detection)
+        return _FirstFit(self, PlacedFit(self.fit_target(target), target, detection))
 
-    def _completed(self, first: _FirstFit, init) -> FitResult:
+    def _completed(self, fit: PlacedFit, init) -> FitResult:
         """Look elsewhere and start again if a first fit has low quality; see :meth:`fit`."""
-        result, target, detection = first.result, first.target, first.detection
         prior = 1.0  # factor on the odds that the fit is right, by its place
-        region = region_of(init, target.image)
+        region = region_of(init, fit.target.image)
         may_look_elsewhere = init is None or self.restarts
-        if region is not None and may_look_elsewhere and self.reliability_for(result) is not None:
-            result, prior, (target, detection) = likeliest(self, self.finder, result, (target, detection), region)
+        if region is not None and may_look_elsewhere and self.reliability_for(fit.result) is not None:
+            fit, prior = likeliest(self, self.finder, fit, region)
+        result = fit.result
         if self.restarts and self.falls_short(with_prior(result, prior)):
-            result = fit_again(self, target, result)
+            result = fit_again(self, fit.target, result)
         result = with_prior(result, prior)
-        if detection is None or not detection.doubtful:  # the start is near the object
+        if fit.detection is None or not fit.detection.doubtful:  # the start is near the object
             result = self._with_prior_near(result)
-        return replace(result, found=detection, contours=self.model.contours, landmark_names=self.model.landmark_names)
+        return replace(
+            result,
+            found=fit.detection,
+            contours=self.model.contours,
+            landmark_names=self.model.landmark_names,
+        )
 
     def _with_prior_near(self, result: FitResult) -> FitResult:
         """Return a result with the prior odds of fits near the object in its quality and in the limit of that."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from functools import partial
 from itertools import repeat
-from typing import Any, Literal, overload
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -22,27 +22,38 @@ from liaam.workers import all_cores, in_order, one_thread
 ERRORS = ("raise", "return")
 """What to do about an image that cannot be fitted."""
 
-Given = AAM | str
+_ONE_OR_EACH = "give one start for all images, or one for each"
+
+# Types of arguments, for the overloads: what is returned depends on ``every`` and ``errors``.
+ModelOrName = AAM | str
 No = Literal[False]
 Raise = Literal["raise"]
 Return = Literal["return"]
 
 
+class _Task(NamedTuple):
+    """An image to fit."""
+
+    image: Any  # array or path
+    init: Any  # its start, or None
+    name: str  # in messages
+
+
 @overload
 def fit_many(
-    model: Given, images: Iterable, init=..., method=..., *, every: No = ..., errors: Raise = ..., **settings
+    model: ModelOrName, images: Iterable, init=..., method=..., *, every: No = ..., errors: Raise = ..., **settings
 ) -> list[FitResult]: ...
 @overload
 def fit_many(
-    model: Given, images: Iterable, init=..., method=..., *, every: No = ..., errors: Return, **settings
+    model: ModelOrName, images: Iterable, init=..., method=..., *, every: No = ..., errors: Return, **settings
 ) -> list[FitResult | LiaamError]: ...
 @overload
 def fit_many(
-    model: Given, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Raise = ..., **settings
+    model: ModelOrName, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Raise = ..., **settings
 ) -> list[list[FitResult]]: ...
 @overload
 def fit_many(
-    model: Given, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Return, **settings
+    model: ModelOrName, images: Iterable, init=..., method=..., *, every: Literal[True], errors: Return, **settings
 ) -> list[list[FitResult] | LiaamError]: ...
 def fit_many(
     model: AAM | str,
@@ -136,8 +147,10 @@ def fit_each(
     if errors not in ERRORS:
         raise MethodError(f"unknown errors {errors!r}; choose from {', '.join(ERRORS)}")
     refuse_one_start(every, init)
-    n_images, perform = _count(images), partial(_fit, fitter, every, errors)
-    return _fits(perform, _tasks(images, starts_for(init, n_images)), workers, n_images, progress)
+    n_images = _count(images)
+    tasks = _tasks(images, starts_for(init, n_images))
+    perform = partial(_fit, fitter, every, errors)
+    return _fits(perform, tasks, workers, n_images, progress)
 
 
 def refuse_one_start(every: bool, init: Any) -> None:
@@ -147,8 +160,9 @@ def refuse_one_start(every: bool, init: Any) -> None:
 
 
 def _fits(
-    perform: Callable, tasks: Iterable[tuple], workers: int, n_images: int | None, progress: bool | None
+    perform: Callable, tasks: Iterable[_Task], workers: int, n_images: int | None, progress: bool | None
 ) -> Generator[Any, None, None]:
+    """Perform tasks on threads, and yield the results in their order; ``n_images`` is None if it is unknown."""
     done = 0
     threads = workers if n_images is None else max(1, min(workers, n_images))
     with one_thread(), progress_bar("images", n_images, progress) as tell:
@@ -160,16 +174,18 @@ def _fits(
                 yield result
 
 
-def _fit(fitter: Fitter, every: bool, errors: str, task: tuple) -> FitResult | list[FitResult] | LiaamError:
-    image, init, name = task
+def _fit(fitter: Fitter, every: bool, errors: str, task: _Task) -> FitResult | list[FitResult] | LiaamError:
+    """Fit one image, or every object in it; return errors of the image if they are not to be raised."""
     try:
-        return fitter.fit_all(image, name) if every else fitter.fit(image, init, name)
+        if every:
+            return fitter.fit_all(task.image, task.name)
+        return fitter.fit(task.image, task.init, task.name)
     except LiaamError as error:
         if errors == "raise":
             raise
         return _without_frames(error)
     except Exception as error:
-        error.add_note(f"liaam was fitting {image if _is_path(image) else name}")
+        error.add_note(f"liaam was fitting {task.image if _is_path(task.image) else task.name}")
         raise
 
 
@@ -191,6 +207,7 @@ def _count(images: Iterable) -> int | None:
 
 
 def _length(several) -> int | None:
+    """Return the length of an iterable, or None if it has none, such as a generator."""
     return len(several) if hasattr(several, "__len__") else None
 
 
@@ -210,9 +227,6 @@ def starts_for(init, n_images: int | None) -> Iterable:
     return init
 
 
-_ONE_OR_EACH = "give one start for all images, or one for each"
-
-
 def _is_one_start(init) -> bool:
     """Return whether ``init`` is one start (a shape, a box, a point and a size), not several."""
     if isinstance(init, Detection) or hasattr(init, "points"):
@@ -220,24 +234,27 @@ def _is_one_start(init) -> bool:
     if isinstance(init, (list, tuple)) and any(start is None for start in init):
         return False  # NumPy would convert None to NaN
     try:
-        given = np.asarray(init, dtype=np.float64)
+        numbers = np.asarray(init, dtype=np.float64)
     except (TypeError, ValueError):  # of different lengths, or not numeric
         return False
-    return (given.ndim == 1 and given.size > 0) or (given.ndim == 2 and given.shape[1] == 2)
+    is_box_or_place = numbers.ndim == 1 and numbers.size > 0
+    is_shape = numbers.ndim == 2 and numbers.shape[1] == 2
+    return is_box_or_place or is_shape
 
 
-def _tasks(images: Iterable, starts: Iterable) -> Iterator[tuple]:
-    """Yield each image with its start, and its name in messages."""
-    rest, number = iter(starts), -1
-    for number, image in enumerate(images):
+def _tasks(images: Iterable, starts: Iterable) -> Iterator[_Task]:
+    """Yield each image with its start, and its name in messages; raise an error if their numbers differ."""
+    remaining_starts = iter(starts)
+    n_images = 0
+    for image in images:
         try:
-            start = next(rest)
+            start = next(remaining_starts)
         except StopIteration:
-            fault = f"more than {count_of(number, 'image')} but {count_of(number, 'start')}"
+            fault = f"more than {count_of(n_images, 'image')} but {count_of(n_images, 'start')}"
             raise StartError(f"{fault}; {_ONE_OR_EACH}") from None
-        yield image, start, f"images[{number}]"
-    if not isinstance(starts, repeat) and next(rest, _END) is not _END:
-        raise StartError(f"{count_of(number + 1, 'image')} but more starts; {_ONE_OR_EACH}")
-
-
-_END = object()
+        yield _Task(image, start, name=f"images[{n_images}]")
+        n_images += 1
+    is_one_start_for_all = isinstance(starts, repeat)
+    end = object()  # differs from every start
+    if not is_one_start_for_all and next(remaining_starts, end) is not end:
+        raise StartError(f"{count_of(n_images, 'image')} but more starts; {_ONE_OR_EACH}")

@@ -5,64 +5,103 @@ proportional to its area, because there are more small places than large ones. A
 other likely one lowers the odds.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
-from liaam.fitting.prepared import Prepared
+from liaam.fitting.prepared import Blurred, Prepared
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, Finder
 from liaam.model.shape import diagonal_of
 
-# Largest number of steps per level of fits to other detections: right fits take fewer, wrong ones take more. Number of
-# detections that are fitted at the sharpest level, which takes most of the time: those of the highest odds at the level
-# before. What was measured for these is in experiments/notes/engine.md.
-BRIEF, PROMISING = 12, 3
+# What was measured for these is in experiments/notes/engine.md.
+BRIEF = 12  # Largest number of steps per level of fits to other detections: right fits take fewer, wrong ones take more
+# Number of other detections that are fitted at the sharpest level, which takes most of the time: those of the highest
+# odds at the level before
+PROMISING = 3
 
-Start = tuple[Target, Detection | None]
-"""A start, and the detection that it is from."""
+
+@dataclass(frozen=True, eq=False)
+class PlacedFit:
+    """A fit, and the place that it was started at."""
+
+    result: FitResult
+    target: Target
+    detection: Detection | None  # of the place, if it was searched for
+
+
+@dataclass(frozen=True)
+class _PlaceOdds:
+    """Odds that fits are right, with the prior of their place."""
+
+    large: float  # diagonal of an object whose prior is 1, image pixels
+
+    def prior(self, shape: np.ndarray, quality: float) -> float:
+        """Return the prior odds of the place of a shape (n, 2); 0 if the fit has no quality."""
+        return (diagonal_of(shape) / self.large) ** 2 if quality > 0 else 0.0
+
+    def of(self, shape: np.ndarray, quality: float) -> float:
+        """Return the odds that a fit with this shape and quality is right."""
+        return self.prior(shape, quality) * odds_of(quality)
+
+    def of_blurred(self, fit: Blurred) -> float:
+        """Return the odds that a fit at the blurred levels is right."""
+        return self.of(fit.shape, fit.quality)
+
+    def of_result(self, result: FitResult) -> float:
+        """Return the odds that a fit at all levels is right."""
+        return self.of(result.landmarks, result.quality)
 
 
 def likeliest(
-    prepared: Prepared, finder: Finder, first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
-) -> tuple[FitResult, float, Start]:
-    """Return the most likely fit in a region (its corners), the factor on its odds, and its start.
+    prepared: Prepared, finder: Finder, first: PlacedFit, region: tuple[np.ndarray, np.ndarray]
+) -> tuple[PlacedFit, float]:
+    """Return the most likely fit in a region (its corners), and the factor on its odds.
 
     That is the first one if it is more likely right than wrong.
     """
-    (low, high), (target, found) = region, start
-    large = LARGE * float((high - low).min())
+    low, high = region
+    odds = _PlaceOdds(large=LARGE * float((high - low).min()))
+    prior_of_first = min(odds.prior(first.result.landmarks, first.result.quality), 1.0)
+    if with_prior(first.result, prior_of_first).quality >= LEAST_QUALITY:
+        return first, prior_of_first
 
-    def prior(shape: np.ndarray, quality: float) -> float:
-        return (diagonal_of(shape) / large) ** 2 if quality > 0 else 0.0
+    brief = replace(prepared.options, max_iterations=BRIEF)
+    places = finder.others_in(first.target.linear.crop(low, high))
+    blurred = []  # each with its place
+    for place in places:
+        target = first.target._replace(start=place.landmarks + low)
+        blurred.append((prepared.fit_blurred(target, brief), place))
+    blurred.sort(key=lambda each: odds.of_blurred(each[0]), reverse=True)
 
-    def odds(shape: np.ndarray, quality: float) -> float:
-        return prior(shape, quality) * odds_of(quality)
+    fits = [first]
+    for fit, place in blurred[:PROMISING]:
+        # What else the search found is the same for all places.
+        detection = None if first.detection is None else replace(place, others=first.detection.others)
+        fits.append(PlacedFit(prepared.fit_sharpest(fit, brief), fit.target, detection))
+    best = fits[_finish_best(fits, prepared, odds.of_result)]
 
-    own, brief = prior(first.landmarks, first.quality), replace(prepared.options, max_iterations=BRIEF)
-    if with_prior(first, min(own, 1.0)).quality >= LEAST_QUALITY:
-        return first, min(own, 1.0), start
+    shape = best.result.landmarks
+    odds_elsewhere = [odds.of_result(fit.result) for fit in fits if are_apart(shape, fit.result.landmarks)]
+    odds_elsewhere += [odds.of_blurred(fit) for fit, _ in blurred[PROMISING:] if are_apart(shape, fit.shape)]
+    prior = odds.prior(shape, best.result.quality)
+    share = prior / (prior + sum(odds_elsewhere)) if prior > 0 else 1.0
+    result = replace(best.result, n_starts=1 + len(blurred))
+    return replace(best, result=result), min(prior, 1.0) * share
 
-    blurred = []
-    for place in finder.others_in(target.linear.crop(low, high)):
-        fit = prepared.fit_blurred(target._replace(start=place.landmarks + low), brief)
-        blurred.append((fit, found and replace(place, others=found.others)))
-    blurred.sort(key=lambda each: odds(each[0].shape, each[0].quality), reverse=True)
-    tried = [(first, start)]
-    tried += [(prepared.fit_sharpest(fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
-    unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
+
+def _finish_best(fits: list[PlacedFit], prepared: Prepared, odds_of_result: Callable[[FitResult], float]) -> int:
+    """Fit the best of some fits again until it is one that was not stopped early; return its index.
+
+    The first fit was not. Others are replaced in the list by those with all steps.
+    """
+    unfinished = {i for i, fit in enumerate(fits) if i > 0 and fit.result.status is FitStatus.MAX_ITERATIONS}
     while True:
-        i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
-        best, start = tried[i]
-        if i not in unfinished:
-            break
-        unfinished.remove(i)
-        tried[i] = prepared.fit_target(start[0]), start
-    seen = [(each.landmarks, each.quality) for each, _ in tried]
-    seen += [(fit.shape, fit.quality) for fit, _ in blurred[PROMISING:]]
-    others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
-    own = prior(best.landmarks, best.quality)
-    shared = own / (own + others) if own > 0 else 1.0
-    return replace(best, n_starts=1 + len(blurred)), min(own, 1.0) * shared, start
+        best = int(np.argmax([odds_of_result(fit.result) for fit in fits]))
+        if best not in unfinished:
+            return best
+        unfinished.remove(best)
+        fits[best] = replace(fits[best], result=prepared.fit_target(fits[best].target))

@@ -12,7 +12,8 @@ from liaam.fitting.search.templates import Field, Template, spectra
 # cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.
 SPECTRA_KEPT = 600_000
 SURROUNDINGS = 2  # radius in pixels within which a place has to be the maximum
-LEAST_RESPONSE = 1e-3  # of a place
+LEAST_RESPONSE = 1e-3  # of a place, so that flat regions have none
+SIMILAR_SIZES = 0.3  # difference of the logarithms of sizes below which two peaks may show the same object
 
 
 class Peaks(NamedTuple):
@@ -33,15 +34,19 @@ class Bank:
     """
 
     def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:
-        self.templates, self.pad = tuple(templates), pad
+        self.templates = tuple(templates)
+        self.pad = pad
         self.shapes = np.array([template.field.shape for template in templates])
         self.origins = np.array([template.origin for template in templates])
-        fields = np.zeros((len(templates) + len(templates) % 2, *self.shapes.max(axis=0)), np.complex64)
+        n_fields = len(templates) + len(templates) % 2  # they are compared in pairs; the last one may be empty
+        fields = np.zeros((n_fields, *self.shapes.max(axis=0)), np.complex64)
         for i, template in enumerate(self.templates):
             height, width = template.field.shape
             norm = 1.0 if normalised else max(float(np.abs(template.field).sum()), 1e-9)
             fields[i, :height, :width] = template.field / norm
-        first, second = fields[::2], fields[1::2]  # what an image and its conjugate are compared with, for both at once
+        first = fields[::2]
+        second = fields[1::2]
+        # What an image and its conjugate are compared with, for both of a pair at once (see _correlated)
         self.pairs = 0.5 * np.stack([first - 1j * second, first.conj() - 1j * second.conj()], axis=1)
         self._spectra: dict[tuple[int, int], list[np.ndarray]] = {}
 
@@ -52,16 +57,25 @@ class Bank:
         """
         size = np.maximum(np.array(field.values.shape) + 2 * self.pad, self.shapes.max(axis=0))
         inside = (size + 1 - self.shapes).tolist()  # where templates lie in the padded field
-        places, responses, floor = [], [], LEAST_RESPONSE
+        floor = LEAST_RESPONSE
+        places = []
+        responses = []
+        # Of an odd number of templates, there is one correlation more: that with the empty field of the last pair.
         for (height, width), cosine in zip(inside, self._correlated(field, size), strict=False):
-            best, values = _core.best_peaks(cosine[:height, :width], count, floor, SURROUNDINGS)
-            floor = max(floor, worth * float(values[0])) if len(values) else floor
-            places.append(best)
+            places_of_template, values = _core.best_peaks(cosine[:height, :width], count, floor, SURROUNDINGS)
+            if len(values):
+                floor = max(floor, worth * float(values[0]))
+            places.append(places_of_template)
             responses.append(values)
         numbers = np.repeat(np.arange(len(self.templates)), [len(values) for values in responses])
-        scales, same = (np.full(len(numbers), value) for value in (field.scale, which))
-        centres = field.to_image(np.concatenate(places)[:, ::-1] - self.origins[numbers] - self.pad)
-        return Peaks(centres, scales, same, numbers, np.concatenate(responses))
+        first_pixels = np.concatenate(places)[:, ::-1]  # (x, y) of the templates in the padded field
+        return Peaks(
+            centres=field.to_image(first_pixels - self.origins[numbers] - self.pad),
+            scales=np.full(len(numbers), field.scale),
+            fields=np.full(len(numbers), which),
+            templates=numbers,
+            responses=np.concatenate(responses),
+        )
 
     def _correlated(self, field: Field, size: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the correlation with each template in turn: cosines between orientations, times both lengths.
@@ -72,15 +86,16 @@ class Bank:
         import cv2  # heavy: imported when first needed
 
         fast, tiles = self._tiles(size)
-        seen = [spectra(*self._cut(field.values, tile), fast) for tile in tiles]
+        spectra_of_tiles = [spectra(*self._cut(field.values, tile), fast) for tile in tiles]
         product = np.empty((*fast, 2), np.float32)
         joined = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
-        for expected in self._spectra_of(fast):
-            for tile, own in zip(tiles, seen, strict=True):
-                _core.correlate(own, expected, product)
+        for spectra_of_pair in self._spectra_of(fast):
+            for tile, spectra_of_tile in zip(tiles, spectra_of_tiles, strict=True):
+                _core.correlate(spectra_of_tile, spectra_of_pair, product)
                 cv2.idft(product, product)
                 if joined is not product:
-                    part = joined[tile]  # the next tile overwrites what this one cannot know
+                    # Where templates reach beyond the tile's end, the product is wrong: the next tile overwrites that.
+                    part = joined[tile]
                     part[:] = product[: part.shape[0], : part.shape[1]]
             yield joined[..., 0]
             yield joined[..., 1]
@@ -119,17 +134,18 @@ class Bank:
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
         """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
-        known = self._spectra.get(size)
-        if known is not None:
-            return known
+        cached = self._spectra.get(size)
+        if cached is not None:
+            return cached
         n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
-        made = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
-        kept = [*self._spectra, size]  # a copy: other threads may search at the same time
-        while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
-            self._spectra.pop(kept.pop(0), None)
-        if kept:
-            self._spectra[size] = made
-        return made
+        spectra_of_pairs = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
+        sizes = [*self._spectra, size]  # a copy: other threads may search at the same time
+        while sizes and sum(height * width for height, width in sizes) > SPECTRA_KEPT:
+            oldest = sizes.pop(0)
+            self._spectra.pop(oldest, None)
+        if sizes:  # else this one is too large to be cached
+            self._spectra[size] = spectra_of_pairs
+        return spectra_of_pairs
 
     def __getstate__(self) -> dict:
         """Leave out the spectra, which are large and quick to compute."""
@@ -137,15 +153,19 @@ class Bank:
 
 
 def strongest(peaks: Peaks, apart: float, count: int) -> np.ndarray:
-    """Return indices of the strongest peaks, without those near a stronger one of similar size."""
-    left, chosen = peaks.responses.copy(), []
-    logs = np.log(peaks.scales)
-    while len(chosen) < count and left.size and left.max() > 0:
-        best = int(left.argmax())
+    """Return indices of the ``count`` strongest peaks, without those near a stronger one of similar size.
+
+    Peaks are near each other if they are less than ``apart`` pixels of the reduced model apart.
+    """
+    responses = peaks.responses.copy()  # 0 where a peak is chosen, or near one
+    log_scales = np.log(peaks.scales)
+    chosen = []
+    while len(chosen) < count and responses.size and responses.max() > 0:
+        best = int(responses.argmax())
         chosen.append(best)
-        near = np.linalg.norm(peaks.centres - peaks.centres[best], axis=1) < apart * np.minimum(
-            peaks.scales, peaks.scales[best]
-        )
-        left[near & (np.abs(logs - logs[best]) < 0.3)] = 0.0
-        left[best] = 0.0
+        distances = np.linalg.norm(peaks.centres - peaks.centres[best], axis=1)
+        is_near = distances < apart * np.minimum(peaks.scales, peaks.scales[best])
+        is_similar = np.abs(log_scales - log_scales[best]) < SIMILAR_SIZES
+        responses[is_near & is_similar] = 0.0
+        responses[best] = 0.0
     return np.array(chosen, dtype=int)
