@@ -19,8 +19,9 @@ from liaam.morphometry.specimens import Specimen
 
 CRITERIA = ("bending", "procrustes")
 
-# Most rounds, few because all semilandmarks drift together with more, and movement of the mean that ends them
-_ROUNDS, _TOLERANCE = 10, 1e-4
+_ROUNDS = 10  # Most rounds of sliding and alignment; with more, all semilandmarks drift together
+_TOLERANCE = 1e-4  # Movement of the mean shape, of centroid size 1, that ends the rounds
+_LEAST_MOVE = 1e-3  # Length of the longest move below which a round is not worth it, relative to the mean gap
 
 
 def with_even_curves(specimens: Iterable[Specimen], numbers: str | int) -> tuple[Specimen, ...]:
@@ -43,33 +44,55 @@ def with_even_curves(specimens: Iterable[Specimen], numbers: str | int) -> tuple
     LiaamError
         If a number is not 3 to 1000, or no specimen has so many curves.
     """
-    given = [int(part) if re.fullmatch(r" *[0-9]{1,4} *", part) else 0 for part in str(numbers).split(",")]
-    if not 3 <= min(given) <= max(given) <= 1000:
+    counts = [_count(part) for part in str(numbers).split(",")]
+    if not 3 <= min(counts) <= max(counts) <= 1000:
         raise LiaamError(f"curves of {numbers} points: give 3 to 1000, such as 20, or 20,12 for two curves")
     specimens = tuple(specimens)
-    suited = [bool(own.curves) and len(given) in (1, len(own.curves)) for own in specimens]
-    if not any(suited):
+    are_suited = [bool(specimen.curves) and len(counts) in (1, len(specimen.curves)) for specimen in specimens]
+    if not any(are_suited):
         raise LiaamError(f"no specimen has curves to resample by {numbers}: give one number, or one for each curve")
-    return tuple(_with_even_curves(own, given) if yes else own for own, yes in zip(specimens, suited, strict=True))
+    return tuple(
+        _with_even_curves(specimen, counts) if is_suited else specimen
+        for specimen, is_suited in zip(specimens, are_suited, strict=True)
+    )
 
 
-def _with_even_curves(specimen: Specimen, numbers: Sequence[int]) -> Specimen:
-    times = Counter(index for curve in specimen.curves for index in set(curve.indices))
-    kept = [index for index in range(len(specimen.points)) if times[index] != 1]
-    old = specimen.names or [""] * len(specimen.points)
-    points, names, curves = list(specimen.points[kept]), [old[index] for index in kept], []
-    counts = numbers if len(numbers) > 1 else [*numbers] * len(specimen.curves)
+def _count(text: str) -> int:
+    """Return a whole number of at most four digits; 0, which is refused, for other texts."""
+    return int(text) if re.fullmatch(r" *[0-9]{1,4} *", text) else 0
+
+
+def _with_even_curves(specimen: Specimen, counts: Sequence[int]) -> Specimen:
+    """Resample the curves of a specimen to so many points each, or all to one count."""
+    n_curves = Counter(index for curve in specimen.curves for index in set(curve.indices))  # by landmark
+    fixed = [index for index in range(len(specimen.points)) if n_curves[index] != 1]  # in no curve or in several
+    old_names = specimen.names or [""] * len(specimen.points)
+    points = list(specimen.points[fixed])
+    names = [old_names[index] for index in fixed]
+    curves = []
+    if len(counts) == 1:
+        counts = [*counts] * len(specimen.curves)
     for number, (curve, count) in enumerate(zip(specimen.curves, counts, strict=True), 1):
-        ends, own = {0: curve.indices[0]} | ({} if curve.closed else {count - 1: curve.indices[-1]}), []
+        ends = {0: curve.indices[0]}  # landmarks at the ends, by their place on the new curve
+        if not curve.closed:
+            ends[count - 1] = curve.indices[-1]
+        indices = []
         for place, point in enumerate(resample(specimen.points[list(curve.indices)], count, curve.closed)):
             end = ends.get(place)
-            own.append(kept.index(end) if end in kept else len(points))
-            if end not in kept:
-                points.append(point)
-                names.append(f"curve{number}_{place + 1}" if end is None else old[end])
-        curves.append(Contour(tuple(own), curve.closed))
-    names = tuple(names) if specimen.names else ()
-    return replace(specimen, points=np.array(points), covariances=None, names=names, curves=tuple(curves))
+            if end is not None and end in fixed:
+                indices.append(fixed.index(end))
+                continue
+            indices.append(len(points))
+            points.append(point)
+            names.append(f"curve{number}_{place + 1}" if end is None else old_names[end])
+        curves.append(Contour(tuple(indices), curve.closed))
+    return replace(
+        specimen,
+        points=np.array(points),
+        covariances=None,
+        names=tuple(names) if specimen.names else (),
+        curves=tuple(curves),
+    )
 
 
 def resample(points: np.ndarray, number: int, closed: bool = False) -> np.ndarray:
@@ -88,9 +111,11 @@ def bending_energy(mean: np.ndarray) -> np.ndarray:
     from scipy.spatial.distance import pdist, squareform
     from scipy.special import xlogy
 
-    n, squares = len(mean), squareform(pdist(mean, "sqeuclidean"))
+    n = len(mean)
+    squares = squareform(pdist(mean, "sqeuclidean"))
+    kernel = xlogy(squares, squares)  # r^2 log r^2, and 0 at 0
     affine = np.column_stack([np.ones(n), mean])
-    system = np.block([[xlogy(squares, squares), affine], [affine.T, np.zeros((3, 3))]])
+    system = np.block([[kernel, affine], [affine.T, np.zeros((3, 3))]])
     return np.linalg.pinv(system, rcond=1e-12, hermitian=True)[:n, :n]  # points may coincide
 
 
@@ -99,10 +124,15 @@ def semilandmarks(curves: Iterable[Contour]) -> tuple[np.ndarray, np.ndarray]:
 
     Ends of curves, the first landmark of closed ones, and landmarks of several curves do not slide.
     """
-    chains = [(*curve.indices, *curve.indices[: int(curve.closed)]) for curve in curves if curve.indices]
-    chain = [index for indices in chains for index in indices]
-    times = Counter(chain) + Counter(indices[end] for indices in chains for end in (0, -1))
-    return np.array(chain, int), np.array([i for i, index in enumerate(chain) if times[index] == 1], int)
+    chain = []
+    times = Counter()  # by landmark; ends count twice, so that they do not slide
+    for curve in curves:
+        if curve.indices:
+            line = [*curve.indices, *curve.indices[: int(curve.closed)]]
+            chain += line
+            times.update([*line, line[0], line[-1]])
+    sliding = [i for i, index in enumerate(chain) if times[index] == 1]
+    return np.array(chain, int), np.array(sliding, int)
 
 
 def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.ndarray:
@@ -113,12 +143,14 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
     if not len(shapes) or not len(sliding):
         return shapes
     tracks = [_Track(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
-    places, mean = [track.lengths for track in tracks], procrustes_mean(shapes)
+    places = [track.lengths for track in tracks]  # of each shape
+    mean = procrustes_mean(shapes)
     for _ in range(_ROUNDS):
         weights = bending_energy(mean) if criterion == "bending" else np.eye(len(mean))
-        places = [track.step(own, mean, weights) for track, own in zip(tracks, places, strict=True)]
-        shapes = np.array([track.shape_at(own) for track, own in zip(tracks, places, strict=True)])
-        last, mean = mean, procrustes_mean(shapes)
+        places = [track.step(of_shape, mean, weights) for track, of_shape in zip(tracks, places, strict=True)]
+        shapes = np.array([track.shape_at(of_shape) for track, of_shape in zip(tracks, places, strict=True)])
+        last = mean
+        mean = procrustes_mean(shapes)
         if np.abs(align(mean, last)(mean) - last).max() < _TOLERANCE:
             break
     return shapes
@@ -128,31 +160,38 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
 class _Track:
     """The curves of a shape, joined into one line; places on it are lengths from its start."""
 
-    shape: np.ndarray
-    chain: np.ndarray
-    sliding: np.ndarray
-    lengths: np.ndarray
+    shape: np.ndarray  # (n, 2) float64
+    chain: np.ndarray  # (e,) int: landmarks along the line
+    sliding: np.ndarray  # (s,) int: those of them that slide, by their position in the chain
+    lengths: np.ndarray  # (e,) float64: places of the landmarks before they slide
 
     def shape_at(self, places: np.ndarray) -> np.ndarray:
-        """Return the shape with its semilandmarks at these places."""
+        """Return the shape with its semilandmarks at these places, (e,)."""
         shape = self.shape.copy()
         shape[self.chain[self.sliding]] = _at(self.shape[self.chain], self.lengths, places[self.sliding])
         return shape
 
     def step(self, places: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Move along the curves to a smaller trace(d' W d) of the differences d from the mean and weights W (n, n)."""
-        shape, own = self.shape_at(places), self.chain[self.sliding]
+        """Move along the curves to a smaller trace(d' W d) of the differences d from the mean and weights W (n, n).
+
+        Return the new places (e,), or the old ones if no move is worth it. No move is longer than half of a gap.
+        """
+        shape = self.shape_at(places)
+        semilandmarks = self.chain[self.sliding]
         target = align(mean, shape)(mean)
         along = shape[self.chain[self.sliding + 1]] - shape[self.chain[self.sliding - 1]]
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
-        slope = np.sum(along * (weights @ (shape - target))[own], axis=1)
-        moves = -np.linalg.lstsq(weights[np.ix_(own, own)] * (along @ along.T), slope, rcond=1e-10)[0]
-        gaps, cost = np.diff(places) / 2, np.vdot(shape - target, weights @ (shape - target))
-        while np.abs(moves).max() > 1e-3 * gaps.mean():
+        # The Newton step of half the cost, of which these are gradient and Hessian.
+        gradient = np.sum(along * (weights @ (shape - target))[semilandmarks], axis=1)
+        hessian = weights[np.ix_(semilandmarks, semilandmarks)] * (along @ along.T)
+        moves = -np.linalg.lstsq(hessian, gradient, rcond=1e-10)[0]  # semilandmarks may coincide
+        half_gaps = np.diff(places) / 2
+        cost = np.vdot(shape - target, weights @ (shape - target))
+        while np.abs(moves).max() > _LEAST_MOVE * half_gaps.mean():
             moved = places.copy()
-            moved[self.sliding] += np.clip(moves, -gaps[self.sliding - 1], gaps[self.sliding])
-            away = self.shape_at(moved) - target
-            if np.vdot(away, weights @ away) <= cost:
+            moved[self.sliding] += np.clip(moves, -half_gaps[self.sliding - 1], half_gaps[self.sliding])
+            difference = self.shape_at(moved) - target
+            if np.vdot(difference, weights @ difference) <= cost:
                 return moved
             moves = moves / 2  # the curve bends away from its direction
         return places

@@ -17,6 +17,7 @@ from liaam.errors import LiaamError
 from liaam.model.shape import align
 
 Measured = tuple[float, np.ndarray]
+"""A value, and its gradient (k, 2) by the points."""
 
 
 def distance(points: np.ndarray) -> Measured:
@@ -28,16 +29,21 @@ def distance(points: np.ndarray) -> Measured:
 
 def angle(points: np.ndarray) -> Measured:
     """Angle at the second of three points, 0 to 180 degrees."""
-    first, last = points[0] - points[1], points[2] - points[1]
+    first = points[0] - points[1]
+    last = points[2] - points[1]
     cross = first[0] * last[1] - first[1] * last[0]
-    turns = [np.array([-arm[1], arm[0]]) / (arm @ arm) for arm in (first, last)]  # how the arms' directions change
-    gradient = math.copysign(180 / math.pi, cross) * np.array([-turns[0], turns[0] - turns[1], turns[1]])
+    # How the directions of the arms change, in radians, when their ends move.
+    turn_of_first = np.array([-first[1], first[0]]) / (first @ first)
+    turn_of_last = np.array([-last[1], last[0]]) / (last @ last)
+    by_points = np.array([-turn_of_first, turn_of_first - turn_of_last, turn_of_last])
+    gradient = math.copysign(180 / math.pi, cross) * by_points
     return math.degrees(math.atan2(abs(cross), first @ last)), gradient
 
 
 def area(points: np.ndarray) -> Measured:
     """Area of the polygon through the points, in square pixels."""
-    after, before = np.roll(points, -1, axis=0), np.roll(points, 1, axis=0)
+    after = np.roll(points, -1, axis=0)
+    before = np.roll(points, 1, axis=0)
     chord = 0.5 * (after - before)
     signed = 0.5 * float(np.sum(points[:, 0] * after[:, 1] - after[:, 0] * points[:, 1]))
     return abs(signed), math.copysign(1, signed) * np.stack([chord[:, 1], -chord[:, 0]], axis=1)
@@ -61,18 +67,28 @@ def procrustes(points: np.ndarray, mean: np.ndarray) -> tuple[np.ndarray, np.nda
     size, gradient = centroid_size(points)
     shape = gradient @ turn.T
     turned = np.stack([-shape[:, 1], shape[:, 0]], axis=1).ravel()  # derivative of the shape by its rotation
+    # Derivative of the shape, times its size, at a fixed rotation: centring, and division by the size.
     aligned = np.kron(np.eye(n) - 1 / n, turn) - np.outer(shape, gradient)
     # The rotation keeps sum(mean x shape) at zero.
     torque = np.stack([-mean[:, 1], mean[:, 0]], axis=1).ravel()
     return shape, (aligned - np.outer(turned, torque @ aligned) / (torque @ turned)) / size
 
 
-_KINDS: dict[str, tuple[Callable[[np.ndarray], Measured], int, int, int]] = {
-    "distance": (distance, 2, 2, 1),
-    "angle": (angle, 3, 3, 0),
-    "area": (area, 3, 1000, 2),
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of measure."""
+
+    function: Callable[[np.ndarray], Measured]
+    fewest: int  # landmarks
+    most: int
+    power: int  # of the length in its unit
+
+
+_KINDS = {
+    "distance": _Kind(distance, fewest=2, most=2, power=1),
+    "angle": _Kind(angle, fewest=3, most=3, power=0),
+    "area": _Kind(area, fewest=3, most=1000, power=2),
 }
-"""Function, fewest and most landmarks, and power of the length in the unit."""
 
 _REMEDY = (
     "give distance:1-5, angle:1-2-3 (at landmark 2) or area:1-2-3-4, with landmarks counted from 1, or with their names"
@@ -107,10 +123,11 @@ class Measure:
         if kind not in _KINDS or not all(landmarks):
             raise LiaamError(f"measure '{text}': {_REMEDY}")
         measure = cls(kind, landmarks)
-        _, fewest, most, _ = _KINDS[kind]
+        fewest = _KINDS[kind].fewest
+        most = _KINDS[kind].most
         if not fewest <= len(landmarks) <= most or len(set(landmarks)) < len(landmarks):
-            least = f"{fewest}" if fewest == most else f"{fewest} or more"
-            raise LiaamError(f"measure '{text}': {kind} takes {least} different landmarks; {_REMEDY}")
+            number = f"{fewest}" if fewest == most else f"{fewest} or more"
+            raise LiaamError(f"measure '{text}': {kind} takes {number} different landmarks; {_REMEDY}")
         return measure
 
     @property
@@ -121,11 +138,11 @@ class Measure:
     @property
     def power(self) -> int:
         """Power of the length in its unit."""
-        return _KINDS[self.kind][3]
+        return _KINDS[self.kind].power
 
     def __call__(self, points: np.ndarray) -> Measured:
         """Measure the points of its landmarks, (k, 2)."""
-        return _KINDS[self.kind][0](points)
+        return _KINDS[self.kind].function(points)
 
 
 @dataclass(frozen=True)
@@ -152,7 +169,9 @@ def parse_scale(text: str) -> float | ScaleBar:
         number = float(length)
     except ValueError:
         number = math.nan
-    if not 0 < number < math.inf or (equals and (len(set(ends)) != 2 or not all(ends))):
+    is_length = 0 < number < math.inf
+    are_ends = len(set(ends)) == 2 and all(ends)
+    if not is_length or (equals and not are_ends):
         raise LiaamError(
             f"scale '{text}': give the length of a pixel, such as 0.012, or two landmarks and the length between them, "
             "such as 11-12=5"
@@ -161,4 +180,5 @@ def parse_scale(text: str) -> float | ScaleBar:
 
 
 def _split(text: str) -> tuple[str, ...]:
+    """Split landmarks at commas, or at hyphens if there is no comma."""
     return tuple(part.strip() for part in text.split("," if "," in text else "-"))
