@@ -92,13 +92,13 @@ class CameraModel:
             raise CameraError(f"vignetting of {len(self.vignetting)} coefficients: give at most {MOST_COEFFICIENTS}")
         with np.errstate(over="ignore", invalid="ignore"):
             shares = _shares(self.vignetting)
+        fault = ""
         if not shares.min() >= DIMMEST:  # NaN is not
             fault = f"less than {DIMMEST:g} times the light would remain"
         elif shares.max() > BRIGHTEST:
             fault = f"more than {BRIGHTEST:g} times the light would result"
-        else:
-            return
-        raise CameraError(f"vignetting {self.vignetting}: {fault}; calibrate it again")
+        if fault:
+            raise CameraError(f"vignetting {self.vignetting}: {fault}; calibrate it again")
 
     def falloff(self, height: int, width: int) -> np.ndarray:
         """Relative light at each pixel, (h, w) float32: 1 at the centre."""
@@ -126,14 +126,19 @@ class CameraModel:
         low, high = usable_range(self.response)
         flat = np.clip(from_linear(light, self.response), low, high).astype(np.float32)
         flat = np.where((stored < low) | (stored > high), stored, flat)
-        return np.where(np.isfinite(image), flat, np.float32(np.nan)) if image.dtype.kind == "f" else flat
+        if image.dtype.kind == "f":
+            flat = np.where(np.isfinite(image), flat, np.float32(np.nan))
+        return flat
 
     def suited_to(self, *, raw: bool, response: str | None = None) -> "CameraModel":
         """Return a copy with the given response, or by default a linear one for RAW files."""
         if response is not None:
             return replace(self, response=parse_response(response))
         # Keep a measured response; srgb or a gamma describes the camera's processed images, not its RAW files.
-        return replace(self, response="linear") if raw and isinstance(self.response, str | float) else self
+        is_measured = not isinstance(self.response, str | float)
+        if not raw or is_measured:
+            return self
+        return replace(self, response="linear")
 
     def describe(self) -> dict:
         """Convert to a dict for JSON; :func:`camera_from` is the inverse."""
@@ -162,9 +167,10 @@ class CameraModel:
 
 def squared_radius(x: np.ndarray, y: np.ndarray, height: int, width: int) -> np.ndarray:
     """Squared distance of points from an image's centre, 1 in its corners; x and y, pixels, are broadcast."""
-    middle_x, middle_y = (width - 1) / 2.0, (height - 1) / 2.0
-    corner = max(middle_x**2 + middle_y**2, 1e-12)  # an image of one pixel has no corners
-    return (np.square(x - middle_x) + np.square(y - middle_y)) / corner
+    middle_x = (width - 1) / 2.0
+    middle_y = (height - 1) / 2.0
+    of_corner = max(middle_x**2 + middle_y**2, 1e-12)  # an image of one pixel has no corners
+    return (np.square(x - middle_x) + np.square(y - middle_y)) / of_corner
 
 
 def falloff_at(squared: np.ndarray, vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -178,7 +184,7 @@ def least_share(vignetting: Sequence[float] | np.ndarray) -> float:
 
 
 def _shares(vignetting: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Relative light from the centre to the corners."""
+    """Relative light at 101 distances from the centre to the corners."""
     return falloff_at(np.square(np.linspace(0.0, 1.0, 101)), vignetting)
 
 
@@ -221,7 +227,8 @@ def load_camera(path: str | os.PathLike) -> CameraModel:
 
 def camera_from(facts: Mapping) -> CameraModel:
     """Make a camera from the dict of :meth:`CameraModel.describe`; invalid entries raise various exceptions."""
-    error, noise = facts.get("theta_standard_error_deg"), facts.get("noise")
+    error = facts.get("theta_standard_error_deg")
+    noise = facts.get("noise")
     return CameraModel(
         theta=float(np.deg2rad(float(facts["theta_deg"]))),
         theta_deviation=None if error is None else float(np.deg2rad(float(error))),
