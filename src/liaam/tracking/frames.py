@@ -87,7 +87,10 @@ class TrackedFrame:
     @property
     def size(self) -> float:
         """Centroid size of the mean shape in its pose, in image pixels; NaN if lost."""
-        return self.pose.scale * float(np.linalg.norm(self.mean - self.mean.mean(axis=0))) if self.ok else np.nan
+        if not self.ok:
+            return np.nan
+        size_of_mean = float(np.linalg.norm(self.mean - self.mean.mean(axis=0)))
+        return self.pose.scale * size_of_mean
 
     def to_dict(self) -> dict:
         """Convert the frame to a dictionary that JSON can hold; values that are unknown are None."""
@@ -118,7 +121,18 @@ class TrackedFrame:
 
 def lost_frame(mean: np.ndarray, index: int, time: float, tried: FitResult | None) -> TrackedFrame:
     """Return a frame without the object, after a fit that failed."""
-    status, quality = (None, np.nan) if tried is None else (tried.status, tried.quality)
-    nothing, unknown = np.full_like(mean, np.nan), np.full((len(mean), 2, 2), np.nan)
-    lost = TrackStatus.LOST
-    return TrackedFrame(index, time, lost, status, quality, np.nan, nothing, nothing, unknown, unknown, mean)
+    no_landmarks = np.full_like(mean, np.nan)
+    no_covariances = np.full((len(mean), 2, 2), np.nan)
+    return TrackedFrame(
+        index=index,
+        time=time,
+        status=TrackStatus.LOST,
+        fit_status=None if tried is None else tried.status,
+        quality=np.nan if tried is None else tried.quality,
+        theta=np.nan,
+        landmarks=no_landmarks,
+        raw=no_landmarks,
+        covariances=no_covariances,
+        raw_covariances=no_covariances,
+        mean=mean,
+    )

@@ -14,20 +14,21 @@ GATE = 9.0
 MEMORY = 25.0  # Number of second differences that the running moments average
 STEADY = 8.0  # Weight of the initial moments, in second differences
 LEAST_SHARE = 1e-3  # Minimum fraction of a fit's covariance that changes from frame to frame
-# Initial values: the fraction of a fit's variance that changes from frame to frame, and the density of acceleration
-# divided by the fit's variance. They smooth a little, and lose their influence within a second.
-FIRST_SHARE, FIRST_DRIVE = 0.2, 0.05
+LEAST_DRIVE = 1e-4  # Minimum density of acceleration, divided by the noise, so that no object counts as exactly steady
+# Initial values. They smooth a little, and lose their influence within a second.
+FIRST_SHARE = 0.2  # The fraction of a fit's variance that changes from frame to frame
+FIRST_DRIVE = 0.05  # The density of acceleration divided by the fit's variance
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Gaussian estimate of k positions and their velocities, with their covariances pp, pv and vv, (k, k) each."""
+    """Gaussian estimate of k positions and of their velocities per frame."""
 
-    position: np.ndarray
-    velocity: np.ndarray
-    pp: np.ndarray
-    pv: np.ndarray
-    vv: np.ndarray
+    position: np.ndarray  # (k,)
+    velocity: np.ndarray  # (k,)
+    pp: np.ndarray  # (k, k): covariance of the positions
+    pv: np.ndarray  # (k, k): covariance of the positions with the velocities
+    vv: np.ndarray  # (k, k): covariance of the velocities
 
 
 def first_belief(position: np.ndarray, noise: np.ndarray, speed: np.ndarray) -> Belief:
@@ -38,10 +39,17 @@ def first_belief(position: np.ndarray, noise: np.ndarray, speed: np.ndarray) -> 
 
 def predict(belief: Belief, drive: np.ndarray) -> Belief:
     """Return the estimate one frame later. ``drive`` (k,) is the spectral density of the acceleration."""
-    each = np.diag(drive)
+    # White-noise acceleration over one frame adds 1/3, 1/2 and 1 times its density.
+    added = np.diag(drive)
     pv = belief.pv + belief.vv
-    pp = belief.pp + (belief.pv + pv.T) + each / 3.0
-    return Belief(belief.position + belief.velocity, belief.velocity, pp, pv + each / 2.0, belief.vv + each)
+    pp = belief.pp + (belief.pv + pv.T) + added / 3.0
+    return Belief(
+        position=belief.position + belief.velocity,
+        velocity=belief.velocity,
+        pp=pp,
+        pv=pv + added / 2.0,
+        vv=belief.vv + added,
+    )
 
 
 def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
@@ -52,15 +60,18 @@ def update(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
     total = belief.pp + noise
     # Gains of the positions, then of the velocities.
     gains = np.linalg.solve(total, np.concatenate([belief.pp, belief.pv.T]).T).T
-    k, innovation = len(measured), measured - belief.position
+    k = len(measured)
+    innovation = measured - belief.position
     step = gains @ innovation
-    pp, vv = gains[:k] @ noise, belief.vv - gains[k:] @ belief.pv
+    pp = gains[:k] @ noise
+    pv = belief.pv - gains[:k] @ belief.pv
+    vv = belief.vv - gains[k:] @ belief.pv
     return Belief(
-        belief.position + step[:k],
-        belief.velocity + step[k:],
-        0.5 * (pp + pp.T),
-        belief.pv - gains[:k] @ belief.pv,
-        0.5 * (vv + vv.T),
+        position=belief.position + step[:k],
+        velocity=belief.velocity + step[k:],
+        pp=0.5 * (pp + pp.T),  # symmetric, whatever the rounding
+        pv=pv,
+        vv=0.5 * (vv + vv.T),
     )
 
 
@@ -95,8 +106,13 @@ class Moments:
 
 def first_moments(variances: np.ndarray) -> Moments:
     """Return the initial moments of a track, from the fit's variances (k,)."""
-    noise, drive = FIRST_SHARE * variances, FIRST_DRIVE * variances
-    return Moments(6.0 * noise + 2.0 / 3.0 * drive, -4.0 * noise + drive / 6.0, STEADY)
+    noise = FIRST_SHARE * variances
+    drive = FIRST_DRIVE * variances
+    return Moments(
+        own=6.0 * noise + 2.0 / 3.0 * drive,
+        neighbour=-4.0 * noise + drive / 6.0,
+        weight=STEADY,
+    )
 
 
 def observed(moments: Moments, measured: np.ndarray) -> Moments:
@@ -104,14 +120,16 @@ def observed(moments: Moments, measured: np.ndarray) -> Moments:
     last = (*moments.last, measured)
     if len(last) < 4:
         return replace(moments, last=last)
-    before, now = last[0] - 2 * last[1] + last[2], last[1] - 2 * last[2] + last[3]
+    # Two neighbouring second differences.
+    before = last[0] - 2 * last[1] + last[2]
+    now = last[1] - 2 * last[2] + last[3]
     weight = min(moments.weight + 1.0, MEMORY)
     share = 1.0 / weight
     return Moments(
-        moments.own + share * (0.5 * (before**2 + now**2) - moments.own),
-        moments.neighbour + share * (before * now - moments.neighbour),
-        weight,
-        last[1:],
+        own=moments.own + share * (0.5 * (before**2 + now**2) - moments.own),
+        neighbour=moments.neighbour + share * (before * now - moments.neighbour),
+        weight=weight,
+        last=last[1:],
     )
 
 
@@ -121,8 +139,10 @@ def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.
     Return the fraction of these variances that changes from frame to frame, median over the coordinates, and the
     density of each coordinate's acceleration (k,). The rest is constant, such as the error of the model.
     """
+    # The moments are own = 6 r + 2/3 q and neighbour = -4 r + q / 6, of which q cancels in own - 4 neighbour = 22 r.
     scatter = (moments.own - 4.0 * moments.neighbour) / 22.0
-    middle = float(np.sort(scatter / variances)[len(scatter) // 2])
-    share = min(max(middle, LEAST_SHARE), 1.0)
+    median = float(np.sort(scatter / variances)[len(scatter) // 2])
+    share = min(max(median, LEAST_SHARE), 1.0)
     drive = 1.5 * (moments.own - 6.0 * share * variances)
-    return share, np.maximum(drive, 1e-4 * share * variances)
+    least_drive = LEAST_DRIVE * share * variances
+    return share, np.maximum(drive, least_drive)
