@@ -14,72 +14,96 @@ BRIGHT = math.log(0.6)  # That from which brightened pixels approach white gradu
 COLOUR_REACH = 2.0  # Radius within which the colour around clipped highlights is averaged, in reaches
 TONED = 0.05  # Standard deviation of log-chromaticities of an object in black and white, which has one tone
 POWER = 4.0  # Power of light that weighs it: gloss has the lamp's colour, and is nearly as bright where not clipped
-FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than that
+FALLBACK = 0.01  # Weight of the object's mean colour, for highlights larger than COLOUR_REACH
+WHOLLY_CLIPPED = 0.25  # Share of wholly clipped pixels around one from which its light counts as unknown
 
 
 def spared(
-    own: np.ndarray, small: np.ndarray, light: np.ndarray, around: Surroundings, region: Region
+    log_rgb: np.ndarray, small: np.ndarray, light: np.ndarray, around: Surroundings, region: Region
 ) -> tuple[np.ndarray, np.ndarray]:
     """Spare highlights, whose light is not known, and the tone of a picture in black and white.
 
-    ``own`` (bh, bw, 3) are the logarithms of the image's light, ``small`` (lh, lw, 3) the same reduced, and ``light``
-    (lh, lw, 3) will be removed. Return new ones of the last and the first. Gloss, and what is around highlights that
-    are clipped in all channels, is not darkened, and its colour not changed. Where single channels are clipped, they
-    continue beyond white in the colour of the object around them: then all channels change alike, without grey patches.
+    Gloss, and what is around highlights that are clipped in all channels, is not darkened, and its colour not changed.
+    Where single channels are clipped, they continue beyond white in the colour of the object around them: then all
+    channels change alike, without grey patches.
+
+    Parameters
+    ----------
+    log_rgb : (bh, bw, 3) float32
+        Logarithms of the image's light in the box of the region.
+    small : (lh, lw, 3) float32
+        The same at the resolution of light.
+    light : (lh, lw, 3) float32
+        Logarithm of the light that will be removed.
+    around : Surroundings
+    region : Region
+
+    Returns
+    -------
+    light, log_rgb
+        The light to remove instead, and the logarithms of the image's light from which it is removed.
     """
     colours = small - mean_of(small)[..., None]
     if np.var(colours, axis=(0, 1), where=around.inside[..., None]).sum() < TONED**2:
         light = np.repeat(mean_of(light)[..., None], 3, axis=2)
-    is_clipped = reduce(cv2.max, cv2.split(own)) >= CLIPPED
-    unknown = around.gloss
+    is_clipped = reduce(cv2.max, cv2.split(log_rgb)) >= CLIPPED
+    unknown = around.gloss  # how little of a pixel's light is known, 0 to 1
     if is_clipped.any():
-        unknown = np.maximum(_wholly_clipped(own, region), unknown)
-    light = light + unknown * (np.minimum(mean_of(light)[..., None], 0.0) - light)
+        unknown = np.maximum(_near_wholly_clipped(log_rgb, region), unknown)
+    without_darkening = np.minimum(mean_of(light)[..., None], 0.0)
+    light = light + unknown * (without_darkening - light)
     if not is_clipped.any():
-        return light, own
-    return light, _beyond_white(
-        own, is_clipped, _colour_around(small, colours, is_clipped, around, region), around, region
-    )
+        return light, log_rgb
+    colour = _colour_around(small, colours, is_clipped, around, region)
+    return light, _beyond_white(log_rgb, is_clipped, colour, around, region)
 
 
-def _wholly_clipped(own: np.ndarray, region: Region) -> np.ndarray:
+def _near_wholly_clipped(log_rgb: np.ndarray, region: Region) -> np.ndarray:
     """Return how near pixels are to highlights that are clipped in all channels, (lh, lw, 1) from 0 to 1."""
-    every = (reduce(cv2.min, cv2.split(own)) >= CLIPPED).astype(np.float32)
-    near = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
-    return smoothstep(4.0 * near)
+    all_clipped = (reduce(cv2.min, cv2.split(log_rgb)) >= CLIPPED).astype(np.float32)
+    share = cv2.GaussianBlur(region.reduced(all_clipped), (0, 0), region.reach)[..., None]
+    return smoothstep(share / WHOLLY_CLIPPED)
 
 
 def _colour_around(
     small: np.ndarray, colours: np.ndarray, is_clipped: np.ndarray, around: Surroundings, region: Region
 ) -> np.ndarray:
     """Return the mean colour of the object's bright pixels that are not clipped, around each pixel, (lh, lw, 3)."""
-    bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
-    known = bright * around.belongs * (1.0 - region.reduced(is_clipped.astype(np.float32))[..., None])
-    return averages(colours, known, COLOUR_REACH * region.reach, FALLBACK)
+    brightness = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
+    share_clipped = region.reduced(is_clipped.astype(np.float32))[..., None]
+    weights = brightness * around.belongs * (1.0 - share_clipped)
+    return averages(colours, weights, COLOUR_REACH * region.reach, FALLBACK)
 
 
 def _beyond_white(
-    own: np.ndarray, is_clipped: np.ndarray, colour: np.ndarray, around: Surroundings, region: Region
+    log_rgb: np.ndarray, is_clipped: np.ndarray, colour: np.ndarray, around: Surroundings, region: Region
 ) -> np.ndarray:
     """Continue clipped channels of logarithms of light (bh, bw, 3) beyond white, in the colour around them."""
     at = np.nonzero(is_clipped)
+    pixels = log_rgb[at]  # (k, 3)
     colour = region.enlarged(colour)[at]
-    seen = own[at]
-    over = seen >= CLIPPED
-    # Gloss raises the weaker channels more.
-    level = np.where(over, np.inf, seen - colour).min(axis=1, keepdims=True)
-    level = np.where(over.all(axis=1, keepdims=True), -colour.min(axis=1, keepdims=True), level)
-    beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
-    whole = own.copy()
-    whole[at] += region.enlarged(around.belongs).reshape(is_clipped.shape)[at][:, None] * beyond
-    return whole
+    is_over = pixels >= CLIPPED  # by channel
+    # Mean logarithm of light, by the channel that is lowest for its colour: gloss raises the weaker channels more. If
+    # all channels are clipped, that with which the weakest is white.
+    level = np.where(is_over, np.inf, pixels - colour).min(axis=1, keepdims=True)
+    level_of_white = -colour.min(axis=1, keepdims=True)
+    level = np.where(is_over.all(axis=1, keepdims=True), level_of_white, level)
+    beyond = np.where(is_over, np.maximum(colour + level - pixels, 0.0), 0.0)
+    belongs = region.enlarged(around.belongs).reshape(is_clipped.shape)[at]
+    continued = log_rgb.copy()
+    continued[at] += belongs[:, None] * beyond
+    return continued
 
 
-def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Compress brightened highlights (h, w, 3) below white, keeping their hue; ``own`` is the original light."""
+def below_white(log_rgb: np.ndarray, original: np.ndarray) -> np.ndarray:
+    """Compress brightened highlights (h, w, 3) below white in place, keeping their hue.
+
+    ``original`` (h, w, 3) is the light before it was brightened, below which no pixel is darkened.
+    """
     brightest = reduce(cv2.max, cv2.split(log_rgb))
     at = np.nonzero(brightest > BRIGHT)
-    high, first = brightest[at], own[at].max(axis=1)
-    limited = BRIGHT * np.exp((high - BRIGHT) / BRIGHT)
-    log_rgb[at] += np.minimum(np.maximum(limited, first) - high, 0.0)[:, None]
+    of_pixels = brightest[at]
+    of_original = original[at].max(axis=1)
+    limited = BRIGHT * np.exp((of_pixels - BRIGHT) / BRIGHT)  # slope 1 at BRIGHT, and towards 0, white
+    log_rgb[at] += np.minimum(np.maximum(limited, of_original) - of_pixels, 0.0)[:, None]
     return log_rgb

@@ -18,29 +18,30 @@ LARGEST = 10  # Size of a shape, relative to the image, beyond which it is not p
 REACH = 0.04  # Standard deviation of the Gaussian by which shading is removed beyond the mesh, in diagonals
 FINEST = 160.0  # Largest diagonal of an object, in pixels, at which light is computed; in larger ones it is enlarged
 BINS = 65536  # Number of steps of the logarithm of light from black to white
+LEAST_WEIGHT = 1e-3  # Of a sample at the mesh's border; less is rounding
+LEAST_AREA = 1e-3  # Of a triangle in square pixels; smaller ones are flat
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The part of an image that relighting changes, and the lower resolution at which its light is computed.
+    """The part of an image that relighting changes, and the lower resolution at which its light is computed."""
 
-    Its box of rows and columns, its width and height in pixels of the image and of light, and the landmarks (n, 2) in
-    pixels of light.
-    """
-
-    box: tuple[slice, slice]
-    size: tuple[int, int]
-    small: tuple[int, int]
-    shape: np.ndarray
+    box: tuple[slice, slice]  # rows and columns of the image
+    size: tuple[int, int]  # width and height, pixels of the image
+    small: tuple[int, int]  # width and height, pixels of light
+    shape: np.ndarray  # (n, 2): landmarks, pixels of light
 
     @classmethod
     def of(cls, shape: np.ndarray, box: tuple[slice, slice]) -> "Region":
         """Choose the resolution of light for an object with landmarks (n, 2) in a box of an image."""
-        (top, bottom), (left, right) = ((each.start, each.stop) for each in box)
-        size, factor = (right - left, bottom - top), min(1.0, FINEST / max(diagonal_of(shape), 1e-6))
-        small = (min(size[0], max(1, round(size[0] * factor))), min(size[1], max(1, round(size[1] * factor))))
-        scale = np.divide(small, np.maximum(size, 1))
-        return cls(box, size, small, (shape - (left, top) + 0.5) * scale - 0.5)
+        rows, columns = box
+        width = columns.stop - columns.start
+        height = rows.stop - rows.start
+        factor = min(1.0, FINEST / max(diagonal_of(shape), 1e-6))
+        small = _scaled(width, factor), _scaled(height, factor)
+        scale = np.divide(small, np.maximum((width, height), 1))
+        from_corner = shape - (columns.start, rows.start) + 0.5  # of the box, not from the centre of its first pixel
+        return cls(box, (width, height), small, from_corner * scale - 0.5)
 
     @property
     def reach(self) -> float:
@@ -54,6 +55,11 @@ class Region:
     def enlarged(self, layers: np.ndarray) -> np.ndarray:
         """Interpolate layers of light, (h, w, up to 4), at the pixels of the box."""
         return layers if self.size == self.small else cv2.resize(layers, self.size, interpolation=cv2.INTER_LINEAR)
+
+
+def _scaled(length: int, factor: float) -> int:
+    """Return a length times a factor up to 1, in whole pixels: at least one, unless there is none."""
+    return min(length, max(1, round(length * factor)))
 
 
 def box_of(points: np.ndarray, margin: float, size: tuple[int, ...]) -> tuple[slice, slice]:
@@ -83,22 +89,29 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     inside : (h, w) bool
         Where ``picture`` has values.
     """
-    picture, inside = np.zeros((*image.shape[:2], values.shape[1]), np.float32), np.zeros(image.shape[:2], bool)
+    picture = np.zeros((*image.shape[:2], values.shape[1]), np.float32)
+    inside = np.zeros(image.shape[:2], bool)
     triangles = seen_triangles(image, shape, model)
     if not len(triangles):
         return picture, inside
     rows, columns = box_of(shape, 0.0, image.shape)
-    corners = np.pad(shape - (columns.start, rows.start), ((0, 0), (0, 1)))
-    there, size = model.shape_model.mean - model.frame.origin, (rows.stop - rows.start, columns.stop - columns.start)
-    owner, own = _core.draw_triangles(corners, np.ascontiguousarray(triangles, np.int32), there, *size)
-    y, x = np.nonzero(owner >= 0)
-    # At the mesh's border, pixels outside it have no weight.
-    known = np.ones((len(values), 1), np.float32)
-    layers = model.frame.picture(np.concatenate([values, known, known], axis=1))
-    warped, _ = _core.sample_channels(np.ascontiguousarray(layers, np.float32), own[y, x])
-    kept = warped[:, -1] > 1e-3
-    at = y[kept] + rows.start, x[kept] + columns.start
-    picture[at], inside[at] = warped[kept, :-1] / warped[kept, -1:], True
+    height = rows.stop - rows.start
+    width = columns.stop - columns.start
+    corners = np.pad(shape - (columns.start, rows.start), ((0, 0), (0, 1)))  # at equal depths, 0
+    on_frame = model.shape_model.mean - model.frame.origin
+    triangle_of, position_of = _core.draw_triangles(
+        corners, np.ascontiguousarray(triangles, np.int32), on_frame, height, width
+    )
+    y, x = np.nonzero(triangle_of >= 0)
+    # At the mesh's border, pixels outside it have no weight: the last value that is sampled is that of the others.
+    # The channel after it tells the core what is usable, and is not among the samples.
+    ones = np.ones((len(values), 1), np.float32)
+    layers = model.frame.picture(np.concatenate([values, ones, ones], axis=1))
+    warped, _ = _core.sample_channels(np.ascontiguousarray(layers, np.float32), position_of[y, x])
+    has_weight = warped[:, -1] > LEAST_WEIGHT
+    at = y[has_weight] + rows.start, x[has_weight] + columns.start
+    picture[at] = warped[has_weight, :-1] / warped[has_weight, -1:]
+    inside[at] = True
     return picture, inside
 
 
@@ -106,10 +119,10 @@ def seen_triangles(image: np.ndarray, shape: np.ndarray, model: AAM) -> np.ndarr
     """Return the triangles of a shape's mesh that are not flipped, (t, 3); none if the shape is outside the image."""
     height, width = image.shape[:2]
     # A diverged fit may have any size.
-    sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
-    if not sane or (shape.max(axis=0) < 0).any() or (shape.min(axis=0) > (width - 1, height - 1)).any():
+    is_sane = np.isfinite(shape).all() and np.ptp(shape, axis=0).max() < LARGEST * max(height, width)
+    if not is_sane or (shape.max(axis=0) < 0).any() or (shape.min(axis=0) > (width - 1, height - 1)).any():
         return model.triangles[:0]
-    return model.triangles[signed_areas(shape, model.triangles) > 1e-3]
+    return model.triangles[signed_areas(shape, model.triangles) > LEAST_AREA]
 
 
 def without_shading(
@@ -144,26 +157,35 @@ def without_shading(
 
 def log_light(image: np.ndarray, response: Response) -> np.ndarray:
     """Return the logarithm of linear light of stored values (any shape), float32; black counts as half a step."""
-    levels = np.arange(256, dtype=np.uint8) if image.dtype == np.uint8 else image  # a table is faster
+    if image.dtype == np.uint8:
+        table = _log_light(np.arange(256, dtype=np.uint8), response)  # faster
+        return table[image]
+    return _log_light(image, response)
+
+
+def _log_light(image: np.ndarray, response: Response) -> np.ndarray:
+    """Return the logarithm of linear light of each stored value, float32."""
     black, _ = _from_black_to_white(response)
-    log = np.log(np.maximum(to_linear(stored_values(levels), response), np.exp(black))).astype(np.float32)
-    return log[image] if image.dtype == np.uint8 else log
+    return np.log(np.maximum(to_linear(stored_values(image), response), np.exp(black))).astype(np.float32)
 
 
 def eight_bits(log_light: np.ndarray, response: Response) -> np.ndarray:
     """Convert logarithms of light (any shape) to stored values, uint8, clipped at white; by a table."""
-    black, stored = _from_black_to_white(response)
+    black, table = _from_black_to_white(response)
+    # In place, as images are large: from black (0) to white (BINS - 1), rounded.
     at = log_light - black
     at *= (1 - BINS) / black
     at += np.float32(0.5)
-    return stored[np.clip(at, 0.0, BINS - 1.0, out=at).astype(np.uint16)]
+    np.clip(at, 0.0, BINS - 1.0, out=at)
+    return table[at.astype(np.uint16)]
 
 
 @lru_cache(4)
 def _from_black_to_white(response: Response) -> tuple[np.float32, np.ndarray]:
     """Return the logarithm of light of black, and the stored values, (BINS,) uint8, of logarithms from there to 0."""
     black = np.log(0.5 * to_linear(np.array(1 / 255), response))
-    stored = from_linear(np.exp(np.linspace(black, 0.0, BINS)), response) * (np.arange(BINS) > 0)
+    stored = from_linear(np.exp(np.linspace(black, 0.0, BINS)), response)
+    stored = stored * (np.arange(BINS) > 0)  # the first is black, not half a step above
     return np.float32(black), np.rint(255 * np.clip(stored, 0.0, 1.0)).astype(np.uint8)
 
 
