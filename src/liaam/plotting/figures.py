@@ -9,6 +9,7 @@ import numpy as np
 from liaam.drawing import as_picture
 from liaam.io import atomic_path
 from liaam.model import AAM
+from liaam.model.appearance import AppearanceModel
 from liaam.photometry import invariant, linear_to_srgb
 from liaam.training import Lamps
 
@@ -16,7 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINE_WIDTH = 1.8
+LINE_WIDTH = 1.8  # Of contours, points
+LAMPS_DRAWN = 47  # Maximum number of lamps in a figure: with the training light they fill six rows
+LAMPS_ACROSS = 8  # Number of images in a row of it
 
 
 def save_figure(figure: "Figure", *paths: Path, dpi: int = 120) -> None:
@@ -51,6 +54,7 @@ def subplots(
 
 
 def _draw_shape(axis: "Axes", shape: np.ndarray, model: AAM, colour: str, label: str = "", **style) -> None:
+    """Draw the contours of a shape (n, 2), or its mesh if the model has none; ``style`` is that of lines."""
     style = {"lw": LINE_WIDTH, **style}
     if not model.contours:
         axis.triplot(*shape.T, model.triangles, color=colour, alpha=0.8, label=label, lw=0.6 * style["lw"])
@@ -103,8 +107,8 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     The shapes of a model of several are drawn below each other.
     """
     parts = [(part, part.levels[-1].appearances["log"]) for part in model.parts]
-    known = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
-    shown = max(1, min(n_modes, known))
+    most_modes = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
+    shown = max(1, min(n_modes, most_modes))
     figure, grid = subplots(2 * len(parts), 2 + shown, (2.6 * (2 + shown), 6.0 * len(parts)))
     for axis in grid.ravel():
         axis.axis("off")
@@ -121,15 +125,22 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
         for i in range(min(shown, len(part.shape_model.modes))):
             _show_shape_mode(axes[0, 2 + i], part, i)
         for i in range(min(shown, appearance.n_modes)):
-            step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
-            pair = [_stored(part, appearance.mean + sign * step) for sign in (-1, 1)]
-            half = mean.shape[1] // 2
-            halves = np.concatenate([pair[0][:, :half], pair[1][:, half:]], axis=1)
-            show_picture(axes[1, 2 + i], halves, f"appearance mode {i + 1}, −2 | +2 sd")
+            _show_appearance_mode(axes[1, 2 + i], part, appearance, i)
     return figure
 
 
+def _show_appearance_mode(axis: "Axes", model: AAM, appearance: AppearanceModel, i: int) -> None:
+    """Show an appearance mode: its left half at minus two standard deviations, and its right half at plus two."""
+    step = 2 * np.sqrt(appearance.eigenvalues[i]) * appearance.modes[i]
+    minus = _stored(model, appearance.mean - step)
+    plus = _stored(model, appearance.mean + step)
+    half = minus.shape[1] // 2
+    halves = np.concatenate([minus[:, :half], plus[:, half:]], axis=1)
+    show_picture(axis, halves, f"appearance mode {i + 1}, −2 | +2 sd")
+
+
 def _show_shape_mode(axis: "Axes", model: AAM, i: int) -> None:
+    """Draw the mean shape moved along a shape mode, by minus and plus two standard deviations."""
     mean = model.shape_model.mean
     step = 2 * np.sqrt(model.shape_model.eigenvalues[i]) * model.shape_model.modes[i].reshape(-1, 2)
     if not model.contours:
@@ -151,9 +162,6 @@ def _stored(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
     return model.frame.picture(linear_to_srgb(np.minimum(np.exp(log_rgb), 1.0)), 1.0)
 
 
-LAMPS_DRAWN, LAMPS_ACROSS = 47, 8  # Maximum number of lamps, and number of images in a row
-
-
 def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
     """Draw an image under each lamp.
 
@@ -170,10 +178,16 @@ def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.nd
         points = 79.5 + 100.0 * lamps.mean
     shown = range(min(len(lamps), LAMPS_DRAWN))
     titles = ["training light", *(lamps.names[i] for i in shown)]
-    pictures = [*zip(titles, [image, *lamps.relit(image, points, shown)], strict=True)]
+    pictures = [image, *lamps.relit(image, points, shown)]
     across = min(len(pictures), LAMPS_ACROSS)
-    pictures += [(" " * i, None) for i in range(-len(pictures) % across)]
-    figure = figure_of_pictures([dict(pictures[i : i + across]) for i in range(0, len(pictures), across)], 1.6)
+    n_gaps = -len(pictures) % across
+    titles += [" " * i for i in range(n_gaps)]  # blank, but different: they are the keys of a row
+    pictures += [None] * n_gaps
+    rows = []
+    for first in range(0, len(pictures), across):
+        of_row = slice(first, first + across)
+        rows.append(dict(zip(titles[of_row], pictures[of_row], strict=True)))
+    figure = figure_of_pictures(rows, width=1.6)
     figure.axes[0].plot(*points.T, ".", color="white", ms=1.5)
     return figure
 
@@ -183,13 +197,14 @@ def figure_of_pictures(rows: Sequence[Mapping[str, np.ndarray | None]], width: f
 
     `width` is the width of an image in inches.
     """
-    shown = [i for i in range(len(rows[0])) if any(list(row.values())[i] is not None for row in rows)]
-    first = next(image for image in rows[0].values() if image is not None)
-    height = width * first.shape[0] / first.shape[1] + 0.3
+    images_of_rows = [list(row.values()) for row in rows]
+    shown = [i for i in range(len(rows[0])) if any(images[i] is not None for images in images_of_rows)]
+    first = next(image for image in images_of_rows[0] if image is not None)
+    height = width * first.shape[0] / first.shape[1] + 0.3  # with the title
     figure, axes = subplots(len(rows), len(shown), (width * len(shown), height * len(rows)))
-    for line, row in zip(axes, rows, strict=True):
-        titles, images = list(row), list(row.values())
-        for axis, i in zip(line, shown, strict=True):
+    for axes_of_row, row, images in zip(axes, rows, images_of_rows, strict=True):
+        titles = list(row)
+        for axis, i in zip(axes_of_row, shown, strict=True):
             axis.axis("off")
             image = images[i]
             if image is not None:
