@@ -22,7 +22,7 @@ LEFT_OUT_FOLDS = 5  # Largest number of folds: a model is trained without each, 
 LEFT_OUT_PICTURES = 20  # Largest number of left-out images to fit: each takes as long as sampling FITTED images
 
 FILE_SUFFIX = re.compile(r"\.[A-Za-z]{2,4}\d?$")  # such as .png or .jp2
-# What tells apart the images of one object at the end of their names: the part after the last separator, or a number
+# The end of an image's name that differs between the images of an object: what follows the last separator, or a number
 NUMBER_OF_IMAGE = re.compile(r"([-_. ][^-_. /]*|\d+)$")
 
 
