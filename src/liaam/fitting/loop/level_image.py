@@ -17,6 +17,7 @@ NEAR = 0.1  # the same for levels that start from a coarser level's solution
 LOG_RANGE = (-7.0, 0.5)  # of logarithms of linear light for which noise is tabulated, from black to highlights
 LOG_STEPS = 512  # entries of that table
 NO_NOISE = np.zeros(2, np.float32)  # the table for methods that do not weigh noise
+LEAST_BLUR = 0.3  # blur in pixels up to which it leaves white noise as it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +26,10 @@ class LevelImage:
 
     patch: Patch  # encoded region around the start
     from_model: Similarity  # model pixels to patch pixels
-    # (s,) float32: standard deviation of the logarithm due to noise, at evenly spaced logarithms over LOG_RANGE; the
-    # fraction of it left after the blur of the encoded channels; and the standard deviation of a gradient per model
-    # pixel after the blur, for noise of unit standard deviation.
+    # (s,) float32: standard deviation of the logarithm due to noise, at evenly spaced logarithms over LOG_RANGE
     log_noise: np.ndarray = field(default_factory=NO_NOISE.copy)
-    value_left: float = 1.0
+    value_left: float = 1.0  # the fraction of it left after the blur of the encoded channels
+    # Standard deviation of a gradient per model pixel after that blur, for noise of unit standard deviation
     slope_left: float = 1.0
     blur: float = 0.0  # its standard deviation, model pixels
     correlated: float = 1.0  # number of sampled pixels per independent residual, for weights by rows
@@ -47,12 +47,24 @@ class LevelImage:
     @cached_property
     def compiled(self) -> Any:
         """The image in the form that the core takes."""
-        own = ("log_noise", "value_left", "slope_left", "correlated", "point_precision", "points")
         height, width = self.channels.shape[:2]
-        about = {"pixels": self.channels.reshape(-1), "height": height, "width": width}
-        about |= {"from_model": np.column_stack([self.from_model.matrix, self.from_model.offset])}
-        about |= {"first_log": LOG_RANGE[0], "last_log": LOG_RANGE[1]}
-        return _core.make_image(about | {name: getattr(self, name) for name in own})
+        first_log, last_log = LOG_RANGE
+        return _core.make_image(
+            {
+                "pixels": self.channels.reshape(-1),
+                "height": height,
+                "width": width,
+                "from_model": np.column_stack([self.from_model.matrix, self.from_model.offset]),
+                "first_log": first_log,
+                "last_log": last_log,
+                "log_noise": self.log_noise,
+                "value_left": self.value_left,
+                "slope_left": self.slope_left,
+                "correlated": self.correlated,
+                "point_precision": self.point_precision,
+                "points": self.points,
+            }
+        )
 
     @classmethod
     def at(
@@ -79,13 +91,21 @@ class LevelImage:
         correlated = max(1.0, density * max(correlated_pixels(blur), 1.0 / from_model.scale**2))
         if not method.weighs_noise:
             return cls(patch, from_model, blur=blur, correlated=correlated)
-        of_patch = from_model.scale * blur
-        left = 1.0 / np.sqrt(correlated_pixels(of_patch)), from_model.scale * slope_left(of_patch)
-        picture = image.image if isinstance(image, Light) else image
-        noise = noise_around(picture, shape, response) if noise is None else noise
-        # Averaging over blocks reduces it.
+        if noise is None:
+            picture = image.image if isinstance(image, Light) else image
+            noise = noise_around(picture, shape, response)
+        # The patch averages over blocks of the image, which reduces noise by their side.
         table = (noise_table(noise) * patch.from_image.scale).astype(np.float32)
-        return cls(patch, from_model, table, *left, blur, correlated)
+        blur_on_patch = from_model.scale * blur  # patch pixels
+        return cls(
+            patch,
+            from_model,
+            log_noise=table,
+            value_left=1.0 / np.sqrt(correlated_pixels(blur_on_patch)),
+            slope_left=from_model.scale * slope_left(blur_on_patch),
+            blur=blur,
+            correlated=correlated,
+        )
 
 
 def noise_table(noise: NoiseModel | float) -> np.ndarray:
@@ -116,12 +136,14 @@ def correlated_pixels(blur: float) -> float:
 
 def slope_left(blur: float) -> float:
     """Return the standard deviation of central differences of unit white noise after a Gaussian blur (pixels)."""
-    return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2))) if blur > 0.3 else np.sqrt(0.5)
+    if blur <= LEAST_BLUR:
+        return np.sqrt(0.5)
+    return float(np.sqrt((1.0 - np.exp(-1.0 / blur**2)) / (8.0 * np.pi * blur**2)))
 
 
 def noise_around(image: np.ndarray, shape: np.ndarray, response: Response) -> float:
     """Measure the standard deviation of the noise around a shape, in sRGB-encoded values of [0, 1]."""
     low, high = (corner.astype(int) for corner in corners_of(shape))
     low = np.maximum(low, 0)
-    high = np.maximum(high + 2, low + 8)
+    high = np.maximum(high + 2, low + 8)  # at least 8 pixels, from which noise can be measured
     return noise_deviation(image[low[1] : high[1], low[0] : high[0]], response)

@@ -97,7 +97,9 @@ class SolverOptions:
 
 def scored(method: Method, options: SolverOptions) -> Method:
     """Return a method with the kind of steps that the options ask for."""
-    return replace(method, step="scored") if options.scoring and method.step == "own" else method
+    if options.scoring and method.step == "own":
+        return replace(method, step="scored")
+    return method
 
 
 @lru_cache(maxsize=16)

@@ -12,6 +12,7 @@ from liaam.photometry import exposure_faults
 
 FOLD_LIMIT = 0.3  # fraction of the mesh's area flipped beyond which a fit has diverged
 USABLE_LIMIT = 0.25  # fraction of the object's pixels that must be usable
+INSIDE_LIMIT = 0.5  # fraction of the object's pixels that must lie in the image, as in training
 # Standard deviations of a shape mode beyond which a fit has diverged, plus half a model pixel, since a few training
 # images underestimate the variance.
 SHAPE_LIMIT = 5.0
@@ -24,20 +25,13 @@ def status_of(
 
     ``shapes`` is the shape model of the fit's method.
     """
-    shape, objective, solution = history[-1].landmarks, stage.objective, stage.solution
-    usable, sane = solution.usable, is_sane(shape, history[0].landmarks)
-    # Else most pixels are inside the image, and enough of these usable.
-    if not usable.mean() >= 0.5 and np.isfinite(shape).all():
-        points = stage.pose(objective.warp.points(solution.p))
-        inside = within(points, linear.image)
-        if sane and inside.mean() < 0.5:
-            return FitStatus.LEFT_IMAGE
-        # Few usable pixels are a better reason than the size that a fit to them happens to reach. Pixels beyond the
-        # patch do not count: they are not usable, whatever their exposure.
-        on_patch, (height, width) = stage.to_patch(points), stage.patch_size
-        inside &= np.asarray(((on_patch >= 0) & (on_patch <= (width - 1, height - 1))).all(axis=1))
-        if inside.any() and usable[inside].mean() < USABLE_LIMIT:
-            return _why_unusable(linear, points[inside])
+    shape = history[-1].landmarks
+    solution = stage.solution
+    sane = is_sane(shape, history[0].landmarks)
+    unseen = _status_of_unseen(linear, stage, sane) if np.isfinite(shape).all() else None
+    # Few usable pixels are a better reason than the size that a fit to them happens to reach.
+    if unseen is not None:
+        return unseen
     if not sane or folded_share(shape, model.triangles) > FOLD_LIMIT or _largest_mode(shape, shapes) > SHAPE_LIMIT:
         return FitStatus.DIVERGED
     if solution.flat:
@@ -45,6 +39,27 @@ def status_of(
     if not solution.converged:
         return FitStatus.MAX_ITERATIONS
     return FitStatus.LIGHT_UNOBSERVABLE if solution.held else FitStatus.CONVERGED
+
+
+def _status_of_unseen(linear: LinearImage, stage: FittedLevel, sane: bool) -> FitStatus | None:
+    """Return the status of a fit of which too few pixels are in the image or usable; None of other fits.
+
+    A fit that is not ``sane`` has not left the image: it has diverged.
+    """
+    usable = stage.solution.usable
+    if usable.mean() >= INSIDE_LIMIT:  # then most pixels are in the image, and enough of these are usable
+        return None
+    points = stage.pose(stage.objective.warp.points(stage.solution.p))
+    inside = within(points, linear.image)
+    if sane and inside.mean() < INSIDE_LIMIT:
+        return FitStatus.LEFT_IMAGE
+    # Pixels beyond the patch do not count: they are not usable, whatever their exposure.
+    on_patch = stage.to_patch(points)
+    height, width = stage.patch_size
+    inside &= np.asarray(((on_patch >= 0) & (on_patch <= (width - 1, height - 1))).all(axis=1))
+    if inside.any() and usable[inside].mean() < USABLE_LIMIT:
+        return _why_unusable(linear, points[inside])
+    return None
 
 
 def _largest_mode(shape: np.ndarray, shape_model: ShapeModel) -> float:
@@ -60,7 +75,10 @@ def _why_unusable(linear: LinearImage, points: np.ndarray) -> FitStatus:
     x, y = np.rint(points).astype(int).T
     pixels = linear.image[y, x]
     valid = np.isfinite(pixels).all(axis=1)
-    dark, clipped = exposure_faults(pixels[valid], linear.response) if valid.any() else (0.0, 0.0)
-    if 1.0 - valid.mean() >= max(dark, clipped) * valid.mean():
+    if not valid.any():
+        return FitStatus.NO_TEXTURE
+    dark, clipped = exposure_faults(pixels[valid], linear.response)  # fractions of the valid pixels
+    share_valid = valid.mean()
+    if 1.0 - share_valid >= max(dark, clipped) * share_valid:
         return FitStatus.NO_TEXTURE
     return FitStatus.TOO_DARK if dark >= clipped else FitStatus.SATURATED

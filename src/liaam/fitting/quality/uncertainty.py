@@ -8,6 +8,8 @@ from liaam.model import Reliability
 from liaam.model.contours import Contours, contour_turns
 from liaam.model.shape import ShapeModel, Similarity, own_parameters
 
+UNOBSERVABLE = 1e12  # Variance in directions that nothing determines
+
 
 def covariance(
     stage: FittedLevel, whole: Objective | None = None, strength: float = 1.0, pull: np.ndarray | None = None
@@ -15,18 +17,47 @@ def covariance(
     """Compute the covariance of q = (p, free angles): the inverse of the Hessian of eq 10 plus the prior.
 
     :meth:`Objective.noise_variance` scales the Hessian, since the blur and the model's errors correlate neighbouring
-    pixels. Unobservable directions have a variance of 1e12. ``strength`` is that of the prior on p, and ``pull``
-    (n_p, n_p) the precision of p by the points of another landmarker. ``whole`` is an objective with all shape modes,
-    of which the stage may have only the first.
+    pixels. Unobservable directions have a variance of :data:`UNOBSERVABLE`.
+
+    Parameters
+    ----------
+    stage : FittedLevel
+        The last level of the fit.
+    whole : Objective, optional
+        An objective with all shape modes, of which the stage may have only the first. By default that of the stage.
+    strength : float
+        Strength of the prior on p.
+    pull : (n_p, n_p) float64, optional
+        Precision of p by the points of another landmarker.
+
+    Returns
+    -------
+    (n_q, n_q) float64
     """
-    objective, solution, whole = stage.objective, stage.solution, whole or stage.objective
-    n_p, own = whole.warp.n_parameters, own_parameters(objective.warp.n_parameters, whole.warp.n_parameters)
-    own, precision = np.r_[own, n_p : whole.n_q], np.zeros((whole.n_q, whole.n_q))
-    precision[np.ix_(own, own)] = solution.expected_hessian / max(objective.noise_variance(solution), 1e-12)
-    precision[~np.isfinite(precision)] = 0.0  # of a diverged fit
+    whole = whole or stage.objective
+    precision = _precision_of_image(stage, whole)
+    n_p = whole.warp.n_parameters
     precision[np.arange(n_p), np.arange(n_p)] += strength * whole.prior
     if pull is not None:
         precision[:n_p, :n_p] += pull
+    return _inverse(precision)
+
+
+def _precision_of_image(stage: FittedLevel, whole: Objective) -> np.ndarray:
+    """Return the precision of q by the image, (n_q, n_q) float64; 0 for parameters that the stage lacks."""
+    objective = stage.objective
+    solution = stage.solution
+    n_p = whole.warp.n_parameters
+    of_stage = own_parameters(objective.warp.n_parameters, n_p)
+    entries = np.r_[of_stage, n_p : whole.n_q]  # with the angles
+    precision = np.zeros((whole.n_q, whole.n_q))
+    precision[np.ix_(entries, entries)] = solution.expected_hessian / max(objective.noise_variance(solution), 1e-12)
+    precision[~np.isfinite(precision)] = 0.0  # of a diverged fit
+    return precision
+
+
+def _inverse(precision: np.ndarray) -> np.ndarray:
+    """Invert a precision matrix, whose null space has the variance :data:`UNOBSERVABLE`."""
     try:
         factor = np.linalg.cholesky(precision)
     except np.linalg.LinAlgError:
@@ -36,34 +67,42 @@ def covariance(
         half = np.linalg.inv(factor)
         return half.T @ half
     values, vectors = np.linalg.eigh(precision)
-    inverse = np.divide(1.0, values, out=np.full_like(values, 1e12), where=values > 1e-12 * max(values[-1], 1e-300))
-    return (vectors * inverse) @ vectors.T
+    is_observable = values > 1e-12 * max(values[-1], 1e-300)
+    variances = np.divide(1.0, values, out=np.full_like(values, UNOBSERVABLE), where=is_observable)
+    return (vectors * variances) @ vectors.T
 
 
 # Fraction of the contrast that a fit must explain, as a multiple of what its number of parameters explains of white
-# noise, and the upper limit of that fraction (experiments/notes/engine.md).
-BY_CHANCE, MOST_BY_CHANCE = 4.0, 0.25
+# noise (experiments/notes/engine.md)
+BY_CHANCE = 4.0
+MOST_BY_CHANCE = 0.25  # Upper limit of that fraction
 
 
 def explains_more_than_noise(stage: FittedLevel) -> bool:
     """Return whether a fit explains more of its image, under its own weights, than it would of noise."""
-    objective, solution = stage.objective, stage.solution
+    objective = stage.objective
+    solution = stage.solution
     contrast, left = _contrast(objective, solution.weighted_contrast)
-    count = objective.n_q + objective.n_lambda
-    by_chance = BY_CHANCE * count * objective.correlated / max(solution.n_counted, 1)
+    n_parameters = objective.n_q + objective.n_lambda
+    by_chance = BY_CHANCE * n_parameters * objective.correlated / max(solution.n_counted, 1)
     return left < (1.0 - min(by_chance, MOST_BY_CHANCE)) * contrast
 
 
 def _contrast(objective: Objective, sums: np.ndarray) -> tuple[float, float]:
     """Return the weighted squares of a fit's samples and of its residual, over the rows that count.
 
-    For ``soft-li`` these are the gradients. Values and logarithms count relative to their mean.
+    For ``soft-li`` these are the gradients. Values and logarithms count relative to their mean. ``sums`` (rows, 4) are
+    those of weights, samples, their squares, and squares of the residual.
     """
     weight, total, squares, left = sums.T
     if objective.method.encoding in ("value", "log"):
         about_mean = squares - total**2 / np.maximum(weight, 1e-300)
         squares = np.where(about_mean > 1e-9 * squares, about_mean, 0.0)  # else it is rounding
     return float(squares.sum()), float(left.sum())
+
+
+# Features of a fit whose residual is not finite: the limits of both, of which the second is about log(1 + 1e6).
+WORST_FEATURES = np.array([-1.0, 14.0])
 
 
 def quality_features(stage: FittedLevel) -> np.ndarray:
@@ -73,17 +112,19 @@ def quality_features(stage: FittedLevel) -> np.ndarray:
     multiplied by the square root of the contrast, so that a blurred or partly visible object counts little. The second
     is the distance of the shape from the mean, log(1 + mean squared mode in standard deviations).
     """
-    objective, solution = stage.objective, stage.solution
+    objective = stage.objective
+    solution = stage.solution
     contrast, left = _contrast(objective, solution.contrast)
     if not np.isfinite(left):
-        return np.array([-1.0, 14.0])
+        return WORST_FEATURES.copy()
     unlikely = float(objective.fields["ridge"] @ np.square(solution.lam))
     # The mean over all of the model's pixels: unusable pixels count as unexplained.
     strength = np.sqrt(contrast / max(float(objective.appearance.usable.sum()), 1e-9))
     explained = (1.0 - (left + unlikely) / contrast) * strength if contrast > 0 else -1.0
-    modes = np.square(solution.p) * objective.prior
-    far = modes[: objective.warp.n_parameters - 4].mean() if objective.warp.n_parameters > 4 else 0.0
-    return np.array([max(explained, -1.0), np.log1p(min(far, 1e6))])
+    squared_modes = np.square(solution.p) * objective.prior
+    n_modes = objective.warp.n_parameters - 4  # without the similarity
+    mean_square = squared_modes[:n_modes].mean() if n_modes > 0 else 0.0
+    return np.array([max(explained, -1.0), np.log1p(min(mean_square, 1e6))])
 
 
 def fitted_covariances(shapes: ShapeModel, spread: np.ndarray) -> np.ndarray:
@@ -114,5 +155,5 @@ def landmark_covariances(
     if contours and unexplained is not None:
         turns = contour_turns(shapes.mean, shapes.shape(p), contours)
         unexplained = turns @ unexplained @ np.swapaxes(turns, 1, 2)
-    own = fitted if unexplained is None else fitted + unexplained
-    return pose.matrix @ own @ pose.matrix.T
+    in_model_pixels = fitted if unexplained is None else fitted + unexplained
+    return pose.matrix @ in_model_pixels @ pose.matrix.T

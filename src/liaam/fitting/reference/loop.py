@@ -65,9 +65,9 @@ class LoopVariables:
 
 @dataclass(frozen=True)
 class Proposal:
-    """Whether there is a next step; else the model has no texture or the state is the last."""
+    """What can be said of the next step, which is not computed at the last state."""
 
-    found: bool
+    possible: bool  # there is texture under the model, and the equations have a solution
     negligible: bool = False  # the step is short compared with its standard deviation
 
 
@@ -116,7 +116,7 @@ class Loop:
             self.linearise(controls, current.fresh, ends)
             trace.held = not self.free.all()
             proposal = self.propose(controls, current.damping, ends)
-            trace.flat = not proposal.found
+            trace.flat = not proposal.possible
             if ends or trace.flat:
                 break
             length = self.movement()
@@ -211,14 +211,15 @@ class Loop:
         """Compute the next step of q = (p, free angles) from the normal equations with the priors; none at the end."""
         has_texture = self.has_texture()
         if not has_texture or ends:
-            return Proposal(found=has_texture)
+            return Proposal(possible=has_texture)
         problem = self.problem
-        is_known = self.fields["weighting"] == BY_ROWS and np.isfinite(problem.noise_variance)
+        # The variance of a residual of weight 1: of the weights if they have one, else of the residuals.
+        has_variance = self.fields["weighting"] == BY_ROWS and np.isfinite(problem.noise_variance)
         of_residual = self.fields["correlated"] * problem.squares / problem.weight
-        variance = problem.noise_variance if is_known else of_residual
+        variance = problem.noise_variance if has_variance else of_residual
         self.add_priors(controls.options.shape_prior, variance)
         if controls.expected:
-            found, self.step = clamped_newton_step(
+            possible, self.step = clamped_newton_step(
                 base=self.damping_matrix,
                 hessian=problem.hessian,
                 gradient=problem.gradient,
@@ -229,11 +230,11 @@ class Loop:
             if goes_back(self.step, self.last_step, self.damping_matrix):
                 self.least_curvature *= 2.0
         else:
-            found, self.step = damped_step(problem.hessian, problem.gradient, self.free, damping)
+            possible, self.step = damped_step(problem.hessian, problem.gradient, self.free, damping)
         squared_length = float(self.step @ self.damping_matrix @ self.step)
         limit = controls.options.relative_tolerance**2 * len(self.step) * variance
-        can_be_negligible = is_known and squared_length < limit and damping <= T["MOST_NEGLIGIBLE_DAMPING"]
-        return Proposal(found, negligible=bool(can_be_negligible and self.movement() < T["LONGEST_UNSEEN"]))
+        can_be_negligible = has_variance and squared_length < limit and damping <= T["MOST_NEGLIGIBLE_DAMPING"]
+        return Proposal(possible, negligible=bool(can_be_negligible and self.movement() < T["LONGEST_UNSEEN"]))
 
     def has_texture(self) -> bool:
         """Return whether image and model both have texture, and all sums are finite."""
@@ -340,7 +341,9 @@ def observable_parameters(problem: Any, directions: np.ndarray, observable: floa
         turns_both = bool(directions[0, 0])
         free[first] = hessian[first, first] > (observable if turns_both else observable_apart) * noise
         return free
-    theta_1, cross, theta_2 = hessian[first, first], hessian[first, first + 1], hessian[first + 1, first + 1]
+    theta_1 = hessian[first, first]
+    cross = hessian[first, first + 1]
+    theta_2 = hessian[first + 1, first + 1]
     free[first + 1] = theta_2 > observable_apart * noise
     # In coordinates (common turn, theta_2 alone), with the second eliminated from the first.
     eliminated = (cross + theta_2) ** 2 / theta_2 if free[first + 1] else 0.0

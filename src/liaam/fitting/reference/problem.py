@@ -35,9 +35,12 @@ BY_MODEL, BY_NOISE, BY_ROWS = range(3)  # numbers of the weights, in the order o
 # Numbers of the losses, in the order of liaam.fitting.methods.LOSSES.
 SQUARES, HUBER, L1, CAUCHY, GEMAN_MCCLURE, TUKEY, LEARNT = range(7)
 
-# Residuals in standard deviations at which these losses begin to differ much from squares. Those of huber, cauchy,
-# geman-mcclure and tukey give the usual efficiency of 95 % for Gaussian residuals.
-HUBER_AT, CAUCHY_AT, GEMAN_MCCLURE_AT, TUKEY_AT = 1.345, 2.385, 3.65, 4.685
+# Residuals in standard deviations at which these losses begin to differ much from squares, with the usual efficiency of
+# 95 % for Gaussian residuals.
+HUBER_AT = 1.345
+CAUCHY_AT = 2.385
+GEMAN_MCCLURE_AT = 3.65
+TUKEY_AT = 4.685
 L1_AT = 0.1  # residual below which the weight of l1, its inverse, stops growing
 
 
@@ -91,11 +94,12 @@ class Problem:
         self._project_model()
         matrix = self.image.from_model.matrix
         points = self.warp.points(self.p) @ matrix.T + self.image.from_model.offset  # W(x; p), eq 3
-        self.values, by_place, self.usable = sample(self.image.channels, points)
+        self.values, slopes_of_channels, self.usable = sample(self.image.channels, points)
         self.samples = self.values @ self.metric.T
-        by_axis = (by_place.reshape(-1, CHANNELS) @ self.metric.T).reshape(-1, 2, self.k)
-        by_row = np.ascontiguousarray(by_axis.swapaxes(1, 2)).reshape(-1, 2)  # by x and y, patch pixels
-        self.sample_slopes = (by_row @ matrix).reshape(-1, self.k, 2)  # model pixels
+        # Gradients of the rows: by x and y of the patch, (n, 2, k) and (n k, 2), then of the model, (n, k, 2).
+        by_axis = (slopes_of_channels.reshape(-1, CHANNELS) @ self.metric.T).reshape(-1, 2, self.k)
+        by_row = np.ascontiguousarray(by_axis.swapaxes(1, 2)).reshape(-1, 2)
+        self.sample_slopes = (by_row @ matrix).reshape(-1, self.k, 2)
         if solves:
             self.lam[:] = 0.0
         self._subtract_appearance()
@@ -209,7 +213,8 @@ class Problem:
 
     def reweigh(self, solves: bool) -> bool:
         """Update the weights at the current residual; return whether they changed."""
-        weighting, loss = self.fields["weighting"], self.fields["loss"]
+        weighting = self.fields["weighting"]
+        loss = self.fields["loss"]
         if weighting == BY_MODEL and loss == SQUARES and not self.normalise:
             return False
         if weighting == BY_ROWS:
@@ -288,8 +293,10 @@ class Problem:
 
         With o = g / sqrt(|g|^2 + e^2), do/dg = (I - o o') / sqrt(|g|^2 + e^2), and the square root follows from |o|.
         """
-        direction, logs, colour = self.values[:, :2], self.values[:, 2:5], self.values[:, 5]
-        self.has_colour = ((colour >= ALL_COLOUR) & self.fields["colours"]).astype(float)
+        direction = self.values[:, :2]
+        logs = self.values[:, 2:5]
+        share_of_colour = self.values[:, 5]
+        self.has_colour = ((share_of_colour >= ALL_COLOUR) & self.fields["colours"]).astype(float)
         deviation = self._log_noise(logs)
         light = np.exp(np.clip(logs, -20.0, 20.0)) * BRIGHTNESS
         slope_variance = np.square(self.image.slope_left * deviation * light).sum(axis=1)
@@ -319,7 +326,8 @@ class Problem:
         if not self.usable.any():
             return False
         self.base_sqrt_weights = self.model_sqrt_weights.copy()
-        counts, errors = self.counts, self.fields["errors"]
+        counts = self.counts
+        errors = self.fields["errors"]
         self.channel_noise[:, :3] = self._log_variance(self._log_noise(self.values[:, :3]))
         by_noise = self.channel_noise @ np.square(self.metric).T
         squares = np.square(self.residual).mean(axis=1)[counts]
