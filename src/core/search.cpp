@@ -16,10 +16,15 @@ bool is_peak(const Plane& image, std::ptrdiff_t y, std::ptrdiff_t x, std::ptrdif
 }  // namespace
 
 void correlate(const float* image, const float* templates, std::size_t n, float* product) {
-    const float *a = image, *b = templates, *c = image + 2 * n, *d = templates + 2 * n;
+    // conj(b) a + conj(d) c, of complex numbers: a and c are the spectra of the image and of its conjugate.
+    const float* a = image;
+    const float* b = templates;
+    const float* c = image + 2 * n;
+    const float* d = templates + 2 * n;
 #pragma omp simd
     for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t re = 2 * i, im = 2 * i + 1;
+        const std::size_t re = 2 * i;
+        const std::size_t im = 2 * i + 1;
         product[re] = (a[re] * b[re] + a[im] * b[im]) + (c[re] * d[re] + c[im] * d[im]);
         product[im] = (a[im] * b[re] - a[re] * b[im]) + (c[im] * d[re] - c[re] * d[im]);
     }
@@ -27,7 +32,8 @@ void correlate(const float* image, const float* templates, std::size_t n, float*
 
 std::vector<Peak> best_peaks(const Plane& image, std::size_t count, float least, std::ptrdiff_t reach) {
     constexpr std::ptrdiff_t kChunk = 64;  // most chunks have no pixel above the limit, and are skipped at once
-    std::vector<Peak> peaks;
+    const auto is_larger = [](float value, const Peak& peak) { return value > peak.value; };
+    std::vector<Peak> peaks;  // the largest first
     float limit = least;
     for (std::ptrdiff_t y = 0; y < image.height && count; ++y) {
         const float* row = image.row(y);
@@ -39,10 +45,9 @@ std::vector<Peak> best_peaks(const Plane& image, std::size_t count, float least,
             for (std::ptrdiff_t x = begin; x < end; ++x) largest = row[x * step] > largest ? row[x * step] : largest;
             if (!(largest > limit)) continue;
             for (std::ptrdiff_t x = begin; x < end; ++x) {
-                const float own = row[x * step];
-                if (!(own > limit) || !is_peak(image, y, x, reach)) continue;
-                const auto after = [](float value, const Peak& peak) { return value > peak.value; };
-                peaks.insert(std::upper_bound(peaks.begin(), peaks.end(), own, after), {y, x, own});
+                const float value = row[x * step];
+                if (!(value > limit) || !is_peak(image, y, x, reach)) continue;
+                peaks.insert(std::upper_bound(peaks.begin(), peaks.end(), value, is_larger), {y, x, value});
                 if (peaks.size() > count) peaks.pop_back();
                 if (peaks.size() == count) limit = peaks.back().value;
             }

@@ -21,6 +21,7 @@ void take_observable(const Matrix& source, const std::vector<char>& observable, 
     }
 }
 
+// The largest observable entry of a matrix's diagonal, at least 0.
 double largest_observable(const Matrix& matrix, const std::vector<char>& observable) {
     double largest = 0.0;
     for (std::size_t i = 0; i < observable.size(); ++i)
@@ -28,6 +29,7 @@ double largest_observable(const Matrix& matrix, const std::vector<char>& observa
     return largest;
 }
 
+// Sets the step to the right side of its equations: minus the gradient, and 0 where it is not observable.
 void set_right_side(Workspace& work) {
     for (std::size_t i = 0; i < work.step.size(); ++i) work.step[i] = work.observable[i] ? -work.gradient[i] : 0.0;
 }
@@ -83,8 +85,10 @@ bool goes_back(const Workspace& work) {
 
 // The Newton step before the bound on the curvature is adapted.
 bool clamped_step(double damping, Workspace& work) {
-    const double largest = largest_observable(work.damping_matrix, work.observable), least = work.least_curvature;
-    Matrix &factor = work.small, &matrix = work.other;
+    const double largest = largest_observable(work.damping_matrix, work.observable);
+    const double least = work.least_curvature;
+    Matrix& factor = work.small;  // B, then L
+    Matrix& matrix = work.other;  // H, then what it is solved with
     take_observable(work.damping_matrix, work.observable, kRounding * largest, factor);  // rounding may make B indefinite
     take_observable(work.hessian, work.observable, 0.0, matrix);
     set_right_side(work);
@@ -117,26 +121,32 @@ void add_points(const LevelImage& image, Workspace& work) {
 
 bool observable_parameters(const Method& method, double observable, Workspace& work) {
     std::fill(work.observable.begin(), work.observable.end(), 1);
-    const std::size_t n_free = method.n_free(), n_p = work.observable.size() - n_free;
+    const std::size_t n_free = method.n_free();
+    const std::size_t n_p = work.observable.size() - n_free;
     if (!n_free) return true;
     // Without a change of light, a common turn of both angles changes only noise: |dr/dtheta|^2 is then
     // |r|^2 |L'|^2 / |L|^2. Turns whose curvature is little more than that are held, so that noise cannot make them drift.
-    double by_angle = 0.0, size = 0.0;
+    double squares_of_slope = 0.0;
+    double squares_of_metric = 0.0;
     for (std::size_t c = 0; c < work.metric.size(); ++c) {
-        by_angle += static_cast<double>(work.metric_slope[c]) * work.metric_slope[c];
-        size += static_cast<double>(work.metric[c]) * work.metric[c];
+        squares_of_slope += static_cast<double>(work.metric_slope[c]) * work.metric_slope[c];
+        squares_of_metric += static_cast<double>(work.metric[c]) * work.metric[c];
     }
-    const double noise = work.squares * by_angle / size + kLeastAngleNoise * work.weight;
-    const double limit = std::min(kObservableApart, observable);  // 0 keeps all free, as in the paper
-    const double own = work.hessian[n_p][n_p];
+    const double noise = work.squares * squares_of_slope / squares_of_metric + kLeastAngleNoise * work.weight;
+    const double observable_apart = std::min(kObservableApart, observable);  // 0 keeps all free, as in the paper
+    const double theta_1 = work.hessian[n_p][n_p];
     if (n_free == 1) {
-        work.observable[n_p] = own > (method.directions[0][0] != 0.0 ? observable : limit) * noise;
+        const bool turns_both = method.directions[0][0] != 0.0;
+        work.observable[n_p] = theta_1 > (turns_both ? observable : observable_apart) * noise;
         return work.observable[n_p];
     }
     // In coordinates (common turn, theta_2 alone), with the second eliminated from the first.
-    const double cross = work.hessian[n_p][n_p + 1], apart = work.hessian[n_p + 1][n_p + 1], mixed = cross + apart;
-    work.observable[n_p + 1] = apart > limit * noise;
-    const double together = own + 2.0 * cross + apart - (work.observable[n_p + 1] ? mixed * mixed / apart : 0.0);
+    const double cross = work.hessian[n_p][n_p + 1];
+    const double theta_2 = work.hessian[n_p + 1][n_p + 1];
+    const double mixed = cross + theta_2;
+    work.observable[n_p + 1] = theta_2 > observable_apart * noise;
+    const double eliminated = work.observable[n_p + 1] ? mixed * mixed / theta_2 : 0.0;
+    const double together = theta_1 + 2.0 * cross + theta_2 - eliminated;
     work.observable[n_p] = work.observable[n_p + 1] && together > observable * noise;
     return work.observable[n_p];
 }
@@ -144,16 +154,18 @@ bool observable_parameters(const Method& method, double observable, Workspace& w
 bool has_texture(const Workspace& work, std::size_t n_p) {
     // The image's own curvature is 0 for a flat image, the expected one for a mesh folded to zero area.
     const auto finite = [](double each) { return std::isfinite(each); };
-    const auto &own = work.hessian.numbers(), &base = work.expected_hessian.numbers();
-    if (!std::isfinite(work.squares) || !std::all_of(own.begin(), own.end(), finite) ||
-        !std::all_of(base.begin(), base.end(), finite))
+    const auto& of_image = work.hessian.numbers();
+    const auto& of_model = work.expected_hessian.numbers();
+    if (!std::isfinite(work.squares) || !std::all_of(of_image.begin(), of_image.end(), finite) ||
+        !std::all_of(of_model.begin(), of_model.end(), finite))
         return false;
-    double curved = 0.0, expected = 0.0;
+    double image_curvature = 0.0;
+    double model_curvature = 0.0;
     for (std::size_t i = 0; i < n_p; ++i) {
-        curved = std::max(curved, std::abs(work.hessian[i][i]));
-        expected = std::max(expected, work.expected_hessian[i][i]);
+        image_curvature = std::max(image_curvature, std::abs(work.hessian[i][i]));
+        model_curvature = std::max(model_curvature, work.expected_hessian[i][i]);
     }
-    return work.weight > 0.0 && curved > kTexture * work.weight && expected > 0.0;
+    return work.weight > 0.0 && image_curvature > kTexture * work.weight && model_curvature > 0.0;
 }
 
 double next_prior_scale(const Model& model, double strength, double variance, Workspace& work) {
@@ -207,13 +219,14 @@ void add_priors(const Objective& objective, const LevelImage& image, double stre
 }
 
 bool damped_step(double damping, Workspace& work) {
-    const double most = largest_observable(work.hessian, work.observable);
+    const double largest = largest_observable(work.hessian, work.observable);
+    const double floor = kDampingFloor * largest;
     Matrix& matrix = work.small;
-    take_observable(work.hessian, work.observable, kDampingFloor * most, matrix);
+    take_observable(work.hessian, work.observable, floor, matrix);
     set_right_side(work);
     for (std::size_t i = 0; i < work.step.size(); ++i)
-        if (work.observable[i]) matrix[i][i] += damping * std::max(work.hessian[i][i], kDampingFloor * most);
-    if (most > 0.0 && cholesky(matrix)) {
+        if (work.observable[i]) matrix[i][i] += damping * std::max(work.hessian[i][i], floor);
+    if (largest > 0.0 && cholesky(matrix)) {
         solve(matrix, work.step);
         return true;
     }
