@@ -158,7 +158,7 @@ def test_lamps_serve_objects_with_the_same_landmarks(pictures, lamps):
 def test_a_lamp_file_or_a_name_without_images_is_told(pictures, lamps, tmp_path):
     pairs = [(each.image, each.landmarks.points) for each in pictures[:3]]
     for path in ("heads.lamps", tmp_path / "heads.lamps"):
-        with pytest.raises(TrainingError, match=r"heads\.lamps': .* for a file give liaam\.lamps\.load_lamps\(file\)"):
+        with pytest.raises(TrainingError, match=r"heads\.lamps': .* for a file give liaam\.training\.load_lamps\(file\)"):
             train(pairs, diagonal=40.0, lamps=path)
     for given in ("auto", None, lamps):
         with pytest.raises(TrainingError, match=r"'day' names the training light in lamp images; give these"):
