@@ -29,7 +29,7 @@ from liaam.cli.main import main as liaam_main
 from liaam.datasets import Sample
 from liaam.io import Landmarks, video_writer
 from liaam.model import AAM, SURROUNDINGS, load_model
-from liaam.training import Lamps, learn_lamps, train
+from liaam.training import LearntLamps, learn_lamps, train
 from scenes import (
     DIFFUSE,
     Head,
@@ -210,7 +210,7 @@ def same_light_scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def lamps() -> Lamps:
+def lamps() -> LearntLamps:
     """Learn three lamps from two pictures of the same head, for the methods that learn what light does."""
     lights = (DIFFUSE, lateral("left"), lateral("right"), lateral("left", azimuth=0.5, elevation=0.7))
     options = {"camera": narrow_band_camera(), "seed": 20, "size": SCENE_SIZE, "mixing": "planckian"}

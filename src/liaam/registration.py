@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError
 from liaam.fitting import FitStatus, Method, SolverOptions, get_method
-from liaam.fitting.loop.level_image import slope_left
+from liaam.fitting.loop.encoded_image import slope_left
 from liaam.fitting.loop.levels import FittedLevel, LinearImage, Target, is_sane, solve_levels
 from liaam.fitting.loop.objective import Objective
 from liaam.fitting.loop.options import scored

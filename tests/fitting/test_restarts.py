@@ -7,7 +7,7 @@ import pytest
 
 from liaam.fitting import Fitter, SolverOptions
 from liaam.fitting.loop.levels import is_sane
-from liaam.fitting.prepared import SLOW
+from liaam.fitting.one_shape_fitter import SLOW
 from liaam.fitting.search import restarts
 from liaam.fitting.search.restarts import APART, fit_again, other_starts
 from liaam.model import SURROUNDINGS

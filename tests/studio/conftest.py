@@ -15,7 +15,7 @@ from liaam.io import Contour, Landmarks, write_image, write_landmarks
 from liaam.studio.app import Studio
 from liaam.studio.project import Project
 from liaam.studio.serving import make_server, open_port
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from scenes import Head, Scene, make_set
 
 CONTOURS = (Contour(tuple(range(13))), Contour(tuple(range(21, 29)), closed=True))
@@ -105,7 +105,7 @@ def serve() -> Iterator[Callable[..., Running]]:
 
     def start(folder: Path, model: Path | None = None, **settings) -> Running:
         listener = open_port("127.0.0.1", 0)
-        studio = Studio(folder, model, Settings(port=listener.getsockname()[1], **settings))
+        studio = Studio(folder, model, StudioSettings(port=listener.getsockname()[1], **settings))
         server = make_server(studio)
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()

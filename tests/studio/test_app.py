@@ -469,7 +469,7 @@ def test_other_machines_are_let_in_with_a_warning_only(tmp_path, monkeypatch):
 
     opened, said = threading.Event(), []
     monkeypatch.setattr(serving.webbrowser, "open", lambda address: opened.set())
-    settings = serving.Settings(host="192.168.1.5", port=9000, token="T")
+    settings = serving.StudioSettings(host="192.168.1.5", port=9000, token="T")
     serving._welcome(settings, True, said.append)
     assert said[0].startswith("warning: other machines can reach")
     assert said[1] == "liaam studio: http://192.168.1.5:9000/?token=T"

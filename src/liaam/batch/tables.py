@@ -46,7 +46,7 @@ ParsedRow = tuple[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Table:
+class BatchTable:
     """Content of a table: its rows, the number of landmarks, and whether the rows have covariances.
 
     ``facts`` are the settings, ``contours`` lines through the landmarks, and ``names`` those of the landmarks or
@@ -94,13 +94,13 @@ def check_format(output: Path) -> None:
         )
 
 
-def write_table(output: Path, table: Table) -> None:
+def write_table(output: Path, table: BatchTable) -> None:
     """Write a table atomically in the format of its suffix."""
     with atomic_path(output) as temp:
         _WRITERS[output.suffix.lower()](temp, table)
 
 
-def _write_parquet(path: Path, table: Table) -> None:
+def _write_parquet(path: Path, table: BatchTable) -> None:
     pa, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     types = {name: pa.type_for_alias(name) for name in ("string", "float32", "float64", "int32")}
     types["list<float32>"] = pa.list_(pa.float32())
@@ -109,10 +109,10 @@ def _write_parquet(path: Path, table: Table) -> None:
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         rows = iter(table.rows)
         while group := [row for _, row in islice(rows, GROUP)]:
-            writer.write_table(pa.Table.from_pylist(group, schema))
+            writer.write_table(pa.BatchTable.from_pylist(group, schema))
 
 
-def _write_csv(path: Path, table: Table) -> None:
+def _write_csv(path: Path, table: BatchTable) -> None:
     """Write flat columns: x1, y1, x2 ... and covariances xx1, xy1, yy1 ...; by names x_tip, y_tip, ..."""
     marks = [f"_{name}" for name in table.names] or [str(number) for number in range(1, table.n_points + 1)]
     headers = {name: _headers(name, marks) for name in _columns(table.covariance)}
@@ -124,7 +124,7 @@ def _write_csv(path: Path, table: Table) -> None:
             writer.writerow(chain.from_iterable(cells))
 
 
-def _write_lines(path: Path, table: Table) -> None:
+def _write_lines(path: Path, table: BatchTable) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         if not table.names:
             file.writelines(f"{text}\n" for text, _ in table.rows)
@@ -132,7 +132,7 @@ def _write_lines(path: Path, table: Table) -> None:
             file.writelines(json.dumps(row | {NAMES: table.names}) + "\n" for _, row in table.rows)
 
 
-def _write_tps(path: Path, table: Table) -> None:
+def _write_tps(path: Path, table: BatchTable) -> None:
     """Write the landmarks of fits that may be used only, because the format has no status."""
     with path.open("w", encoding="utf-8", newline="") as file:
         for _, row in table.rows:

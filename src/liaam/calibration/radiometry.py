@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from liaam.calibration.estimate import robust_deviation
-from liaam.calibration.response_blocks import Blocks, checked_maps, checked_pictures, observe
+from liaam.calibration.response_blocks import MeasuredBlocks, checked_maps, checked_pictures, observe
 from liaam.calibration.response_fit import (
     LEAST_CONTRAST,
     LEAST_SCALE,
@@ -228,7 +228,9 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
     return _vignetting_estimate(found.x[:TERMS], covariance, message)
 
 
-def _unlinked(measured: Blocks, logs: np.ndarray | None, response: Response | None) -> RadiometricEstimate | None:
+def _unlinked(
+    measured: MeasuredBlocks, logs: np.ndarray | None, response: Response | None
+) -> RadiometricEstimate | None:
     """Estimate without any observable quantity, if an image shares too few blocks with the others."""
     counts = [len(np.unique(measured.block[row])) for row in measured.usable]
     least = int(np.argmin(counts))
@@ -248,7 +250,7 @@ def _unlinked(measured: Blocks, logs: np.ndarray | None, response: Response | No
     )
 
 
-def _lens_fault(measured: Blocks, wanted: bool) -> str:
+def _lens_fault(measured: MeasuredBlocks, wanted: bool) -> str:
     """Message if vignetting is not wanted, or the positions of the surfaces do not determine it, else empty."""
     if not wanted:
         return "Vignetting was not requested."
@@ -260,7 +262,7 @@ def _lens_fault(measured: Blocks, wanted: bool) -> str:
     )
 
 
-def _radii(measured: Blocks) -> float:
+def _radii(measured: MeasuredBlocks) -> float:
     """90th percentile over surfaces of the difference of r^2 between images."""
     return float(np.percentile(largest_difference(measured.radius2, measured.usable), 90))
 
@@ -306,7 +308,7 @@ def _fit_fault(fit: ResponseFit) -> str:
     )
 
 
-def _held(measured: Blocks) -> tuple[float, float]:
+def _held(measured: MeasuredBlocks) -> tuple[float, float]:
     """Range of nearly all stored values."""
     low, high = np.percentile(measured.stored[measured.usable], [0.5, 99.5])
     return float(low), float(high)

@@ -21,7 +21,7 @@ UNREGISTERED = 0.03
 
 
 @dataclass(frozen=True)
-class Blocks:
+class MeasuredBlocks:
     """Measurements of n blocks of one channel each in m images.
 
     Stored values (m, n) in [0, 1], their standard deviations, and squared distances from the centre, 1 in the corners.
@@ -73,7 +73,7 @@ def checked_maps(homographies: Sequence[np.ndarray] | None, pictures: list[np.nd
     return maps
 
 
-def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> Blocks:
+def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> MeasuredBlocks:
     """Average blocks of the first image's pixels in all images; keep those that are usable in ``least`` of them."""
     height, width = pictures[0].shape[:2]
     edge = int(np.clip(np.sqrt(height * width / MOST_BLOCKS), min(BLOCK, height // 8, width // 8), 2 * BLOCK))
@@ -88,7 +88,7 @@ def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) 
         part.reshape(len(pictures), -1)[:, kept] for part in (stored, deviation, usable > 0, radius2)
     )
     offset, channel = offset.reshape(-1, 2)[kept], channel.ravel()[kept]
-    return Blocks(stored, deviation, usable, radius2, offset, channel, block[kept])
+    return MeasuredBlocks(stored, deviation, usable, radius2, offset, channel, block[kept])
 
 
 def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> np.ndarray:

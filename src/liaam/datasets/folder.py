@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from liaam.datasets import advice
-from liaam.datasets.dataset import Dataset, LeftOut, Sample
+from liaam.datasets.dataset import Dataset, Sample, UnusedFile
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
@@ -97,8 +97,8 @@ def load_folder(
         reasons = [(left.path, left.reason) for left in left_out]
         raise LandmarkError(advice.no_pairs(root, wanted, reasons, unread, recursive))
     orphans = [left.path for left in left_out if left.reason == advice.NO_IMAGE]
-    left_out += [LeftOut(file, advice.UNKNOWN) for file in unread]
-    left_out += [LeftOut(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
+    left_out += [UnusedFile(file, advice.UNKNOWN) for file in unread]
+    left_out += [UnusedFile(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
@@ -110,7 +110,7 @@ def load_folder(
 
 def pair_files(
     root: Path, images: list[Path], marks: Iterable[Path], place: Path | None = None
-) -> tuple[list[Sample], list[LeftOut]]:
+) -> tuple[list[Sample], list[UnusedFile]]:
     """Pair images of a folder with landmark files (``marks``) in it, or in a subfolder that is their ``place``.
 
     Numbers of landmarks may differ. Also return the files that were not used.
@@ -167,7 +167,7 @@ class _Pairing:
         self.wanted = wanted
         self.reading = reading
         self.notes = Notes(reading.strict)
-        self.left_out: list[LeftOut] = []
+        self.left_out: list[UnusedFile] = []
         self.unrecognised: list[Path] = []
         """Files of text that seem to hold no landmarks."""
         self.reported: set[Path] = set()
@@ -198,7 +198,7 @@ class _Pairing:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
             return
         if notes.left_out:
-            self.left_out.append(LeftOut(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
+            self.left_out.append(UnusedFile(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
         if read.is_single:
             (entry,) = entries
             self._add_single(read, image, entry)
@@ -226,9 +226,9 @@ class _Pairing:
                     else:
                         remedy = f"place them or delete the object, in {used.file.name}"
                         reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
-                        self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
+                        self.left_out.append(UnusedFile(image.with_name(PurePosixPath(name).name), reason))
                 for other in others:
-                    left = LeftOut(other.file, f"{_LESSER}: {used.file.name} is used")
+                    left = UnusedFile(other.file, f"{_LESSER}: {used.file.name} is used")
                     if not any(each.path == other.file and each.reason.startswith(_LESSER) for each in self.left_out):
                         self.left_out.append(left)
                     if _disagree(used.landmarks, other.landmarks):
@@ -263,13 +263,13 @@ class _Pairing:
                 self._add_option(file, image, entry)
             else:  # perhaps an image of another folder, which is not there
                 both = f"'{entry}' and '{named[image]}' both name {image.name}; the landmarks of the second are used"
-                self.left_out.append(LeftOut(file.path, both, partly=True))
+                self.left_out.append(UnusedFile(file.path, both, partly=True))
         if len(absent) == len(file.entries):
             self._leave_out(file.path, f"{advice.ABSENT}: {some_names(absent)}")
         elif absent:
             verb = "is" if len(absent) == 1 else "are"
             some = f"{len(absent)} of its {len(file.entries)} images {verb} not in the folder ({some_names(absent)})"
-            self.left_out.append(LeftOut(file.path, f"{some}; the others are used", partly=True))
+            self.left_out.append(UnusedFile(file.path, f"{some}; the others are used", partly=True))
 
     def _add_option(self, file: LandmarkFile, image: Path, entry: str) -> None:
         """Add candidate landmarks of an image, in pixels."""
@@ -302,7 +302,7 @@ class _Pairing:
 
     def _leave_out(self, path: Path, reason: str, image: Path | None = None) -> None:
         """Record a file that is not used, and the image that it leaves without landmarks, if any."""
-        self.left_out.append(LeftOut(path, reason))
+        self.left_out.append(UnusedFile(path, reason))
         if image is not None:
             self.reported.add(image)
 
@@ -322,7 +322,7 @@ def _rank(file: Path, suffixes: tuple[str, ...]) -> int:
     return suffixes.index(file.suffix.lower())
 
 
-def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[LeftOut]]:
+def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[UnusedFile]]:
     """Put landmarks into the order of names that most samples have. Leave out those that lack some of the names."""
     orders = Counter(sample.landmarks.names for sample in samples if sample.landmarks.names)
     if len(orders) < 2:
@@ -336,7 +336,9 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
             landmarks = sample.landmarks.in_order_of(usual)
         except LandmarkError as fault:
             odd.append(
-                LeftOut(sample.landmark_file or Path(sample.name), f"other landmarks than most: {sample.name}: {fault}")
+                UnusedFile(
+                    sample.landmark_file or Path(sample.name), f"other landmarks than most: {sample.name}: {fault}"
+                )
             )
             continue
         if landmarks is not sample.landmarks:
@@ -345,11 +347,11 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
     return kept, odd
 
 
-def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
+def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[UnusedFile]]:
     """Keep the samples that have the most common number of landmarks."""
     usual = Counter(len(sample.landmarks) for sample in samples).most_common(1)[0][0]
     odd = [
-        LeftOut(
+        UnusedFile(
             sample.landmark_file or Path(sample.name),
             f"{len(sample.landmarks)} landmarks where most have {usual}: those of {sample.name}",
         )

@@ -9,11 +9,11 @@ import numpy as np
 
 from liaam.errors import ImageError, StartError, check_options
 from liaam.fitting.detection import DOUBTFUL, Detection
-from liaam.fitting.loop.level_image import MARGIN, NEAR
+from liaam.fitting.loop.encoded_image import MARGIN, NEAR
 from liaam.fitting.loop.levels import LinearImage, Target
 from liaam.fitting.loop.options import SolverOptions
 from liaam.fitting.methods import DEFAULT_METHOD, Method
-from liaam.fitting.prepared import Prepared
+from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, likeliness, with_prior
 from liaam.fitting.search.finder import Finder
 from liaam.fitting.search.other_places import likeliest
@@ -44,7 +44,7 @@ class _FirstFit:
 
 
 @dataclass(frozen=True, eq=False)
-class Fitter(Prepared):
+class Fitter(OneShapeFitter):
     """A model and a method, prepared for fitting many images.
 
     Attributes

@@ -4,7 +4,7 @@ from dataclasses import replace
 from threading import Lock
 
 from liaam.fitting.fitter import Fitter
-from liaam.fitting.loop.level_image import MARGIN
+from liaam.fitting.loop.encoded_image import MARGIN
 from liaam.fitting.methods import DEFAULT_METHOD, Method
 from liaam.fitting.result import FitResult
 from liaam.model import AAM

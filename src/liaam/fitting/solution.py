@@ -6,7 +6,7 @@ import numpy as np
 
 from liaam.fitting.fitter import Fitter
 from liaam.fitting.loop.angles import best_image_angle
-from liaam.fitting.loop.level_image import MARGIN, LevelImage
+from liaam.fitting.loop.encoded_image import MARGIN, EncodedImage
 from liaam.fitting.loop.objective import Objective, State
 from liaam.fitting.result import FitResult
 from liaam.photometry.picture import load_picture
@@ -48,12 +48,12 @@ def residual_at(fitter: Fitter, image, result: FitResult) -> tuple[np.ndarray, n
     return residual, usable
 
 
-def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, LevelImage, State]:
+def _end_of(fitter: Fitter, result: FitResult, image) -> tuple[Objective, EncodedImage, State]:
     """Return the objective over all pixels of the sharpest level, its image, and a result's state (lambda 0)."""
     linear, objective = fitter.linear(load_picture(image, "image")[0]), fitter.dense
     blur, noise = fitter.view.levels[-1].blur, fitter.image_camera.noise
     about = objective.method, linear.response, blur, noise, MARGIN, objective.density
-    encoded = LevelImage.at(linear.image, result.landmarks, result.pose, *about)
+    encoded = EncodedImage.at(linear.image, result.landmarks, result.pose, *about)
     # From the shape, because p refers to the shape model of the fit's method, which may be another one.
     state = objective.start(fitter.shapes.parameters(result.pose.inverse()(result.landmarks)))
     if objective.method.has_angles and np.isfinite(result.theta):

@@ -112,7 +112,7 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
     chain, sliding = semilandmarks(curves)
     if not len(shapes) or not len(sliding):
         return shapes
-    tracks = [_Track(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
+    tracks = [_JoinedCurves(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
     places, mean = [track.lengths for track in tracks], procrustes_mean(shapes)
     for _ in range(_ROUNDS):
         weights = bending_energy(mean) if criterion == "bending" else np.eye(len(mean))
@@ -125,7 +125,7 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
 
 
 @dataclass(frozen=True, eq=False)
-class _Track:
+class _JoinedCurves:
     """The curves of a shape, joined into one line; places on it are lengths from its start."""
 
     shape: np.ndarray

@@ -20,7 +20,7 @@ from liaam.morphometry.measures import Measure, Measured, ScaleBar, centroid_siz
 from liaam.morphometry.specimens import Specimen
 from liaam.tables import Columns
 
-Row = dict[str, str | float]
+SpecimenRow = dict[str, str | float]
 
 _USABLE = {"", *USABLE}
 
@@ -182,9 +182,9 @@ def _row(
     rule: float | ScaleBar | None,
     bar: Sequence[int],
     mean: np.ndarray | None,
-) -> Row:
+) -> SpecimenRow:
     """Measure one specimen. The last item is the centroid size."""
-    row: Row = {"specimen": specimen.name, "status": specimen.status}
+    row: SpecimenRow = {"specimen": specimen.name, "status": specimen.status}
     if specimen.status not in _USABLE:
         return row
     length, slope = _pixel(specimen, rule, bar)
@@ -226,19 +226,19 @@ def _standard_errors(covariances: np.ndarray | None, jacobian: np.ndarray) -> np
     return np.sqrt(np.maximum(variances, 0.0))
 
 
-def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> Row:
+def _shape(specimen: Specimen, inside: Sequence[int], mean: np.ndarray) -> SpecimenRow:
     """Return the Procrustes coordinates, y upwards, and then their standard errors."""
     shape, jacobian = procrustes(specimen.points[inside], mean)
     covariances = None if specimen.covariances is None else specimen.covariances[inside]
     errors = _standard_errors(covariances, jacobian.reshape(len(jacobian), -1, 2))
-    row: Row = {}
+    row: SpecimenRow = {}
     for end, values in (("", shape * (1, -1)), ("_se", errors.reshape(shape.shape))):
         for index, (x, y) in zip(inside, values.tolist(), strict=True):
             row |= {f"X{index + 1}{end}": x, f"Y{index + 1}{end}": y}
     return row
 
 
-def _columns(rows: Sequence[Row]) -> Columns:
+def _columns(rows: Sequence[SpecimenRow]) -> Columns:
     """Transpose rows. Drop what is unknown of all: status, scale, standard errors."""
     names = list(max(rows, key=len))
     columns = {name: [row.get(name, math.nan) for row in rows] for name in names}

@@ -7,7 +7,7 @@ import numpy as np
 
 from liaam.errors import MethodError
 from liaam.fitting import FitResult, Fitter
-from liaam.fitting.loop.level_image import correlated_pixels
+from liaam.fitting.loop.encoded_image import correlated_pixels
 from liaam.fitting.solution import solution_at
 from liaam.formatting import short_repr
 from liaam.model import AAM, MESH

@@ -29,9 +29,9 @@ from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
-from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes, shown
+from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of
 
 LAYER_SIZE = 1280  # default longest side of a layer in pixels
@@ -43,7 +43,7 @@ LAYER_BYTES = 30_000_000  # bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
 FITTERS_KEPT = 16
-Light = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
+Lighting = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
 finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
@@ -60,7 +60,7 @@ class Fit:
     """A fit and its inputs."""
 
     id: str
-    source: Source
+    source: PictureSource
     fitter: Fitter
     result: FitResult
     search_seconds: float
@@ -127,7 +127,7 @@ def numbers(values: np.ndarray, digits: int) -> list:
 class Fits:
     """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
-    def __init__(self, settings: Settings, models: ModelStore, pictures: Pictures) -> None:
+    def __init__(self, settings: StudioSettings, models: ModelStore, pictures: Pictures) -> None:
         self.settings, self.models, self.pictures = settings, models, pictures
         self._fits: Kept[str, Fit] = Kept(settings.fits_kept)
         self._fitters: Kept[tuple[int, str, bool], Fitter] = Kept(FITTERS_KEPT)
@@ -171,7 +171,7 @@ class Fits:
 
     def fit(
         self,
-        source: Source,
+        source: PictureSource,
         of: tuple[str, str],
         method: str = DEFAULT_METHOD,
         start: Any = None,
@@ -228,7 +228,7 @@ class Fits:
         return self._layers.get((fit.id, what, size), make)
 
     def draw(
-        self, fit: Fit, what: str, size: int | None, light: Light | None = None
+        self, fit: Fit, what: str, size: int | None, light: Lighting | None = None
     ) -> tuple[np.ndarray, dict[str, Any] | None]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
@@ -253,7 +253,7 @@ class Fits:
             return layers.shading_layer(relighter, to), {"limit": layers.SHADING_LIMIT, "what": "light"}
         return averaged(relighter.under(*light) if what == "relit" and light else relighter.flat(), to), None
 
-    def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
+    def export(self, fit: Fit, what: str, light: Lighting) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")

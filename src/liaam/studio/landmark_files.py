@@ -23,7 +23,7 @@ from liaam.io.files import read_bytes, some_names
 from liaam.io.landmarks import Landmarks, parse_landmark_data
 from liaam.studio.folder import OWN_SUFFIXES, File, Listing, Signature, disk_errors, revision_of
 from liaam.studio.safety import Refusal
-from liaam.studio.store import Store, Table
+from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, landmarks_of, parse_points, text_of
 
 UNITS = {"µm": 0.001, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}  # units of length, in millimetres
@@ -64,7 +64,7 @@ class Marks:
 class LandmarkFiles:
     """Landmark files of the listed pictures, cached until they change; ``problems`` are those of no picture."""
 
-    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: Table) -> None:
+    def __init__(self, listing: Listing, store: Store, most_bytes: int, bars: StoredTable) -> None:
         self._listing, self._store, self._folder, self._most_bytes = listing, store, listing.folder, most_bytes
         self._read: dict[str, tuple[Signature, Marks]] = {}
         self._paired: dict[str, Marks] = {}
@@ -72,7 +72,7 @@ class LandmarkFiles:
         self.problems: list[str] = []
         self._pairs_of, self._paired_version = lru_cache(1)(self._pair), -1
         self.bars = bars  # shared by all sets of landmarks of the folder
-        self._invisible = Table(store, "invisible")  # points by name and revision of a .pts
+        self._invisible = StoredTable(store, "invisible")  # points by name and revision of a .pts
 
     def of(self, picture: File) -> Marks:
         """Return the landmarks of a picture, none if it has no file or the file belongs to another picture."""

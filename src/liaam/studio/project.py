@@ -28,11 +28,11 @@ from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
-from liaam.studio.pictures import Source, source_of
+from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
-from liaam.studio.store import Store, Table
+from liaam.studio.settings import StudioSettings
+from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, Templates, parse_indices, parse_points, parse_template, template_of, text_of
 
 PART_SECONDS = 0.02  # how long files are read at a time, while requests wait
@@ -72,9 +72,13 @@ class Project:
     """
 
     def __init__(
-        self, folder: str | Path, settings: Settings | None = None, set_name: str = "", first: "Project | None" = None
+        self,
+        folder: str | Path,
+        settings: StudioSettings | None = None,
+        set_name: str = "",
+        first: "Project | None" = None,
     ) -> None:
-        self.settings, self.set_name = settings or Settings(), set_name
+        self.settings, self.set_name = settings or StudioSettings(), set_name
         self._sets: dict[str, Project] = first._sets if first else {"": self}
         self.folder = Folder(checked_folder(folder))
         self.root = self.folder.root
@@ -84,11 +88,11 @@ class Project:
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)
         self._listing = listing = Listing(self.folder, self.settings.pixels, set_name and f"{set_name}/")
-        bars = first._landmarks.bars if first else Table(self.store, "bar")
+        bars = first._landmarks.bars if first else StoredTable(self.store, "bar")
         self._landmarks = LandmarkFiles(listing, self.store, self.settings.upload_bytes, bars)
-        self._proposals = Table(self.store, "proposal")
+        self._proposals = StoredTable(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
-        self._unchecked = Table(self.store, "unchecked")
+        self._unchecked = StoredTable(self.store, "unchecked")
         self.templates = Templates(listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
         parts = (listing, self.store, self._landmarks, self._proposals, self._unchecked, self.templates, self._log)
@@ -182,14 +186,14 @@ class Project:
             if self._listing.files.get(file.name) == file:
                 self._states.as_json(file, {})
 
-    def source(self, name: str) -> Source:
+    def source(self, name: str) -> PictureSource:
         """Return a picture that can be decoded."""
         with self._lock:
             self._listing.usable_size(self._find(name))
             path = self.folder.inside(name)
         return source_of(path, self.settings.pixels, name)
 
-    def mark_unreadable(self, source: Source, fault: ImageError) -> None:
+    def mark_unreadable(self, source: PictureSource, fault: ImageError) -> None:
         """Remember that a picture without landmarks cannot be decoded, unless that may pass."""
         cause: BaseException | None = fault
         while cause is not None:

@@ -187,7 +187,7 @@ class Store:
                 sweep(folder)
 
 
-class Table(dict[str, Any]):
+class StoredTable(dict[str, Any]):
     """The values of a kind by name, in memory as well."""
 
     def __init__(self, store: Store, kind: str) -> None:

@@ -25,7 +25,7 @@ from liaam.io.landmarks.formats import writer_of
 from liaam.model.shape import mirror_order
 from liaam.studio.folder import Listing, revision_of, status_of
 from liaam.studio.safety import Refusal, refusing
-from liaam.studio.store import Store, Table
+from liaam.studio.store import Store, StoredTable
 
 if TYPE_CHECKING:
     from liaam.studio.landmark_files import LandmarkFiles
@@ -174,7 +174,7 @@ class Templates:
     _listing: Listing
     _store: Store
     _landmarks: "LandmarkFiles"
-    _proposals: Table
+    _proposals: StoredTable
     _lock: threading.RLock
     offered: Template | None = None
     offered_by: str = ""

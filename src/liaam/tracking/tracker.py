@@ -14,7 +14,7 @@ import numpy as np
 
 from liaam.errors import ImageError, MethodError, StartError
 from liaam.fitting import FitResult, FitStatus, Fitter, Method, SolverOptions
-from liaam.fitting.loop.level_image import NEAR
+from liaam.fitting.loop.encoded_image import NEAR
 from liaam.fitting.methods import DEFAULT_METHOD
 from liaam.formatting import changed_repr
 from liaam.io import VideoReader
@@ -73,7 +73,7 @@ class TrackingOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class _Track:
+class _CoordinateTrack:
     """Estimate of an object's coordinates, and statistics of its motion (see :func:`kalman.noise_and_drive`)."""
 
     belief: kalman.Belief
@@ -93,7 +93,7 @@ class TrackState:
     """
 
     count: int = 0
-    track: _Track | None = None
+    track: _CoordinateTrack | None = None
     lost: int = 0
     wait: int = 0
     due: int = 0
@@ -303,7 +303,7 @@ class Tracker:
             noise = track.share * own
             moments, belief = track.moments, kalman.update(kalman.widened(track.belief, y, noise), y, noise)
         moments = kalman.observed(moments, y)
-        self.state.track = _Track(belief, moments, *kalman.noise_and_drive(moments, variances))
+        self.state.track = _CoordinateTrack(belief, moments, *kalman.noise_and_drive(moments, variances))
         landmarks, covariances = result.landmarks, result.landmark_covariances
         if self.options.smooth:
             # The part of the shape outside the coordinates stays as fitted.

@@ -15,14 +15,14 @@ from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
-from liaam.training.reliability import LeftOut, calibrate
+from liaam.training.reliability import LeftOutImage, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 # Largest numbers of models to train without a fold, and of left-out images to fit
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
 
 
-Settings = Mapping[str, tuple[Recipe, Variance, Variance]]
+ViewSettings = Mapping[str, tuple[Recipe, Variance, Variance]]
 """Recipe of the shapes, and variances of shapes and appearances to keep, by view."""
 
 
@@ -32,7 +32,7 @@ def calibrated(
     shapes: np.ndarray,
     sampled: Sampled,
     copied: Copies,
-    settings: Settings,
+    settings: ViewSettings,
     methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
@@ -44,7 +44,7 @@ def calibrated(
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
-    def images() -> Iterator[LeftOut]:
+    def images() -> Iterator[LeftOutImage]:
         """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
@@ -54,9 +54,9 @@ def calibrated(
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOut(part, image, shapes[j])
+                yield LeftOutImage(part, image, shapes[j])
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
-                    yield LeftOut(part, relit, shapes[j], relit=True)
+                    yield LeftOutImage(part, relit, shapes[j], relit=True)
 
     found = calibrate(model, images(), methods)
     for view in VIEWS:
@@ -109,7 +109,7 @@ def _without(
     fold: np.ndarray,
     shapes: np.ndarray,
     sampled: Sampled,
-    settings: Settings,
+    settings: ViewSettings,
     methods: Sequence[Method],
     known: np.ndarray,
 ) -> AAM:

@@ -43,7 +43,7 @@ MOST_ODDS = 9.0
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOutImage:
     """An image, its landmarks, and a model trained without it, on the reference frame of the full model.
 
     ``relit`` marks images whose light was changed; their background is then not valid.
@@ -85,14 +85,14 @@ class LeftOutFit(NamedTuple):
         return self.error > WRONG
 
 
-def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]) -> dict[str, Reliability]:
+def calibrate(model: AAM, pictures: Iterable[LeftOutImage], methods: Sequence[Method]) -> dict[str, Reliability]:
     """Learn the quality of fits and the errors of right fits from left-out images.
 
     Parameters
     ----------
     model : AAM
         Model trained on all images.
-    pictures : iterable of LeftOut
+    pictures : iterable of LeftOutImage
     methods : sequence of Method
         Methods to calibrate.
 
@@ -121,7 +121,7 @@ def calibrate(model: AAM, pictures: Iterable[LeftOut], methods: Sequence[Method]
     return {name: each for name, each in learnt.items() if each is not None}
 
 
-def _fit(picture: LeftOut, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
+def _fit(picture: LeftOutImage, fitter: Fitter, start: np.ndarray | Detection, near: bool = False) -> LeftOutFit | None:
     """Fit a left-out image; None if the fit is lost by its status."""
     result, model = fitter.fit(picture.image, start), picture.model
     if result.status.lost or not (np.isfinite(result.landmarks).all() and np.isfinite(result.evidence).all()):
@@ -168,7 +168,7 @@ def learnt_from(model: AAM, fits: Sequence[LeftOutFit], view: str) -> Reliabilit
     return replace(made, typical=float(np.quantile(qualities, RARE)), prior=prior)
 
 
-def _near(picture: LeftOut, rng: np.random.Generator) -> np.ndarray:
+def _near(picture: LeftOutImage, rng: np.random.Generator) -> np.ndarray:
     mean = picture.model.shape_model.mean
     return _moved(align(mean, picture.points)(mean), rng, turn=4.0, shift=0.02)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam import _core
 from liaam.errors import MethodError
-from liaam.fitting.loop.level_image import LevelImage, correlated_pixels
+from liaam.fitting.loop.encoded_image import EncodedImage, correlated_pixels
 from liaam.fitting.methods import LOSSES, STEPS, WEIGHTS, Method, at_angle, check_holds, gaussian_median
 from liaam.fitting.reference.loop import solve_level
 from liaam.fitting.reference.problem import CORRELATED, GRADIENT_ROWS, Problem
@@ -199,11 +199,11 @@ class Objective:
             return self.fields["rows"][0]
         return np.array([1.0, np.cos(theta), np.sin(theta)]) @ self.fields["row_parts"][:, 0]
 
-    def problem(self, image: LevelImage) -> Any:
+    def problem(self, image: EncodedImage) -> Any:
         """Return the objective at an image, in the parts that the loop calls (:class:`Problem`)."""
         return _core.Problem(self.compiled, image.compiled) if self.is_compiled else Problem(self, image)
 
-    def evaluate(self, image: LevelImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
+    def evaluate(self, image: EncodedImage, state: State, weigh: int = 0, solves: bool = False) -> dict[str, Any]:
         """Evaluate the residual of a state, solve for lambda there if asked, and update the weights ``weigh`` times.
 
         The result are the arrays of :meth:`Problem.arrays`.
@@ -215,10 +215,10 @@ class Objective:
             problem.reweigh(solves)
         return problem.arrays()
 
-    def solve(self, image: LevelImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
+    def solve(self, image: EncodedImage, state: State, options: Any, evaluate_last: bool = True) -> Any:
         """Minimise the cost over one image from a state (:class:`liaam.fitting.loop.options.SolverOptions`).
 
-        A fit that fails is returned, not raised. The solution is a ``LevelFit`` of the core or of the reference.
+        A fit that fails is returned, not raised. The solution is a ``Solution`` of the core or of the reference.
         """
         p, angles, lam = state.p, tuple(state.angles.tolist()), state.lam
         if self.is_compiled and options.elimination == "varpro":

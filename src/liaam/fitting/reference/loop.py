@@ -513,7 +513,7 @@ def append(more: Trace, trace: Trace) -> None:
 
 
 def collect(loop: Loop, trace: Trace) -> SimpleNamespace:
-    """Collect the solution, with the names of the core's ``LevelFit``."""
+    """Collect the solution, with the names of the core's ``Solution``."""
     problem = loop.problem
     # Rows that count as contrast: for weights by rows those of the gradients.
     shown = GRADIENT_ROWS if loop.fields["weighting"] == BY_ROWS else problem.k

@@ -43,7 +43,7 @@ CONTRASTS = (0.3, 1.0)  # limits on the measured contrast, so that flat images a
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
+class OrientationTemplate:
     """Gradient orientations that the reduced model expects."""
 
     # (h, w) complex64: cosine and sine, shorter than 1 where the orientation varies; 0 outside the mesh.
@@ -205,7 +205,7 @@ def _read(frame: ReferenceFrame, values: np.ndarray, known: np.ndarray, at: np.n
     return (np.stack(channels[:-1], axis=1) / np.maximum(channels[-1], 1e-6)[:, None]).astype(np.float32)
 
 
-def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ...]:
+def make_templates(small: AAM, rotations: str = "upright") -> tuple[OrientationTemplate, ...]:
     """Make the templates of a reduced model: mean and deformed shapes in several rotations."""
     shapes = small.shape_model
     straight = np.zeros(len(shapes.basis))
@@ -220,7 +220,7 @@ def make_templates(small: AAM, rotations: str = "upright") -> tuple[Template, ..
     return tuple(templates)
 
 
-def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[Template, ...]:
+def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[OrientationTemplate, ...]:
     """Make templates of a learnt filter (h, w, 2), of the mean shape in several rotations."""
     import cv2  # heavy: imported when first needed
 
@@ -232,15 +232,15 @@ def rotated_filters(values: np.ndarray, rotations: str, small: AAM) -> tuple[Tem
         affine = np.column_stack([back, centre - back @ middle])
         moved = cv2.warpAffine(values, affine, (size, size), flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
         field = (moved[..., 0] + 1j * moved[..., 1]) * np.exp(1j * turn)
-        found.append(Template(field.astype(np.complex64), -middle, float(turn), straight))
+        found.append(OrientationTemplate(field.astype(np.complex64), -middle, float(turn), straight))
     return tuple(found)
 
 
-def _template(small: AAM, turn: float, p: np.ndarray) -> Template:
+def _template(small: AAM, turn: float, p: np.ndarray) -> OrientationTemplate:
     frame = ReferenceFrame(small.shape_model.shape(p) @ rotation(turn).T, small.triangles)
     at = np.einsum("nv,nvc->nc", frame.weights, small.shape_model.mean[frame.vertices])
     everywhere = np.ones(small.frame.n_pixels, bool)
     mean = _read(small.frame, small.levels[0].appearances["orientation"].mean, everywhere, at, 0.0)
     picture = frame.picture(mean)
     field = (picture[..., 0] + 1j * picture[..., 1]) * np.exp(1j * turn)
-    return Template(field.astype(np.complex64), frame.origin, turn, p)
+    return OrientationTemplate(field.astype(np.complex64), frame.origin, turn, p)

@@ -20,7 +20,7 @@ from liaam.io.landmarks.base import Landmarks, Placing, Size, without_zeros
 
 MAX_BYTES = 500_000_000  # of a landmark file
 
-Row = tuple[int, list[str]]  # a line number, and the cells of the line
+TableLine = tuple[int, list[str]]  # a line number, and the cells of the line
 
 _UNIT = re.compile(r"[(\[]\s*([munµμ]?m|cm|microns?|in|inch(?:es)?|%|percent)\s*[)\]]", re.IGNORECASE)
 _SUMMARY = {"Mean", "SD", "Min", "Max"}  # labels of rows that ImageJ adds below its results
@@ -142,7 +142,7 @@ class Source:
             raise LandmarkError(f"this is not complete XML ({fault}); it may be cut short: export it again.") from fault
 
     @cached_property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[TableLine]:
         """Its rows of cells, without blank ones. Decimal commas become points if commas do not separate."""
         text, separator = re.sub(r"\A(?:[^\S\r\n]*[\r\n])+", "", self.text), ""
         declared = re.match(r"\"?sep=(.)\"?[^\S\n\r]*[\r\n]+", text, re.IGNORECASE)

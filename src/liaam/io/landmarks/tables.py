@@ -18,7 +18,7 @@ from liaam.errors import LandmarkError
 from liaam.io.files import is_number, natural_key
 from liaam.io.landmarks.base import Landmarks, Placing
 from liaam.io.landmarks.matching import names_picture, without_title
-from liaam.io.landmarks.reading import NOWHERE, Row, Source, decimal, named_points, parse_point, plain, size_of
+from liaam.io.landmarks.reading import NOWHERE, Source, TableLine, decimal, named_points, parse_point, plain, size_of
 
 _HEADERS = ("scorer", "individuals", "bodyparts", "coords")  # of DeepLabCut; the second only for several animals
 _WFLW = 5  # pairs of numbers of a box and of attributes
@@ -58,13 +58,13 @@ class Columns:
     size: tuple[int, ...] = ()  # those of the width and height of the images
 
 
-def _check_width(header: Sequence[str], row: Row) -> Row:
+def _check_width(header: Sequence[str], row: TableLine) -> TableLine:
     if len(row[1]) != len(header):
         raise LandmarkError(f"line {row[0]} has {len(row[1])} cells but the header {len(header)}: correct the line.")
     return row
 
 
-def _whole(source: Source, header: Sequence[str], rows: Sequence[Row]) -> list[Row]:
+def _whole(source: Source, header: Sequence[str], rows: Sequence[TableLine]) -> list[TableLine]:
     """Return the rows that have as many cells as the header, and leave out others."""
     return list(source.each(((f"line {row[0]}", row) for row in rows), partial(_check_width, header)))
 
@@ -84,7 +84,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     raw = source.rows[0][1]
     shift = 0.5 if {"X", "Y"} <= {*raw} and (source.text[:2] in (" ,", " \t") or "Label" in raw[:2]) else 0.0
 
-    def make(group: tuple[tuple[str, str], list[Row]]) -> Landmarks:
+    def make(group: tuple[tuple[str, str], list[TableLine]]) -> Landmarks:
         (image, specimen), own = group
         points = []
         for number, row in own:
@@ -102,7 +102,7 @@ def parse_long(source: Source) -> list[Landmarks]:
     return named_points(source, made, numbers) if columns.image is not None or numbers else made
 
 
-def _filled(source: Source, rows: list[Row], column: int | None) -> list[str]:
+def _filled(source: Source, rows: list[TableLine], column: int | None) -> list[str]:
     """Return the names of the images or specimens of rows, which exports of merged cells give in the first row only."""
     if column is None:
         return [""] * len(rows)
@@ -113,17 +113,19 @@ def _filled(source: Source, rows: list[Row], column: int | None) -> list[str]:
     return names
 
 
-def _grouped(source: Source, rows: list[Row], columns: Columns) -> Iterator[tuple[tuple[str, str], list[Row]]]:
+def _grouped(
+    source: Source, rows: list[TableLine], columns: Columns
+) -> Iterator[tuple[tuple[str, str], list[TableLine]]]:
     """Yield the image and the specimen of each object, and its rows.
 
     The rows of an image whose every landmark occurs as often are those of several specimens or replicates.
     """
-    groups = defaultdict[tuple[str, str], list[Row]](list)
+    groups = defaultdict[tuple[str, str], list[TableLine]](list)
     images = map(without_title, _filled(source, rows, columns.image))
     for image, specimen, row in zip(images, _filled(source, rows, columns.specimen), rows, strict=True):
         groups[image, specimen.strip()].append(row)
     for (image, specimen), own in groups.items():
-        parts, seen = defaultdict[int, list[Row]](list), Counter[str]()
+        parts, seen = defaultdict[int, list[TableLine]](list), Counter[str]()
         for number, row in own:
             name = "" if columns.landmark is None else row[columns.landmark].strip()
             seen[name] += 1
@@ -189,11 +191,15 @@ def parse_dlc(source: Source) -> list[Landmarks]:
 
 
 def _of_rows(
-    source: Source, rows: list[Row], objects: dict[str, _Pairs], image_of: Callable[[list[str]], str | None], named=True
+    source: Source,
+    rows: list[TableLine],
+    objects: dict[str, _Pairs],
+    image_of: Callable[[list[str]], str | None],
+    named=True,
 ) -> list[Landmarks]:
     """Return the landmarks of the objects of each row."""
 
-    def make(part: tuple[Row, str]) -> Landmarks:
+    def make(part: tuple[TableLine, str]) -> Landmarks:
         (number, row), label = part
         pairs = objects[label]
         points: Any = [parse_point((row[axes["x"]], row[axes["y"]]), f"line {number}") for axes in pairs.values()]
