@@ -45,14 +45,14 @@ def within_ellipses(shape: np.ndarray, truth: np.ndarray, covariances: np.ndarra
         Probability that an ellipse holds the truth if the covariances are right, 0 to 1.
     """
     errors, covariances = landmark_errors(shape, truth), np.asarray(covariances, np.float64)
-    known = ~np.isnan(errors) & np.isfinite(covariances).all(axis=(-2, -1))
-    values, axes = np.linalg.eigh(np.where(known[..., None, None], covariances, 0.0))
+    comparable = ~np.isnan(errors) & np.isfinite(covariances).all(axis=(-2, -1))
+    values, axes = np.linalg.eigh(np.where(comparable[..., None, None], covariances, 0.0))
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.where(np.isfinite(errors)[..., None], np.subtract(truth, shape), 0.0)
         along = np.einsum("...ab,...a->...b", axes, apart)
         squared = np.sum(along**2 / np.maximum(values, 1e-12), axis=-1)  # of a chi-squared distribution
     inside = np.isfinite(errors) & (squared < -2.0 * np.log1p(-level))
-    return np.where(known, inside.astype(np.float64), np.nan)
+    return np.where(comparable, inside.astype(np.float64), np.nan)
 
 
 def rms_error(shape: np.ndarray, truth: np.ndarray) -> float:
@@ -81,12 +81,12 @@ def error_statistics(errors: np.ndarray) -> dict[str, float | None]:
     errors = np.asarray(errors, dtype=np.float64)
     errors = np.where(np.isfinite(errors), errors, np.inf)
     with np.errstate(over="ignore", invalid="ignore"):
-        found = {
+        statistics = {
             "median": np.median(errors),
             "p90": np.percentile(errors, 90),
             "rms": root_mean_square(errors),
         }
-    return {name: finite_or_none(value) for name, value in found.items()}
+    return {name: finite_or_none(value) for name, value in statistics.items()}
 
 
 def root_mean_square(values) -> float:

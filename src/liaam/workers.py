@@ -106,17 +106,17 @@ def in_order(
     thread are in progress, and at most ``BEHIND`` including finished ones that wait for an earlier item. If an item
     fails or the caller stops, no further item starts, and running ones are completed. ``tick`` is called regularly.
     """
-    rest, kept, pool = iter(items), deque[Future[Result]](), limited_threads(threads)
+    rest, futures, pool = iter(items), deque[Future[Result]](), limited_threads(threads)
     try:
         while True:
-            under_way = [future for future in kept if not future.done()]
-            room = min(AHEAD * threads - len(under_way), BEHIND * threads - len(kept))
+            under_way = [future for future in futures if not future.done()]
+            room = min(AHEAD * threads - len(under_way), BEHIND * threads - len(futures))
             begun = [pool.submit(perform, item) for item in islice(rest, max(0, room))]
-            kept += begun
-            if not kept:
+            futures += begun
+            if not futures:
                 return
-            if kept[0].done():
-                yield kept.popleft().result()
+            if futures[0].done():
+                yield futures.popleft().result()
             else:
                 # With a timeout, because on some systems Ctrl-C does not interrupt a wait.
                 wait([*under_way, *begun], TICK, FIRST_COMPLETED)

@@ -63,7 +63,7 @@ def test_its_parts_hold_all_pixels_that_fits_use(face):
     for part in face.parts:
         view = part.views["surroundings"]
         for level in view.levels:
-            assert level.appearances["soft"].known[pixels_for(view.warp, level.blur)].all()
+            assert level.appearances["soft"].mask[pixels_for(view.warp, level.blur)].all()
 
 
 def test_turned_copies_are_no_further_images(face, run):

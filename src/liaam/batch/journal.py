@@ -44,8 +44,8 @@ ON CONFLICT (place, path) DO UPDATE SET
 def place_of(path: str) -> bytes:
     """Return a sort key of a path for case-insensitive natural order, 2 before 10."""
 
-    def padded(found: re.Match) -> str:
-        digits = found.group().lstrip("0")
+    def padded(match: re.Match) -> str:
+        digits = match.group().lstrip("0")
         return f"{len(digits):03d}{digits}"
 
     return os.fsencode(re.sub("[0-9]+", padded, path.casefold()))
@@ -82,17 +82,17 @@ class Journal:
     @property
     def facts(self) -> dict[str, Any] | None:
         """Settings of the rows; None in a new journal."""
-        found = self._ask("SELECT text FROM facts")
-        facts = json_object(found[0][0]) if found else None
-        if found and facts is None:
+        rows = self._ask("SELECT text FROM facts")
+        facts = json_object(rows[0][0]) if rows else None
+        if rows and facts is None:
             raise self.damage("its settings cannot be read")
         return facts
 
     def check(self) -> None:
         """Raise if the file is damaged, or a row has changed since it was committed."""
-        (found,) = self._ask("PRAGMA integrity_check(1)")
-        if found != ("ok",):
-            raise self.damage(found[0])
+        (verdict,) = self._ask("PRAGMA integrity_check(1)")
+        if verdict != ("ok",):
+            raise self.damage(verdict[0])
         for path, *row, digest in self._pages("path, status, row, digest", "row IS NOT NULL"):
             if _digest(path, *row) != digest:
                 raise self.damage("a row has changed")
@@ -123,10 +123,10 @@ class Journal:
     def statuses(self) -> dict[str, int]:
         """Number of rows by status."""
         statuses = "SELECT status, count(*) FROM pictures WHERE row IS NOT NULL GROUP BY status ORDER BY status"
-        found = dict(self._ask(statuses))
-        if not all(isinstance(status, str) for status in found):
+        counts = dict(self._ask(statuses))
+        if not all(isinstance(status, str) for status in counts):
             raise self.damage("a row has no status")
-        return found
+        return counts
 
     def todo(self) -> Iterator[str]:
         """Iterate over images that have no row and were not in progress when a process died, in order."""
@@ -134,8 +134,8 @@ class Journal:
 
     def suspects(self) -> dict[str, int]:
         """Images without a row, and how often a process died while they were in progress."""
-        found = self._pages("path, begun", "row IS NULL AND begun > 0")
-        deaths = {os.fsdecode(path): number for path, number in found}
+        pages = self._pages("path, begun", "row IS NULL AND begun > 0")
+        deaths = {os.fsdecode(path): number for path, number in pages}
         if not all(isinstance(number, int) for number in deaths.values()):
             raise self.damage("a number is none")
         return deaths
@@ -250,7 +250,7 @@ def _entry(start_of: Callable[[str], Path | None], path: str) -> tuple[bytes, by
 def _state(path: Path | None) -> tuple[int, int] | None:
     """Return size and modification time of a file; None if it cannot be accessed (its row will report why)."""
     try:
-        found = None if path is None else path.stat()
+        status = None if path is None else path.stat()
     except (OSError, ValueError):
         return None
-    return None if found is None else (found.st_size, found.st_mtime_ns)
+    return None if status is None else (status.st_size, status.st_mtime_ns)

@@ -281,8 +281,8 @@ class _Batch:
         except KeyboardInterrupt:
             if not statuses:
                 raise KeyboardInterrupt("stopped: no image is finished yet") from None
-            kept = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
-            raise KeyboardInterrupt(f"stopped: {kept}; run the same command again to resume") from None
+            progress_so_far = f"{statuses.total()} of {total} images are finished and kept in {self.parts}"
+            raise KeyboardInterrupt(f"stopped: {progress_so_far}; run the same command again to resume") from None
         return Summary(self.output, dict(sorted(statuses.items())), statuses.total() - before, perf_counter() - begin)
 
 
@@ -295,13 +295,13 @@ def earlier_summary(output: Path) -> dict[str, Any] | None:
     """Return the summary of the batch that wrote a table; None if it is missing, damaged or of another table."""
     try:
         summary = json.loads(summary_file(output).read_bytes())
-        known = summary["bytes"] == output.stat().st_size
+        unchanged = summary["bytes"] == output.stat().st_size
         statuses, settings, pictures = (summary[key] for key in ("statuses", "settings", "pictures"))
         sound = isinstance(settings, dict) and isinstance(pictures, str) and isinstance(statuses, dict)
         counted = sound and all(type(number) is int and number >= 0 for number in statuses.values())
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
-    return summary if known and counted else None
+    return summary if unchanged and counted else None
 
 
 @contextmanager

@@ -109,7 +109,7 @@ def _write_parquet(path: Path, table: BatchTable) -> None:
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
         rows = iter(table.rows)
         while group := [row for _, row in islice(rows, GROUP)]:
-            writer.write_table(pa.BatchTable.from_pylist(group, schema))
+            writer.write_table(pa.Table.from_pylist(group, schema))
 
 
 def _write_csv(path: Path, table: BatchTable) -> None:
@@ -192,8 +192,8 @@ def _read_csv(path: Path) -> Iterator[dict[str, Any]]:
         headers = {name: _headers(name, marks) for name in _PARTS}
         names = [mark[1:] for mark in marks if mark.startswith("_")]
         for row in reader:
-            found = {name: [row.get(header) or "" for header in own] for name, own in headers.items()}
-            numbers = {name: [float(cell) for cell in cells] for name, cells in found.items() if all(cells)}
+            columns = {name: [row.get(header) or "" for header in header_of] for name, header_of in headers.items()}
+            numbers = {name: [float(cell) for cell in cells] for name, cells in columns.items() if all(cells)}
             yield {**row, NAMES: names, **numbers}
 
 

@@ -212,7 +212,7 @@ class FitJob:
         named = {str(Path(self.folder, start)): str(start), str(Path(self.folder, path)): path}
         named.pop(os.sep, None)  # it is in all paths
         places = "|".join(re.escape(place) for place in sorted(named, key=len, reverse=True))
-        return re.sub(places, lambda found: named[found.group()], message)
+        return re.sub(places, lambda match: named[match.group()], message)
 
 
 def failed_row(path: str, message: str) -> FitRow:

@@ -128,12 +128,12 @@ def agreement(blocks: Averaged) -> list[Agreement]:
     list of Agreement
         One for each pair.
     """
-    found = []
+    agreements = []
     for i, j in combinations(range(len(blocks.invariant)), 2):
         both = np.isfinite(blocks.invariant[i]) & np.isfinite(blocks.invariant[j])
         alike = [_correlation(*values[[i, j]][:, both]) for values in (blocks.invariant, blocks.log_grey)]
-        found.append(Agreement(i, j, alike[0], alike[1], float(both.sum() / max(blocks.wanted, 1))))
-    return found
+        agreements.append(Agreement(i, j, alike[0], alike[1], float(both.sum() / max(blocks.wanted, 1))))
+    return agreements
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -216,16 +216,16 @@ def vignetting_from_flat_field(image: np.ndarray, response: Response = "srgb") -
         return np.concatenate([rest / deviation, z[:TERMS] / TERM_SPREAD])
 
     start = np.concatenate([np.zeros(TERMS), np.linalg.lstsq(tilted, log_light, rcond=None)[0]])
-    found = least_squares(residuals, start, loss="cauchy", f_scale=OUTLYING, x_scale="jac")
-    standard = residuals(found.x)[: len(radius2)]
+    optimum = least_squares(residuals, start, loss="cauchy", f_scale=OUTLYING, x_scale="jac")
+    standard = residuals(optimum.x)[: len(radius2)]
     scale = max(robust_deviation(standard), LEAST_SCALE)
-    covariance = scale**2 * np.linalg.inv(found.jac.T @ found.jac)[:TERMS, :TERMS]
+    covariance = scale**2 * np.linalg.inv(optimum.jac.T @ optimum.jac)[:TERMS, :TERMS]
     rms = float(np.sqrt(np.average(np.square(standard * deviation), weights=robust_weights(standard / scale))))
     if scale > MISFIT and rms > UNEVEN:
         fault = f"the surface is not uniform (its light varies by {100 * rms:.0f} %)"
         return VignettingEstimate(message=f"{_NO_WALL} {fault}; {WHITE_WALL}")
     message = f"From {measured.n} blocks of an evenly lit surface; light falling off to all sides has the same effect."
-    return _vignetting_estimate(found.x[:TERMS], covariance, message)
+    return _vignetting_estimate(optimum.x[:TERMS], covariance, message)
 
 
 def _unlinked(
@@ -331,17 +331,17 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         response = ResponseCurve(tuple(stored.tolist()), tuple(light.tolist()))
         response_errors = tuple(fit.curve_errors(stored).tolist())
     low, high = held = _held(measured)
-    known = (
+    facts = (
         f"From {measured.n} blocks with stored values of {255 * low:.0f} to {255 * high:.0f} (of 255) at exposures "
         f"that differ by a factor of {np.exp(fit.contrast):.2f}."
     )
     if not problem.power_known:
-        known += (
+        facts += (
             " No ratio of exposures is known, so response, vignetting and exposures are known up to a common power, "
             f"which is assumed (to about {100 * RANGE_SPREAD:.0f} %); the invariant angle does not depend on it."
         )
     if fit.scale > MISFIT:
-        known += (
+        facts += (
             f" Residuals are {fit.scale:.0f} times the noise: check for strong JPEG compression, registration errors, "
             "or different lights."
         )
@@ -354,7 +354,7 @@ def _report(fit: ResponseFit, fault: str, lens_fault: str) -> RadiometricEstimat
         power_known=problem.power_known and not fault,
         rms=fit.rms,
         observable=not fault,
-        message=fault or known,
+        message=fault or facts,
         stored_range=held,
     )
 

@@ -81,14 +81,14 @@ def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) 
     stored, deviation, usable, radius2 = np.stack(parts, axis=1)
     y, x, channel = np.mgrid[: stored.shape[1], : stored.shape[2], : stored.shape[3]]
     offset = np.stack([x - x.max() / 2, y - y.max() / 2], axis=-1) / np.hypot(x.max() / 2, y.max() / 2)
-    kept = (usable.sum(axis=0) >= least).ravel()
-    block = np.arange(kept.size) // stored.shape[3]
-    kept &= block % (len(np.unique(block[kept])) // MOST_BLOCKS + 1) == 0
+    chosen = (usable.sum(axis=0) >= least).ravel()
+    block = np.arange(chosen.size) // stored.shape[3]
+    chosen &= block % (len(np.unique(block[chosen])) // MOST_BLOCKS + 1) == 0
     stored, deviation, usable, radius2 = (
-        part.reshape(len(pictures), -1)[:, kept] for part in (stored, deviation, usable > 0, radius2)
+        part.reshape(len(pictures), -1)[:, chosen] for part in (stored, deviation, usable > 0, radius2)
     )
-    offset, channel = offset.reshape(-1, 2)[kept], channel.ravel()[kept]
-    return MeasuredBlocks(stored, deviation, usable, radius2, offset, channel, block[kept])
+    offset, channel = offset.reshape(-1, 2)[chosen], channel.ravel()[chosen]
+    return MeasuredBlocks(stored, deviation, usable, radius2, offset, channel, block[chosen])
 
 
 def _observe_one(picture: np.ndarray, to_first: np.ndarray, size: tuple[int, int], edge: int) -> np.ndarray:

@@ -126,18 +126,18 @@ class Dataset:
             If no sample matches.
         """
         patterns = [which] if isinstance(which, str) or callable(which) else list(which)
-        kept = tuple(
+        selected = tuple(
             sample
             for sample in self.samples
             if any(each(sample) if callable(each) else fnmatchcase(sample.name, each) for each in patterns)
         )
-        if not kept:
+        if not selected:
             some = some_names([sample.name for sample in self.samples])
             wanted = ", ".join(repr(each) for each in patterns)
             raise LiaamError(
                 f"no sample of {self.source or 'the data set'} matches {wanted}: the names are like {some}."
             )
-        return replace(self, samples=kept)
+        return replace(self, samples=selected)
 
     def report(self) -> str:
         """Summarise the number of samples, their formats, and the files left out with reasons, as text."""

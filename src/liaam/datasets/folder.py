@@ -330,7 +330,7 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
     (usual, count), *_ = orders.most_common()
     if count == 1 and len({frozenset(names) for names in orders}) == 1:  # rows in no order
         usual = tuple(sorted(usual, key=natural_key))
-    kept, odd = [], []
+    agreeing, odd = [], []
     for sample in samples:
         try:
             landmarks = sample.landmarks.in_order_of(usual)
@@ -343,8 +343,8 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
             continue
         if landmarks is not sample.landmarks:
             notes.say("images name their landmarks in another order, and are taken by name", sample.name)
-        kept.append(replace(sample, landmarks=landmarks))
-    return kept, odd
+        agreeing.append(replace(sample, landmarks=landmarks))
+    return agreeing, odd
 
 
 def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[UnusedFile]]:

@@ -125,19 +125,19 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
     if len(pictures) < LEAST_PICTURES:
         return []
     sizes = np.array([diagonal_of(shapes[i]) for i in pictures])[:, None, None]
-    own = np.array([shapes[i] for i in pictures], dtype=np.float64)
-    mean, kinds = _reflections(own / sizes)
+    complete = np.array([shapes[i] for i in pictures], dtype=np.float64)
+    mean, kinds = _reflections(complete / sizes)
     # Reflected shapes are compared with y reversed. Orders differ from reflections unless the shape is symmetric.
     mirrored = mirror_order(mean)
     kinds = ["" if kind == "mirrored" and mirrored is not None else kind for kind in kinds]
     flips = np.array([[1.0, -1.0 if kind else 1.0] for kind in kinds])[:, None]
-    upright = own * flips
+    upright = complete * flips
     expected = np.array([_expected(shape, upright, i) for i, shape in enumerate(upright)])
     off = np.linalg.norm(upright - expected, axis=2) / sizes[:, 0]
     usual = np.maximum(np.median(off, axis=0), 1e-4)  # of each landmark, as a fraction of the diagonal
     orders = _orders(mean, mirrored, float(np.median(_fit(upright / sizes, mean))))
     wrong = [
-        _reflected(picture, own[i], kinds[i], mean)
+        _reflected(picture, complete[i], kinds[i], mean)
         if kinds[i]
         else _order_fault(picture, upright, i, expected[i], float(sizes[i, 0, 0]) * usual, mean, orders)
         for i, picture in enumerate(pictures)
@@ -147,13 +147,13 @@ def find_label_faults(shapes: Sequence[np.ndarray], progress: Progress | None = 
         [fault.expected if fault and fault.is_order else e for e, fault in zip(expected, wrong, strict=True)]
     )
     judged = len(mean) >= LEAST_POINTS
-    misplaced = point_outliers(ordered / sizes, near / sizes, progress) if judged else [None] * len(own)
-    found = []
+    misplaced = point_outliers(ordered / sizes, near / sizes, progress) if judged else [None] * len(complete)
+    faults = []
     for i, (fault, outliers) in enumerate(zip(wrong, misplaced, strict=True)):
-        found += [fault] if fault else []
+        faults += [fault] if fault else []
         if outliers and outliers.points and not (fault and fault.is_order):
-            found.append(_stray(pictures[i], own[i], outliers, sizes[i] * flips[i]))
-    return found
+            faults.append(_stray(pictures[i], complete[i], outliers, sizes[i] * flips[i]))
+    return faults
 
 
 def _refuse_unlike(shapes: Sequence[np.ndarray]) -> None:
@@ -220,9 +220,9 @@ def _stray(picture: int, shape: np.ndarray, outliers: Outliers, scale: np.ndarra
     return LabelFault(picture, "stray", points, np.arange(len(shape)), far, far, expected, several)
 
 
-def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
+def _expected(shape: np.ndarray, shapes: np.ndarray, index: int) -> np.ndarray:
     """Expected landmarks (n, 2) float64 of a shape (n, 2): median of its nearest neighbours, without itself."""
-    pool = np.delete(np.arange(len(shapes)), own)
+    pool = np.delete(np.arange(len(shapes)), index)
     if len(pool) > MOST_COMPARED:
         pool = pool[np.linspace(0, len(pool) - 1, MOST_COMPARED).astype(int)]
     placed = resistant_fit(shapes[pool], shape)
@@ -234,14 +234,14 @@ def _expected(shape: np.ndarray, shapes: np.ndarray, own: int) -> np.ndarray:
 def _order_fault(
     picture: int,
     shapes: np.ndarray,
-    own: int,
+    index: int,
     expected: np.ndarray,
     usual: np.ndarray,
     mean: np.ndarray,
     orders: dict[str, np.ndarray],
 ) -> LabelFault | None:
     """Return the fault of ``shapes[own]``, the shape of image ``picture``, that another order corrects, if any."""
-    shape = shapes[own]
+    shape = shapes[index]
     distances = np.linalg.norm(shape - expected, axis=1)
     identity, everything = np.arange(len(shape)), tuple(range(len(shape)))
     if orders and np.median(distances / usual) > ALL_OFF:
@@ -249,7 +249,7 @@ def _order_fault(
         for kind, each in orders.items():  # of each kind, the order nearest to the mean shape
             placed = resistant_fit(shape[each], mean)
             order = each[np.median(np.linalg.norm(placed - mean, axis=2), axis=1).argmin()]
-            elsewhere = _expected(shape[order], shapes, own)
+            elsewhere = _expected(shape[order], shapes, index)
             after = np.linalg.norm(shape[order] - elsewhere, axis=1)
             tried.append((np.median(after / usual), kind, order, elsewhere, after))
         _, kind, order, elsewhere, after = min(tried, key=lambda each: each[0])

@@ -103,7 +103,7 @@ def evaluate(
     >>> print(found.report())                                                               # doctest: +SKIP
     >>> found.to_dataframe().groupby("landmark").error.median()                             # doctest: +SKIP
     """
-    fitter, samples = Fitter.of(model, method, known=evaluate, **settings), _samples(samples)
+    fitter, samples = Fitter.of(model, method, caller=evaluate, **settings), _samples(samples)
     model = fitter.model
     protocol = _protocol(samples, model.landmark_names, model.n_points, model.contours, normalise, limit)
     cases, left_out = _cases(samples, protocol)
@@ -198,7 +198,7 @@ def _protocol(
         each.landmarks for each in samples if len(each.landmarks) == n_points and each.landmarks.names in ((), names)
     ]
     theirs = next((each.contours for each in alike if each.contours), ())
-    contours = contours or tuple((own.indices, own.closed) for own in theirs)
+    contours = contours or tuple((contour.indices, contour.closed) for contour in theirs)
     if limit is not None and not 0 < limit < np.inf:
         raise LiaamError(f"limit {limit:g}: give a positive fraction of the normaliser, such as {LIMIT}")
     if normalise is None:
@@ -218,8 +218,8 @@ def _protocol(
 
 
 def _diagonal(points: np.ndarray) -> float:
-    known = points[np.isfinite(points).all(axis=1)]
-    return diagonal_of(known) if len(known) else np.nan
+    finite = points[np.isfinite(points).all(axis=1)]
+    return diagonal_of(finite) if len(finite) else np.nan
 
 
 def _cases(samples: Sequence[Sample], protocol: _Protocol) -> tuple[list[_Case], list[str]]:
@@ -279,25 +279,25 @@ def _evaluation(
     fits: Iterable[tuple[_Case, FitResult | LiaamError]], protocol: _Protocol, left_out: Sequence[str]
 ) -> Evaluation:
     """Compare each fit with the nearest object of its image."""
-    found, faults = [], list(left_out)
+    matches, faults = [], list(left_out)
     for case, result in fits:
         if isinstance(result, LiaamError):
             faults.append(str(result))
             continue
-        own = [np.nanmean(landmark_errors(result.landmarks, truth)) for truth in case.truths]
-        found.append((case, int(np.argmin(own)), result))
-    if not found:
+        errors = [np.nanmean(landmark_errors(result.landmarks, truth)) for truth in case.truths]
+        matches.append((case, int(np.argmin(errors)), result))
+    if not matches:
         reason = f": {faults[0]}" if faults else "; give landmarked images"
         raise LiaamError(f"there are no images to evaluate{reason}")
     return Evaluation(
-        names=tuple(case.name for case, _, _ in found),
-        images=tuple(case.image for case, _, _ in found),
-        truths=np.array([case.truths[nearest] for case, nearest, _ in found]),
-        landmarks=np.array([result.landmarks for *_, result in found]),
-        covariances=np.array([result.landmark_covariances for *_, result in found]),
-        qualities=np.array([result.quality for *_, result in found]),
-        statuses=tuple(result.status for *_, result in found),
-        sizes=np.array([case.sizes[nearest] for case, nearest, _ in found]),
+        names=tuple(case.name for case, _, _ in matches),
+        images=tuple(case.image for case, _, _ in matches),
+        truths=np.array([case.truths[nearest] for case, nearest, _ in matches]),
+        landmarks=np.array([result.landmarks for *_, result in matches]),
+        covariances=np.array([result.landmark_covariances for *_, result in matches]),
+        qualities=np.array([result.quality for *_, result in matches]),
+        statuses=tuple(result.status for *_, result in matches),
+        sizes=np.array([case.sizes[nearest] for case, nearest, _ in matches]),
         normaliser=protocol.normaliser,
         limit=protocol.limit,
         landmark_names=protocol.names,

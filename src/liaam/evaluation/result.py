@@ -88,7 +88,7 @@ class Evaluation:
     def outline_errors(self) -> np.ndarray:
         """The same with the distances of landmarks on contours from the true contours, (k,) float64."""
         each = zip(self.landmarks, self.truths, strict=True)
-        return np.array([np.nanmean(outline_errors(*own, self.contours)) for own in each]) / self.sizes
+        return np.array([np.nanmean(outline_errors(*pair, self.contours)) for pair in each]) / self.sizes
 
     @cached_property
     def directions(self) -> np.ndarray:
@@ -143,17 +143,19 @@ class Evaluation:
         With contours also the error ``along`` and ``across`` them, pixels.
         """
         parts = [
-            landmark_columns({"image": name}, own, spread, self.landmark_names, quality=quality, status=str(status))
-            for name, own, spread, quality, status in zip(
+            landmark_columns(
+                {"image": name}, landmarks, spread, self.landmark_names, quality=quality, status=str(status)
+            )
+            for name, landmarks, spread, quality, status in zip(
                 self.names, self.landmarks, self.covariances, self.qualities.tolist(), self.statuses, strict=True
             )
         ]
-        found = {column: [cell for part in parts for cell in part[column]] for column in parts[0]}
+        columns = {column: [cell for part in parts for cell in part[column]] for column in parts[0]}
         more = {"true_x": self.truths[..., 0], "true_y": self.truths[..., 1]}
         more |= {"error": self.distances, "error_percent": self._relative}
         if self.contours:
             more |= {"along": self.components[..., 0], "across": self.components[..., 1]}
-        return found | {name: values.ravel().tolist() for name, values in (more | {"inside": self.inside}).items()}
+        return columns | {name: values.ravel().tolist() for name, values in (more | {"inside": self.inside}).items()}
 
     @property
     def _relative(self) -> np.ndarray:
@@ -253,13 +255,13 @@ class Evaluation:
 
 def _percentile(values: np.ndarray, percent: float) -> float:
     """Return a percentile of the values that are known; infinite where it lies among infinite ones."""
-    known = values[~np.isnan(values)]
-    if not len(known):
+    present = values[~np.isnan(values)]
+    if not len(present):
         return np.nan
     with np.errstate(invalid="ignore"):  # between two infinite values
-        return float(np.nan_to_num(np.percentile(known, percent), nan=np.inf, posinf=np.inf))
+        return float(np.nan_to_num(np.percentile(present, percent), nan=np.inf, posinf=np.inf))
 
 
 def _mean(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if len(known) else np.nan
+    present = values[~np.isnan(values)]
+    return float(present.mean()) if len(present) else np.nan

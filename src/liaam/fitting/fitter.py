@@ -85,20 +85,20 @@ class Fitter(OneShapeFitter):
 
     @classmethod
     def of(
-        cls, model: AAM | str, method: str | Method = DEFAULT_METHOD, *, known: Callable | None = None, **settings
+        cls, model: AAM | str, method: str | Method = DEFAULT_METHOD, *, caller: Callable | None = None, **settings
     ) -> "Fitter":
         """Make a fitter from its own fields and those of :class:`SolverOptions`, all by name.
 
         ``model`` may be the name of one that comes with liaam. An unknown setting raises an error that also suggests
-        the parameters of the function ``known``, to which the settings were given.
+        the parameters of the function ``caller``, to which the settings were given.
         """
-        own = {name: settings.pop(name) for name in OWN_SETTINGS if name in settings}
+        fitter_settings = {name: settings.pop(name) for name in OWN_SETTINGS if name in settings}
         solver_settings = [field.name for field in fields(SolverOptions)]
         if not settings.keys() <= set(solver_settings):
-            parameters = () if known is None else signature(known).parameters.values()
+            parameters = () if caller is None else signature(caller).parameters.values()
             of_function = [each.name for each in parameters if each.kind != each.VAR_KEYWORD]
             check_options(settings, [*dict.fromkeys([*of_function, *OWN_SETTINGS, *solver_settings])])
-        return cls(named_model(model), method, SolverOptions(**settings), **own)
+        return cls(named_model(model), method, SolverOptions(**settings), **fitter_settings)
 
     def __post_init__(self) -> None:
         """Raise errors now, not at the first image, where these attributes are first needed."""

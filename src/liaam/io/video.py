@@ -100,8 +100,8 @@ class VideoReader:
             self._source: _Camera | _Folder | _File = _Camera(source)
         else:
             self._source = _Folder(Path(source)) if Path(source).is_dir() else _File(source)
-        self.rate, known = self._source.rate, self._source.n_frames
-        last = stop if not known else min(known, stop or known)
+        self.rate, n_frames = self._source.rate, self._source.n_frames
+        last = stop if not n_frames else min(n_frames, stop or n_frames)
         self.n_frames = None if last is None else max(0, last - start)
         self._frames: Generator[VideoFrame, None, None] | None = None
         self._closed = False

@@ -103,8 +103,8 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     The shapes of a model of several are drawn below each other.
     """
     parts = [(part, part.levels[-1].appearances["log"]) for part in model.parts]
-    known = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
-    shown = max(1, min(n_modes, known))
+    most = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
+    shown = max(1, min(n_modes, most))
     figure, grid = subplots(2 * len(parts), 2 + shown, (2.6 * (2 + shown), 6.0 * len(parts)))
     for axis in grid.ravel():
         axis.axis("off")

@@ -56,11 +56,15 @@ class Surroundings:
         """Divide an image, whose edges in the logarithms of light (h, w, 3) are distances, around a mask (h, w)."""
         light = np.exp(own)
         own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
-        seen, away, known = cv2.GaussianBlur(own, (0, 0), BLUR_OWN), distance(~inside)[..., None], inside[..., None]
+        seen, away, in_object = (
+            cv2.GaussianBlur(own, (0, 0), BLUR_OWN),
+            distance(~inside)[..., None],
+            inside[..., None],
+        )
         elsewhere, (rows, columns) = (away > BACKGROUND * reach).astype(np.float32), _extent(inside)
         elsewhere[rows.stop - 1 :, columns] = 0.0  # below it is no background, but a neck or a stem
         near, far = np.dsplit(np.square(averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))), 2)
-        nearer = np.where(known, np.float32(1.0), near / np.maximum(near + far, 1e-12))
+        nearer = np.where(in_object, np.float32(1.0), near / np.maximum(near + far, 1e-12))
         alike, bright = _alike(inside, own, reach)
         solid = np.pad((bright <= A_LITTLE) & (nearer >= 0.5), ((1, 1), (1, 1), (0, 0))).astype(np.uint8)
         cv2.floodFill(solid, None, (0, 0), 1)
@@ -69,9 +73,9 @@ class Surroundings:
         belongs = (alike * (1.0 - bright) + gloss) * np.maximum(nearer, enclosed)
         depth = distance(np.pad(inside, 1))[1:-1, 1:-1]
         belongs = np.where((depth > min(BORDER * reach, 0.5 * depth.max()))[..., None], np.float32(1.0), belongs)
-        belongs = np.where(known, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
+        belongs = np.where(in_object, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
         share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
-        share[share <= LEAST_SHARE], gloss[known] = 0.0, 0.0
+        share[share <= LEAST_SHARE], gloss[in_object] = 0.0, 0.0
         return cls(inside, belongs, gloss, share, seen, reach)
 
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
@@ -112,13 +116,13 @@ def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarra
 
 def averaged(layers: np.ndarray, seen: np.ndarray, scale: float) -> np.ndarray:
     """Average layers (h, w, c) in a Gaussian of ``scale`` pixels within the edges of an image ``seen``, (h, w, 3)."""
-    found = np.array(layers, np.float32, order="C")
+    filtered = np.array(layers, np.float32, order="C")
     # Standard deviations halve, and their squares sum to scale ** 2 (their equation 14).
     deviation = scale * np.sqrt(3.0) * 2.0 ** (ROUNDS - 1) / np.sqrt(4.0**ROUNDS - 1.0)
     steps = (np.abs(np.diff(seen, axis=axis)) for axis in (1, 0))
     lengths = (1.0 + np.float32(scale / EDGE) * (each[..., 0] + each[..., 1] + each[..., 2]) for each in steps)
-    kept = [np.exp(np.float32(-np.sqrt(2.0) / deviation) * each) for each in lengths]
+    factors = [np.exp(np.float32(-np.sqrt(2.0) / deviation) * each) for each in lengths]
     for _ in range(ROUNDS):
-        _core.filter_rows_and_columns(found, *kept)
-        kept = [np.square(each) for each in kept]
-    return found
+        _core.filter_rows_and_columns(filtered, *factors)
+        factors = [np.square(each) for each in factors]
+    return filtered

@@ -40,8 +40,8 @@ def spared(
     if not clipped:
         return light, own
     bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
-    known = bright * around.belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
-    colour = averages(colours, known, COLOUR_REACH * region.reach, FALLBACK)
+    weights = bright * around.belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
+    colour = averages(colours, weights, COLOUR_REACH * region.reach, FALLBACK)
     whole, at = own.copy(), np.nonzero(some)
     colour, seen = region.enlarged(colour)[at], own[at]
     over = seen >= CLIPPED

@@ -400,7 +400,7 @@ def relight(
         raise LiaamError("light and like cannot be combined; give one of them")
     lamps = None if light is None else lamps_of(light)
     check_ambient(ambient)
-    fitter = Fitter.of(model, method, known=relight, **settings)
+    fitter = Fitter.of(model, method, caller=relight, **settings)
     check_colour(fitter.model)
     other = None
     if like is not None:

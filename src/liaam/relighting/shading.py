@@ -124,37 +124,41 @@ def appearance_in_light(
     pixels that are ``usable`` (n_pixels,), 0 or 1. Also return the covariance (k, k) of the coordinates of the light,
     and the logarithm of the image's level (3,), times the probability of another light than that of training.
     """
-    known, (every, unexplained) = model.levels[-1].appearances["log"], light_on_frame(model)
-    n, side = known.n_modes, CORRELATED * model.diagonal
+    appearance, (every, unexplained) = model.levels[-1].appearances["log"], light_on_frame(model)
+    n, side = appearance.n_modes, CORRELATED * model.diagonal
     step = max(1, int(side / ACROSS))
-    kept = np.flatnonzero((model.frame.pixels % step == 0).all(axis=1))
-    part, usable = known.at(kept), (usable * (known.usable > 0))[kept]
+    pixels = np.flatnonzero((model.frame.pixels % step == 0).all(axis=1))
+    part, usable = appearance.at(pixels), (usable * (appearance.usable > 0))[pixels]
     together = 1.0 if model.light is None else max(1.0, np.square(side / step))
     levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
-    every = np.concatenate([every[:, kept], np.broadcast_to(levels[:, None], (3, len(kept), 3))])
-    precision = np.concatenate([1.0 / np.maximum(known.eigenvalues, 1e-12), np.ones(len(every))])
+    every = np.concatenate([every[:, pixels], np.broadcast_to(levels[:, None], (3, len(pixels), 3))])
+    precision = np.concatenate([1.0 / np.maximum(appearance.eigenvalues, 1e-12), np.ones(len(every))])
     grey, each = np.ones((3, 3)), np.eye(3)
-    of_light = np.square(unexplained[kept])[:, None, None] * (grey + COLOURED**2 * (each - grey / 3.0))
+    of_light = np.square(unexplained[pixels])[:, None, None] * (grey + COLOURED**2 * (each - grey / 3.0))
     of_model = UNKNOWN**2 * grey if part.unexplained is None else part.unexplained
-    errors = of_model + NOISE_FACTOR * noise[kept, None] * each + of_light
+    errors = of_model + NOISE_FACTOR * noise[pixels, None] * each + of_light
     whitened = np.linalg.cholesky(np.linalg.inv(errors)).astype(np.float32)
-    target = np.einsum("nc,ncd->nd", log[kept] - part.mean, whitened).ravel()
+    target = np.einsum("nc,ncd->nd", log[pixels] - part.mean, whitened).ravel()
     modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, every]), whitened, optimize=True)
     modes, weights = modes.reshape(len(modes), -1), usable
     for _ in range(PASSES):
         rows = modes * np.repeat(weights / np.float32(together), 3)
         hessian = (rows @ modes.T).astype(np.float64) + np.diag(precision)
-        found = np.linalg.solve(hessian, rows @ target)
-        left = (target - found.astype(np.float32) @ modes).reshape(-1, 3)
+        estimate = np.linalg.solve(hessian, rows @ target)
+        left = (target - estimate.astype(np.float32) @ modes).reshape(-1, 3)
         weights = usable * ((FREEDOM + 3.0) / (FREEDOM + np.square(left).sum(axis=1)))
-    own, covariance = slice(n, -3), np.linalg.inv(hessian)
-    light, variance = found[own], covariance[own, own]
+    of_light_modes, covariance = slice(n, -3), np.linalg.inv(hessian)
+    light, variance = estimate[of_light_modes], covariance[of_light_modes, of_light_modes]
     same = as_in_training(light, variance)
-    level = np.float32(1.0 - same) * (found[-3:].astype(np.float32) @ levels)
-    found = found - same * covariance[:, own] @ np.linalg.solve(variance, light)
+    level = np.float32(1.0 - same) * (estimate[-3:].astype(np.float32) @ levels)
+    estimate = estimate - same * covariance[:, of_light_modes] @ np.linalg.solve(variance, light)
     spread = (1.0 - same) * (variance + same * np.outer(light, light))
     deviations = np.sqrt(np.diag(covariance)[:n])
-    return ShadowFree(known.texture(found[:n]), found[:n], deviations, found[own]), spread, level
+    return (
+        ShadowFree(appearance.texture(estimate[:n]), estimate[:n], deviations, estimate[of_light_modes]),
+        spread,
+        level,
+    )
 
 
 def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
@@ -205,10 +209,10 @@ def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Res
         left = without_pairs(model, left, bright)
     weights = usable / (errors_of_the_model(model) + NOISE_FACTOR * noise.mean(axis=1))
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
-    kept = wrong / (wrong + uncertain)
+    share = wrong / (wrong + uncertain)
     brightness = modes.mean(axis=2)
-    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + kept * uncertain
-    light = lit + kept[:, None] * without_marks(model, left, weights, contrast)
+    variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + share * uncertain
+    light = lit + share[:, None] * without_marks(model, left, weights, contrast)
     deviation = np.sqrt(np.maximum(variance, 0.0))
     return appearance, Shading(appearance.light, light.astype(np.float32), deviation.astype(np.float32))
 
@@ -217,10 +221,10 @@ def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Res
 def errors_of_the_model(model: AAM) -> np.ndarray:
     """Return the variance of the errors of a model's appearance in fitted images, (n_pixels,) float32."""
     unexplained = model.levels[-1].appearances["log"].unexplained
-    known = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
+    variance = UNKNOWN**2 if unexplained is None else np.trace(unexplained, axis1=1, axis2=2) / 3.0
     depth = distance(model.frame.picture(np.ones(model.n_pixels)) > 0)[tuple(model.frame.pixels.T)]
     soft = smoothstep((depth - 1.0) / (SOFT_EDGE * model.diagonal))
-    return (known + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
+    return (variance + np.square(AT_THE_BORDER * (1.0 - soft))).astype(np.float32)
 
 
 def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: np.ndarray) -> np.ndarray:
@@ -234,8 +238,8 @@ def without_marks(model: AAM, left: np.ndarray, weights: np.ndarray, contrast: n
     medians = cv2.medianBlur(levels, round(MARK * model.diagonal) | 1)[tuple(model.frame.pixels.T)]
     near = medians / np.float32(STEPS) - 2.0
     for _ in range(2):
-        kept = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
-        near = smoothed(model, left, SMOOTHNESS, kept)
+        unmarked = weights * np.exp(-0.5 * np.square((left - near) / contrast[:, None]).mean(axis=1))
+        near = smoothed(model, left, SMOOTHNESS, unmarked)
     return near
 
 
@@ -273,8 +277,8 @@ def shared_by_halves(model: AAM, values: np.ndarray, mirrored: np.ndarray) -> np
 
 def smoothed(model: AAM, values: np.ndarray, scale: float, weights: np.ndarray | None = None) -> np.ndarray:
     """Average values (n_pixels, ...) of the frame, by weights (n_pixels,), in a Gaussian of ``scale`` diagonals."""
-    kept = np.ones((len(values), 1)) if weights is None else weights[:, None]
-    picture = model.frame.picture(np.hstack([values.reshape(len(values), -1) * kept, kept]))
+    weight = np.ones((len(values), 1)) if weights is None else weights[:, None]
+    picture = model.frame.picture(np.hstack([values.reshape(len(values), -1) * weight, weight]))
     sums = cv2.GaussianBlur(picture, (0, 0), scale * model.diagonal, borderType=cv2.BORDER_CONSTANT)
     sums = sums[tuple(model.frame.pixels.T)]
     return (sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9)).reshape(values.shape)

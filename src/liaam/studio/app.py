@@ -164,13 +164,13 @@ class Studio:
 
     def _overview(self, request: Request) -> dict[str, Any]:
         project, training, model = self.project, self.training, self.models.current
-        known = request.query_params.get("stamp", "")
+        stamp = request.query_params.get("stamp", "")
         # Read before the data: a change in between shows up in the next request.
         sets = project.sets
         suffix = f"-{0 if model is None else model.number}-{training.state.state}-{self.background.checks}-{len(sets)}"
-        overview = project.overview(known.removesuffix(suffix) if known.endswith(suffix) else None, OVERVIEW_SECONDS)
+        overview = project.overview(stamp.removesuffix(suffix) if stamp.endswith(suffix) else None, OVERVIEW_SECONDS)
         if overview is None:
-            return {"unchanged": True, "stamp": known}
+            return {"unchanged": True, "stamp": stamp}
         training.follow_template()
         return {
             "id": project.store.id,
@@ -281,8 +281,8 @@ class Studio:
         asked = request.path_params
         picture = self.uploads.source(asked["id"]) if "id" in asked else self.project.source(asked["name"])
         headers = {"etag": f'"{picture.tag}-{kind}"', "cache-control": "private, no-cache"}
-        known = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-        if headers["etag"] in known:
+        tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+        if headers["etag"] in tags:
             return Response(status_code=304, headers=headers)
         try:
             return Response(make(picture), media_type=media, headers=headers)

@@ -77,7 +77,7 @@ class Fit:
 
     def as_json(self) -> dict[str, Any]:
         """Return the fit as JSON for the page. ``objects`` are boxes (left, top, right, bottom), its own first."""
-        result, model, found = self.result, self.model, self.result.found
+        result, model, detection = self.result, self.model, self.result.found
         is_finite = bool(np.isfinite(result.landmarks).all())
         shapes = [result.landmarks, *(each.landmarks for each in result.beside)] if result.beside and is_finite else []
         boxes = [np.concatenate([shape.min(axis=0), shape.max(axis=0)]) for shape in shapes]
@@ -95,7 +95,9 @@ class Fit:
             "deviations": numbers(result.sd, 3),
             "theta_deg": result.theta_degrees,
             "cost": finite_or_none(result.cost),
-            "found": None if found is None else {"score": round(found.score, 4), "doubtful": found.doubtful},
+            "found": None
+            if detection is None
+            else {"score": round(detection.score, 4), "doubtful": detection.doubtful},
             "n_found": result.n_found,
             "objects": [numbers(box, 1) for box in boxes],
             "iterations": [
@@ -313,11 +315,11 @@ def error_of(shape: np.ndarray, truth: np.ndarray | None) -> tuple[float, float]
     """Return the mean distance from the true landmarks in pixels and in percent of their diagonal, if defined."""
     if truth is None or truth.shape != shape.shape or not np.isfinite(shape).all():
         return None
-    known = truth[np.isfinite(truth).all(axis=1)]
-    if len(known) < 2 or not diagonal_of(known) > 0:
+    present = truth[np.isfinite(truth).all(axis=1)]
+    if len(present) < 2 or not diagonal_of(present) > 0:
         return None
     error = point_error(shape, truth)
-    return error, 100.0 * error / diagonal_of(known)
+    return error, 100.0 * error / diagonal_of(present)
 
 
 def truth_of(landmarks: Landmarks | None) -> np.ndarray | None:

@@ -134,10 +134,11 @@ def model_json(current: ModelInUse | None, done: Mapping[str, str], unread: Coll
     if current is None:
         return None
     model, facts = current.model, current.facts
-    known, left_out = facts["pictures"], facts.get("left_out", {})
-    lost = known.keys() - left_out - done.keys() - set(unread)  # left out by the user since, or without landmarks now
+    trained_on, left_out = facts["pictures"], facts.get("left_out", {})
+    # left out by the user since, or without landmarks now
+    lost = trained_on.keys() - left_out - done.keys() - set(unread)
     # A picture that has changed since may be used by the next training.
-    same = {name for name, revision in done.items() if known.get(name) == revision}
+    same = {name for name, revision in done.items() if trained_on.get(name) == revision}
     return {
         "number": current.number,
         "name": facts.get("name", model.name),

@@ -80,9 +80,9 @@ class Kept(Generic[K, V]):
         with self._lock:
             if (value := self.peek(key)) is not None:
                 return value
-            known = self._being_made.get(key)
-            future = self._being_made[key] = known or Future()
-        if known is None:
+            pending = self._being_made.get(key)
+            future = self._being_made[key] = pending or Future()
+        if pending is None:
             try:
                 future.set_result(make())
             except BaseException as fault:

@@ -110,9 +110,11 @@ class Project:
         """Return the JSON of a request. Refuse what is no object, or whose ``folder`` is the id of another folder."""
         if not isinstance(data, dict):
             raise Refusal(422, f"send an object with {wanted}")
-        own = self.store.id
-        if data.get("folder", own) != own:
-            raise Refusal(409, "the studio now serves another folder than this page shows: reload it", folder=own)
+        identifier = self.store.id
+        if data.get("folder", identifier) != identifier:
+            raise Refusal(
+                409, "the studio now serves another folder than this page shows: reload it", folder=identifier
+            )
         return data
 
     @property
@@ -144,8 +146,14 @@ class Project:
     def _stamp(self) -> str:
         listing, store, templates = self._listing, self.store, self.templates
         files = (listing.version, listing.stranded, listing.unlisted)
-        own = (store.writes, sorted(store.faults.items()), templates.offered, templates.is_pending, self._states.slips)
-        return revision_of(repr((self._salt, files, own)).encode())
+        state = (
+            store.writes,
+            sorted(store.faults.items()),
+            templates.offered,
+            templates.is_pending,
+            self._states.slips,
+        )
+        return revision_of(repr((self._salt, files, state)).encode())
 
     def overview(self, stamp: str | None = None, seconds: float = math.inf) -> Overview | None:
         """Return all pictures, or None if nothing has changed since a :attr:`stamp`.
@@ -209,7 +217,7 @@ class Project:
 
     def annotated(self, among: Container[str] | None = None) -> list[Annotated]:
         """Return the done pictures that are not left out of training; with ``among``, of these at the last scan."""
-        states, found = self._states, []
+        states, items = self._states, []
         with self._lock:
             if among is None:
                 self._rescan(strict=True)
@@ -219,44 +227,47 @@ class Project:
                     marks, (slip, _) = self._landmarks.of(file), states.slip_of(file)
                     assert marks.landmarks is not None
                     version = states.version_of(marks)
-                    found.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
-        return found
+                    items.append(Annotated(file.name, self.root / file.name, marks.landmarks.points, version, slip))
+        return items
 
     def export(self, kind: str) -> tuple[str, bytes]:
         """Return the name and the content of a file with the landmarks of all pictures, one of :data:`EXPORTS`."""
         if kind not in EXPORTS:
             raise Refusal(422, f"landmarks cannot be exported as '{kind[:40]}': choose one of {', '.join(EXPORTS)}")
-        found, name = self.placed("export"), plain_name(self.title) + EXPORTS[kind]
+        placed, name = self.placed("export"), plain_name(self.title) + EXPORTS[kind]
         if kind == "pts":
             stream = io.BytesIO()
             with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-                for file, landmarks, _ in found:
+                for file, landmarks, _ in placed:
                     archive.writestr(f"{file.stem}.pts", text_of(landmarks, ".pts"))
             return name, stream.getvalue()
-        collection = {file.name: landmarks for file, landmarks, _ in found}
-        return name, collection_text(name, collection, {file.name: size for file, _, size in found}).encode()
+        collection = {file.name: landmarks for file, landmarks, _ in placed}
+        return name, collection_text(name, collection, {file.name: size for file, _, size in placed}).encode()
 
     def measurements(self, measures: str, scale: str) -> tuple[str, bytes]:
         """Return the name and the content of a table of measurements, as ``liaam measure`` writes them."""
-        found = self.placed("measure")
-        specimens = [Specimen(file.stem, own.points, names=own.names, scale=own.scale) for file, own, _ in found]
+        placed = self.placed("measure")
+        specimens = [
+            Specimen(file.stem, landmarks.points, names=landmarks.names, scale=landmarks.scale)
+            for file, landmarks, _ in placed
+        ]
         columns = measure(specimens, measures.split(), scale or None)
         return f"{plain_name(self.title)}-measurements.csv", columns_text(columns).encode()
 
     def placed(self, to: str = "export") -> list[tuple[File, Landmarks, tuple[int, int]]]:
         """Return the usable pictures with landmarks for the current template, their landmarks, and their sizes."""
-        found = []
+        items = []
         with self._lock:
             self._rescan(strict=True)
             template = self.templates.current
             for file in self._listing.pictures:
                 marks, size = self._landmarks.of(file), self._listing.size_of(file)
                 if template and marks.landmarks and marks.fits(template) and not isinstance(size, str):
-                    own = replace(marks.landmarks, scale=self._landmarks.scale_of(file), names=template.names)
-                    found.append((file, own, size))
-        if not found:
+                    landmarks = replace(marks.landmarks, scale=self._landmarks.scale_of(file), names=template.names)
+                    items.append((file, landmarks, size))
+        if not items:
             raise Refusal(422, f"no picture has landmarks yet: place the points of one, then {to}")
-        return found
+        return items
 
     def unfitted(self, model: str = "") -> list[tuple[str, Path]]:
         """Return the names and paths of the usable pictures without points to which a model, by key, was not fitted.
@@ -270,8 +281,8 @@ class Project:
             blank = [file for file in by if by[file] != model and not self._landmarks.of(file).n_placed]
             names = [file.name for file in blank if not isinstance(self._listing.size_of(file), str)]
             ranks = self._states.ranks() if any(map(proposals.of, blank)) else {}
-            known = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
-            turns = zip_longest(known, (name for name in names if name not in ranks))
+            ranked = sorted((name for name in names if name in ranks), key=ranks.__getitem__)
+            turns = zip_longest(ranked, (name for name in names if name not in ranks))
             return [(name, self.root / name) for turn in turns for name in turn if name is not None]
 
     def take_in(self, name: str, data: bytes) -> dict[str, Any]:

@@ -121,8 +121,8 @@ class Trainer:
             is_stale = self.state.state == "running" and self._order != order
         if is_stale:
             self.stop()
-        own = self.models.own
-        if own is not None and own.facts["source"] == "studio" and own.facts.get("order", "") != order:
+        trained = self.models.own
+        if trained is not None and trained.facts["source"] == "studio" and trained.facts.get("order", "") != order:
             self.models.publish(None)
             store.set_aside(MODEL_FILE)
             store.put("model", {MODEL_FILE: None})
@@ -213,8 +213,8 @@ def _work(job: TrainingJob, pipe: Any) -> None:
                 for item in job.done:
                     if item.name in job.held_out:
                         with suppress(LiaamError, MemoryError):
-                            found = fitter.fit(item.path).landmarks
-                            error = point_error(found, item.points) / diagonal_of(item.points)
+                            landmarks = fitter.fit(item.path).landmarks
+                            error = point_error(landmarks, item.points) / diagonal_of(item.points)
                             if np.isfinite(error):
                                 errors[item.name] = round(error, 5)
                 pipe.send(("measured", errors))
@@ -252,8 +252,8 @@ def _train(
         used = [item for item in job.done if item.name not in {*left_out, *unused}]
         marks = [Landmarks(item.points, job.contours, job.names) for item in used]
         items = [
-            SimpleNamespace(name=item.name, landmarks=own, read_image=partial(read, item))
-            for item, own in zip(used, marks, strict=True)
+            SimpleNamespace(name=item.name, landmarks=landmarks, read_image=partial(read, item))
+            for item, landmarks in zip(used, marks, strict=True)
         ]
         try:
             with warnings.catch_warnings(record=True) as caught:

@@ -1,6 +1,6 @@
 """Train an active appearance model from landmarked images."""
 
-from liaam.training.kept import compact
+from liaam.training.compacting import compact
 from liaam.training.lamps import LearntLamps, learn_lamps, load_lamps
 from liaam.training.options import TrainingOptions
 from liaam.training.textures import sample_appearance

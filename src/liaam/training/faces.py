@@ -45,6 +45,6 @@ def face_lamps(entries: Sequence[Entry], mean: np.ndarray, camera: CameraModel) 
     apart = np.linalg.norm(shapes - middle, axis=2).mean(axis=1)
     if not (np.median(apart) <= AGREEMENT and np.median(qualities) >= LEAST_QUALITY):
         return None
-    known = load_file(LAMPS)
-    names = tuple(f"head{1 + i // N_LAMPS}-{i % N_LAMPS:02d}" for i in range(len(known["fields"])))
-    return LearntLamps(mean, carried(known["mean"], known["fields"], middle), names)
+    bank = load_file(LAMPS)
+    names = tuple(f"head{1 + i // N_LAMPS}-{i % N_LAMPS:02d}" for i in range(len(bank["fields"])))
+    return LearntLamps(mean, carried(bank["mean"], bank["fields"], middle), names)

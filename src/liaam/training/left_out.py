@@ -49,8 +49,8 @@ def calibrated(
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
-            known = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, sampled, settings, methods, known)
+            usable_rows = np.flatnonzero(~np.isin(copied.lit_by, lamps))
+            part = _without(model, fold, shapes, sampled, settings, methods, usable_rows)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
@@ -58,10 +58,14 @@ def calibrated(
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
                     yield LeftOutImage(part, relit, shapes[j], relit=True)
 
-    found = calibrate(model, images(), methods)
+    reliabilities = calibrate(model, images(), methods)
     for view in VIEWS:
-        own = {method.name: found[method.name] for method in methods if method.view == view and method.name in found}
-        model = model.with_view(view, reliabilities=own)
+        of_view = {
+            method.name: reliabilities[method.name]
+            for method in methods
+            if method.view == view and method.name in reliabilities
+        }
+        model = model.with_view(view, reliabilities=of_view)
     return model
 
 
@@ -111,11 +115,11 @@ def _without(
     sampled: Sampled,
     settings: ViewSettings,
     methods: Sequence[Method],
-    known: np.ndarray,
+    usable_rows: np.ndarray,
 ) -> AAM:
     """Train a model without a fold, on the frame and with the settings of the whole model.
 
-    Of the textures with copies, only the ``known`` are used: those under lamps that are not left out.
+    Of the textures with copies, only the ``usable_rows`` are used: those under lamps that are not left out.
     """
     others = np.setdiff1d(np.arange(len(shapes)), fold)
     for name in dict.fromkeys(method.view for method in methods):
@@ -123,15 +127,15 @@ def _without(
         view, levels = model.views[name], []
         needed = set().union(*(needed_by(method) for method in methods if method.view == name))
         for i, level in enumerate(view.levels):
-            found = {}
+            appearances = {}
             for kind in needed & level.appearances.keys():
                 whole, rows = level.appearances[kind], sampled.rows(kind, others)
-                rows = np.intersect1d(rows, known) if kind in COPIED_APPEARANCES else rows
-                kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
-                part = train_appearance_model(sampled.textures[kind][i], kept, rows, left_out=None)
+                rows = np.intersect1d(rows, usable_rows) if kind in COPIED_APPEARANCES else rows
+                retained = whole.n_modes if appearance_variance == "auto" else appearance_variance
+                part = train_appearance_model(sampled.textures[kind][i], retained, rows, left_out=None)
                 # The error on unseen images is that of the whole model's folds.
-                found[kind] = replace(part, unexplained=whole.unexplained)
-            levels.append(Level(level.blur, found))
+                appearances[kind] = replace(part, unexplained=whole.unexplained)
+            levels.append(Level(level.blur, appearances))
         modes = len(view.shape_model.modes) if variance == "auto" else variance
         part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
         model = model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))

@@ -18,10 +18,10 @@ from liaam.photometry.camera import check_camera
 from liaam.photometry.features import FeatureFunction
 from liaam.progress import Progress, reported
 from liaam.training import faces
+from liaam.training.compacting import ALL, chosen, keep_only, wanted
 from liaam.training.entries import Entry, TrainingData, check_flat, mesh_of, read_entries, without_folded
 from liaam.training.features import encoder_of
 from liaam.training.images import check_images
-from liaam.training.kept import ALL, chosen, keep_only, wanted
 from liaam.training.lamps import Copies, LearntLamps, learn_lamps
 from liaam.training.left_out import ViewSettings, calibrated, can_be_calibrated, fitted_of, folds_of
 from liaam.training.options import AUTO, TrainingOptions
@@ -292,8 +292,8 @@ def _with_appearances(
 
 def _settings_of_parts(shapes: _Shapes, options: TrainingOptions) -> ViewSettings:
     """Return what models are trained with from which some images are left out: the same as the whole model."""
-    kept = options.appearance_variances
-    return {view: (shapes.recipes[view], options.variance, kept[view]) for view in VIEWS}
+    variances = options.appearance_variances
+    return {view: (shapes.recipes[view], options.variance, variances[view]) for view in VIEWS}
 
 
 def _methods_to_calibrate(options: TrainingOptions) -> list[Method]:

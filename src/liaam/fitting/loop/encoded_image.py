@@ -47,12 +47,12 @@ class EncodedImage:
     @cached_property
     def compiled(self) -> Any:
         """The image in the form that the core takes."""
-        own = ("log_noise", "value_left", "slope_left", "correlated", "point_precision", "points")
+        attributes = ("log_noise", "value_left", "slope_left", "correlated", "point_precision", "points")
         height, width = self.channels.shape[:2]
-        about = {"pixels": self.channels.reshape(-1), "height": height, "width": width}
-        about |= {"from_model": np.column_stack([self.from_model.matrix, self.from_model.offset])}
-        about |= {"first_log": LOG_RANGE[0], "last_log": LOG_RANGE[1]}
-        return _core.make_image(about | {name: getattr(self, name) for name in own})
+        fields = {"pixels": self.channels.reshape(-1), "height": height, "width": width}
+        fields |= {"from_model": np.column_stack([self.from_model.matrix, self.from_model.offset])}
+        fields |= {"first_log": LOG_RANGE[0], "last_log": LOG_RANGE[1]}
+        return _core.make_image(fields | {name: getattr(self, name) for name in attributes})
 
     @classmethod
     def at(

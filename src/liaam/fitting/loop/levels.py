@@ -157,8 +157,15 @@ class CoarseToFine:
         shape = target.start
         for objective, each in zip(objectives, self._call(self._compiled[first, last], target, options), strict=False):
             pose, to_patch = (Similarity(rows[:, :2], rows[:, 2]) for rows in (each.pose, each.to_patch))
-            about = pose, each.fit, to_patch, each.patch_size
-            levels.append(FittedLevel(objective, *about, None if objective is objectives[-1] else shape))
+            level = FittedLevel(
+                objective=objective,
+                pose=pose,
+                solution=each.fit,
+                to_patch=to_patch,
+                patch_size=each.patch_size,
+                begun_at=None if objective is objectives[-1] else shape,
+            )
+            levels.append(level)
             shape = levels[-1].reached
         return levels
 
@@ -174,14 +181,14 @@ class CoarseToFine:
             }
             for each, warp in zip(objectives, warps, strict=True)
         ]
-        about = {"levels": levels, "mean": _flat(warps[0].rest), "encoding": ENCODINGS.index(method.encoding)}
-        about |= {"theta_1": float(theta), "has_invariant": method.solves_angle, "keeps_samples": self.keeps_samples}
-        return _core.prepare(about)
+        fields = {"levels": levels, "mean": _flat(warps[0].rest), "encoding": ENCODINGS.index(method.encoding)}
+        fields |= {"theta_1": float(theta), "has_invariant": method.solves_angle, "keeps_samples": self.keeps_samples}
+        return _core.prepare(fields)
 
     def _call(self, compiled: Any, target: Target, options: SolverOptions) -> list:
         objective, linear, noise = self.objectives[0], target.linear, target.noise
         image, encoding, response = linear.image, objective.method.encoding, linear.response
-        about = {
+        start_fields = {
             "start": _flat(target.start),
             "points": _flat(np.zeros(0) if target.mapped is None else target.mapped),
             "point_precision": np.ascontiguousarray(np.zeros((0, 0)) if target.pull is None else target.pull),
@@ -191,7 +198,7 @@ class CoarseToFine:
             "first_log": LOG_RANGE[0],
             "last_log": LOG_RANGE[1],
         }
-        given = encoding == "soft" and linear.grey, log_floor(response), about, options.as_dict
+        given = encoding == "soft" and linear.grey, log_floor(response), start_fields, options.as_dict
         if image.dtype.kind == "f":
             means = linear.light_of(encoding)
             return compiled.fit_light(means.light, means.finite, *given)
@@ -209,11 +216,18 @@ def solve_levels(objectives: Sequence[Objective], target: Target, options: Solve
     averaged = averaged_image(objectives, target)
     shape = target.start
     for objective in objectives:
-        own = options if objective is finest else spare(options)
-        image, state, pose = prepare_level(objective, target, stages, own, averaged)
-        solution = objective.solve(image, state, own, evaluate_last=objective is finest)
-        about = pose, solution, image.patch.from_image, image.channels.shape[:2]
-        stages.append(FittedLevel(objective, *about, None if objective is finest else shape))
+        level_options = options if objective is finest else spare(options)
+        image, state, pose = prepare_level(objective, target, stages, level_options, averaged)
+        solution = objective.solve(image, state, level_options, evaluate_last=objective is finest)
+        stage = FittedLevel(
+            objective=objective,
+            pose=pose,
+            solution=solution,
+            to_patch=image.patch.from_image,
+            patch_size=image.channels.shape[:2],
+            begun_at=None if objective is finest else shape,
+        )
+        stages.append(stage)
         shape = stages[-1].reached
         if not is_sane(shape, target.start):
             break
@@ -222,9 +236,15 @@ def solve_levels(objectives: Sequence[Objective], target: Target, options: Solve
 
 def averaged_image(objectives: Sequence[Objective], target: Target) -> AveragedImage:
     """Return the image averaged once for all levels."""
-    about = {"encoding": objectives[0].method.encoding, "response": target.linear.response, "margin": target.margin}
-    pose, blurs = align(objectives[0].warp.rest, target.start), [objective.blur for objective in objectives]
-    return AveragedImage.around(target.image, target.start, pose, blurs=blurs, **about)
+    return AveragedImage.around(
+        target.image,
+        target.start,
+        pose=align(objectives[0].warp.rest, target.start),
+        encoding=objectives[0].method.encoding,
+        response=target.linear.response,
+        blurs=[objective.blur for objective in objectives],
+        margin=target.margin,
+    )
 
 
 def prepare_level(
@@ -242,12 +262,21 @@ def prepare_level(
     shape, margin = (stages[-1].reached, NEAR) if stages else (target.start, target.margin)
     warp, method = objective.warp, objective.method
     pose = align(warp.rest, shape)
-    about = method, target.linear.response, objective.blur, target.noise, margin, objective.density
-    image = EncodedImage.at(target.image if averaged is None else averaged, shape, pose, *about)
+    image = EncodedImage.at(
+        target.image if averaged is None else averaged,
+        shape,
+        pose,
+        method=method,
+        response=target.linear.response,
+        blur=objective.blur,
+        noise=target.noise,
+        margin=margin,
+        density=objective.density,
+    )
     if target.pull is not None and target.mapped is not None:
         points = warp.parameters(pose.inverse()(target.mapped))
-        own = own_parameters(len(points), len(target.pull))
-        image = replace(image, point_precision=target.pull[np.ix_(own, own)], points=points)
+        indices = own_parameters(len(points), len(target.pull))
+        image = replace(image, point_precision=target.pull[np.ix_(indices, indices)], points=points)
     state = objective.start(warp.parameters(pose.inverse()(shape)))
     angles = stages[-1].solution.angles if stages else _first_angles(objective, image, state, options, target.theta)
     return image, state._replace(angles=np.array(angles, np.float64)), pose

@@ -32,7 +32,7 @@ def likeliest(
 
     That is the first one if it is more likely right than wrong.
     """
-    (low, high), (target, found) = region, start
+    (low, high), (target, detection) = region, start
     large = LARGE * float((high - low).min())
 
     def prior(shape: np.ndarray, quality: float) -> float:
@@ -41,14 +41,14 @@ def likeliest(
     def odds(shape: np.ndarray, quality: float) -> float:
         return prior(shape, quality) * odds_of(quality)
 
-    own, brief = prior(first.landmarks, first.quality), replace(fitter.options, max_iterations=BRIEF)
-    if with_prior(first, min(own, 1.0)).quality >= LEAST_QUALITY:
-        return first, min(own, 1.0), start
+    factor, brief = prior(first.landmarks, first.quality), replace(fitter.options, max_iterations=BRIEF)
+    if with_prior(first, min(factor, 1.0)).quality >= LEAST_QUALITY:
+        return first, min(factor, 1.0), start
 
     blurred = []
     for place in finder.others_in(target.linear.crop(low, high)):
         fit = fitter.fit_blurred(target._replace(start=place.landmarks + low), brief)
-        blurred.append((fit, found and replace(place, others=found.others)))
+        blurred.append((fit, detection and replace(place, others=detection.others)))
     blurred.sort(key=lambda each: odds(each[0].shape, each[0].quality), reverse=True)
     tried = [(first, start)]
     tried += [(fitter.fit_sharpest(fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
@@ -63,6 +63,6 @@ def likeliest(
     seen = [(each.landmarks, each.quality) for each, _ in tried]
     seen += [(fit.shape, fit.quality) for fit, _ in blurred[PROMISING:]]
     others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
-    own = prior(best.landmarks, best.quality)
-    shared = own / (own + others) if own > 0 else 1.0
-    return replace(best, n_starts=1 + len(blurred)), min(own, 1.0) * shared, start
+    factor = prior(best.landmarks, best.quality)
+    shared = factor / (factor + others) if factor > 0 else 1.0
+    return replace(best, n_starts=1 + len(blurred)), min(factor, 1.0) * shared, start

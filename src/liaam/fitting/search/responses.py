@@ -76,8 +76,8 @@ class Bank:
         product = np.empty((*fast, 2), np.float32)
         joined = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
         for expected in self._spectra_of(fast):
-            for tile, own in zip(tiles, seen, strict=True):
-                _core.correlate(own, expected, product)
+            for tile, values in zip(tiles, seen, strict=True):
+                _core.correlate(values, expected, product)
                 cv2.idft(product, product)
                 if joined is not product:
                     part = joined[tile]  # the next tile overwrites what this one cannot know
@@ -119,15 +119,15 @@ class Bank:
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
         """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
-        known = self._spectra.get(size)
-        if known is not None:
-            return known
+        cached = self._spectra.get(size)
+        if cached is not None:
+            return cached
         n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
         made = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
-        kept = [*self._spectra, size]  # a copy: other threads may search at the same time
-        while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
-            self._spectra.pop(kept.pop(0), None)
-        if kept:
+        cached_sizes = [*self._spectra, size]  # a copy: other threads may search at the same time
+        while cached_sizes and sum(height * width for height, width in cached_sizes) > SPECTRA_KEPT:
+            self._spectra.pop(cached_sizes.pop(0), None)
+        if cached_sizes:
             self._spectra[size] = made
         return made
 

@@ -37,8 +37,8 @@ def fit_again(fitter: OneShapeFitter, target: Target, first: FitResult) -> FitRe
     return replace(best if better else first, n_starts=first.n_starts + len(fits))
 
 
-def other_starts(objective: Objective, target: Target, options: SolverOptions, kept: int = KEPT) -> list[np.ndarray]:
-    """Find other shapes to start a fit from: (n, 2) float64, image pixels, the best first, at most ``kept``.
+def other_starts(objective: Objective, target: Target, options: SolverOptions, count: int = KEPT) -> list[np.ndarray]:
+    """Find other shapes to start a fit from: (n, 2) float64, image pixels, the best first, at most ``count``.
 
     The mean shape in the pose of the start is deformed and shifted, and fitted at the coarsest level, whose objective
     is given. The best of these are deformed further and fitted again. The shapes of least cost are returned.
@@ -67,7 +67,7 @@ def other_starts(objective: Objective, target: Target, options: SolverOptions, k
     for stage in _best(stages, BEST, target.start):
         p = stage.solution.p
         stages += [reached(bent(p, mode, by)) for mode in range(min(MODES, n_modes)) for by in (-BENT_ON, BENT_ON)]
-    return [stage.reached for stage in _best(stages, kept, target.start)]
+    return [stage.reached for stage in _best(stages, count, target.start)]
 
 
 def _best(stages: Sequence[FittedLevel], count: int, start: np.ndarray) -> list[FittedLevel]:

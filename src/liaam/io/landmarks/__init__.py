@@ -76,21 +76,23 @@ class LandmarkFile(Source):
         Further objects of an image are its others, unless they have no point.
         """
         try:
-            found = self.form.parse(self)
+            parsed = self.form.parse(self)
         except LandmarkError as fault:
             raise type(fault)(f"{self.path}: {fault}") from fault
         except LACKING as fault:
             if "json" not in self.path.suffix.lower():
                 raise
             raise LandmarkError(f"{self.path} lacks the parts of a {self.form.title} file: export it again.") from fault
-        if not found:
+        if not parsed:
             remedy = "place those of at least one image, or export it again."
             raise LandmarkError(f"{self.path}: no landmarks in it ({self.form.title}): {remedy}")
         objects = defaultdict[str, list[Landmarks]](list)
-        for own in found:
-            objects[own.image_name or ""].append(replace(own, format=self.form.title))
+        for landmarks in parsed:
+            objects[landmarks.image_name or ""].append(replace(landmarks, format=self.form.title))
         return {
-            image: replace(first, others=(*first.others, *(own for own in others if not own.missing.all())))
+            image: replace(
+                first, others=(*first.others, *(landmarks for landmarks in others if not landmarks.missing.all()))
+            )
             for image, (first, *others) in objects.items()
         }
 
@@ -140,11 +142,11 @@ class LandmarkFile(Source):
             self.notes.say(UNDECIDED, name)
         target = stored if turned else size
         frame = declared or target
-        points, known = landmarks.points, landmarks.points[~landmarks.missing]
+        points, present = landmarks.points, landmarks.points[~landmarks.missing]
         if placing.fractions:
             points = points * frame
-        elif len(known) > 2 and np.abs(known).max() <= _FRACTION and min(frame) > _SMALL:
-            low, high = (0, 1) if 0 <= known.min() <= known.max() <= 1 else (known.min(), known.max())
+        elif len(present) > 2 and np.abs(present).max() <= _FRACTION and min(frame) > _SMALL:
+            low, high = (0, 1) if 0 <= present.min() <= present.max() <= 1 else (present.min(), present.max())
             between = f"all positions lie between {low:.3g} and {high:.3g}"
             raise LandmarkError(f"{between}, as fractions of the image's size do: give pixels.")
         if placing.upwards and not reading.y_down:
@@ -299,21 +301,21 @@ def write_landmarks(path: AnyPath, landmarks: Landmarks | np.ndarray, image_size
     """
     path = Path(path)
     text = formats.writer_of(path)
-    own = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
-    [own] = _to_write(path, [own], {} if image_size is None else {own.image_name or "": image_size})
-    write_text_atomically(path, text(own), LandmarkError)
+    written = landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
+    [written] = _to_write(path, [written], {} if image_size is None else {written.image_name or "": image_size})
+    write_text_atomically(path, text(written), LandmarkError)
 
 
 def _to_write(path: Path, every: list[Landmarks], sizes: Mapping[str, Size]) -> list[Landmarks]:
     """Return landmarks in pixels as the format of a file counts them."""
     if path.suffix.lower() != ".tps":
         return every
-    beside, names = ImagesBeside(path.parent), [own.image_name or "" for own in every]
+    beside, names = ImagesBeside(path.parent), [landmarks.image_name or "" for landmarks in every]
     try:
-        known = [sizes.get(name) or beside.size_of(name)[0] for name in names]
+        image_sizes = [sizes.get(name) or beside.size_of(name)[0] for name in names]
     except LandmarkError as fault:
         raise LandmarkError(f"{path}: {fault}") from fault
-    return list(map(writers.upwards, every, known))
+    return list(map(writers.upwards, every, image_sizes))
 
 
 def write_collection(
@@ -340,6 +342,9 @@ def collection_text(
     text = formats.writer_of(path, many=True)
     if not collection:
         raise LandmarkError(f"{path} cannot be written: there are no landmarks. Give those of at least one image.")
-    every = {name: own if isinstance(own, Landmarks) else Landmarks(own) for name, own in collection.items()}
-    named = [replace(own, image_name=name) for name, own in every.items()]
+    every = {
+        name: landmarks if isinstance(landmarks, Landmarks) else Landmarks(landmarks)
+        for name, landmarks in collection.items()
+    }
+    named = [replace(landmarks, image_name=name) for name, landmarks in every.items()]
     return text(dict(zip(every, _to_write(path, named, image_sizes or {}), strict=True)), image_sizes or {})

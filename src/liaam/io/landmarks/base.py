@@ -158,17 +158,17 @@ class Landmarks:
         LandmarkError
             If some of the names are missing, or name several landmarks.
         """
-        wanted, own = ([without_zeros(name_key(name.strip())) for name in each] for each in (names, self.names))
-        if min(len(set(wanted)) - len(names), len(set(own)) - len(self.names)) < 0:
-            wanted, own = list(names), list(self.names)
-        if self.names == tuple(names) or not set(wanted) & set(own):
+        wanted, own_names = ([without_zeros(name_key(name.strip())) for name in each] for each in (names, self.names))
+        if min(len(set(wanted)) - len(names), len(set(own_names)) - len(self.names)) < 0:
+            wanted, own_names = list(names), list(self.names)
+        if self.names == tuple(names) or not set(wanted) & set(own_names):
             return self
-        counts = Counter(own)
+        counts = Counter(own_names)
         lacking = [name for name, key in zip(names, wanted, strict=True) if counts[key] != 1]
         if lacking:
             raise LandmarkError(f"its names lack {some_names(lacking)}, or have them twice: name each landmark once.")
         called = dict(zip(wanted, names, strict=True))
-        renamed = (called.get(key, name) for key, name in zip(own, self.names, strict=True))
+        renamed = (called.get(key, name) for key, name in zip(own_names, self.names, strict=True))
         return replace(self, names=tuple(renamed)).with_names(names)
 
     def with_names(self, names: Sequence[str]) -> "Landmarks":

@@ -53,8 +53,8 @@ class Copies:
 
     def which(self, i: int) -> np.ndarray:
         """Lamp of each copy of image i, int."""
-        count, known = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
-        return np.random.default_rng([30, i]).choice(known, count, replace=count > known)
+        count, n_lamps = int(self.counts[i]), 1 if self.lamps is None else len(self.lamps)
+        return np.random.default_rng([30, i]).choice(n_lamps, count, replace=count > n_lamps)
 
     def of_picture(
         self, i: int, image: np.ndarray, points: np.ndarray, response: Response, diagonal: float
