@@ -5,6 +5,7 @@ holds exactly, also in shadows.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -72,6 +73,7 @@ def colour_chart(patch: int = 30, gap: int = 6) -> tuple[np.ndarray, np.ndarray]
     return reflectance, boxes
 
 
+@lru_cache(maxsize=16)  # pictures of one sheet in several lights
 def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
     """Make a printed sheet of coloured discs and stripes of many sizes, with fine grain.
 
@@ -83,7 +85,7 @@ def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
 
     Returns
     -------
-    (h, w, 3) float64
+    (h, w, 3) float64, which may not be written to
         Coefficients of the reflectance in its red, green and blue parts.
     """
     rng = np.random.default_rng([seed, 0x905])
@@ -105,7 +107,9 @@ def poster(size: tuple[int, int] = (240, 320), seed: int = 0) -> np.ndarray:
         sheet = sheet * (1 - cover) + colour * cover
     noise = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 2.0)
     grain = np.exp(0.06 * noise / noise.std())[..., None]
-    return np.clip(sheet * grain, 0.02, 0.95)
+    sheet = np.clip(sheet * grain, 0.02, 0.95)
+    sheet.flags.writeable = False
+    return sheet
 
 
 def uneven_light(

@@ -77,7 +77,7 @@ COMMANDS = {
     "show": ("show {model} -o {out}/m.png", "m.png"),
     "relight": ("relight {model} {picture} --init {start} -o {out}/lit.png", None),
     "invariant": ("camera invariant {picture} --camera 122 -o {out}", "face0_invariant.png"),
-    "register": ("camera register {picture} {other} -o {out}/same.png", "same.png"),
+    "register": ("camera register {picture} {other} --warp translation -o {out}/same.png", "same.png"),
     "lamps": ("lamps {lamps} --training-lamp 0 -o {out}/x.lamps", "x.lamps"),
 }
 

@@ -276,7 +276,7 @@ def test_starts_and_covariances_are_choices(world, tmp_path):
 
 
 def test_every_object_of_an_image_has_a_row(tmp_path):
-    scenes = make_set(6, Head(5), size=(200, 150))
+    scenes = make_set(6, Head(5), size=(160, 120))
     train_on(scenes, diagonal=60.0, response="srgb").save(tmp_path / "face.liaam")
     write_image(tmp_path / "two.png", np.concatenate([scenes[0].image, scenes[1].image], axis=1))
     write_image(tmp_path / "wall.png", np.full((150, 200, 3), 90, np.uint8))
@@ -529,9 +529,18 @@ def job_of(world, kind):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A scheduler and two workers, all processes of their own but the scheduler."""
+    """A scheduler and two workers, all processes of their own but the scheduler.
+
+    The workers, and those that take the place of the lost, are copies of one process that has imported it all.
+    """
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    from dask import config
+
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    with (
+        config.set({"distributed.worker.multiprocessing-method": method}),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+    ):
         yield cluster
 
 

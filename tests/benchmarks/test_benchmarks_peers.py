@@ -7,6 +7,8 @@ import pytest
 from benchmarks import fit, iteration, peer_opencv, peers
 from benchmarks.metrics import recording
 from benchmarks.peers import MissingError, Peer, PeerRow, floor_bytes, rows_of
+from liaam.training import train
+from scenes import Head, make_set
 
 
 def test_a_peer_that_is_not_installed_is_said_with_the_line_that_installs_it(capsys):
@@ -119,10 +121,11 @@ def test_one_core_is_given_back():
     assert before is None or os.sched_getaffinity(0) == before
 
 
-def test_the_model_file_for_opencv_has_what_opencv_reads(small_heads, tmp_path):
-    model = fit.make_model(60.0)
+def test_the_model_file_for_opencv_has_what_opencv_reads(tmp_path):
+    pictures = [(scene.image, scene.landmarks) for scene in make_set(5, Head(5), size=(160, 120))]
+    model = train(pictures, diagonal=60.0, leave_out=False, lamps=None, methods="grey")
     path = tmp_path / "aam.yaml"
-    n_pixels = peer_opencv.write_model(path, model, fit.make_pictures()[0], 3)
+    n_pixels = peer_opencv.write_model(path, model, pictures, 3)
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     n_points, inner = model.shape_model.n_points, file.getNode("scale0_AA").mat()
     shapes = np.hstack([file.getNode("Q").mat(), file.getNode("S").mat()])

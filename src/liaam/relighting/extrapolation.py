@@ -56,42 +56,39 @@ class Surroundings:
         """Divide an image, whose edges in the logarithms of light (h, w, 3) are distances, around a mask (h, w)."""
         light = np.exp(own)
         own = np.log(light + DARK * np.float32(np.quantile(light[inside], BRIGHTEST)))
-        seen, away, in_object = (
-            cv2.GaussianBlur(own, (0, 0), BLUR_OWN),
-            distance(~inside)[..., None],
-            inside[..., None],
-        )
-        elsewhere, (rows, columns) = (away > BACKGROUND * reach).astype(np.float32), _extent(inside)
-        elsewhere[rows.stop - 1 :, columns] = 0.0  # below it is no background, but a neck or a stem
-        near, far = np.dsplit(np.square(averaged(np.dstack([inside, elsewhere]), seen, max(1.0, ACROSS * reach))), 2)
-        nearer = np.where(in_object, np.float32(1.0), near / np.maximum(near + far, 1e-12))
+        seen = cv2.GaussianBlur(own, (0, 0), BLUR_OWN)
+        away = distance(~inside)[..., None]
+        in_object = inside[..., None]
+        nearer = np.where(in_object, np.float32(1.0), _nearer_to_object(inside, away, seen, reach))
         alike, bright = _alike(inside, own, reach)
-        solid = np.pad((bright <= A_LITTLE) & (nearer >= 0.5), ((1, 1), (1, 1), (0, 0))).astype(np.uint8)
-        cv2.floodFill(solid, None, (0, 0), 1)
-        enclosed = (bright > A_LITTLE) & (solid[1:-1, 1:-1] == 0)
+        enclosed = (bright > A_LITTLE) & _is_enclosed((bright <= A_LITTLE) & (nearer >= 0.5))
         gloss = bright * enclosed
         belongs = (alike * (1.0 - bright) + gloss) * np.maximum(nearer, enclosed)
         depth = distance(np.pad(inside, 1))[1:-1, 1:-1]
-        belongs = np.where((depth > min(BORDER * reach, 0.5 * depth.max()))[..., None], np.float32(1.0), belongs)
+        is_deep = depth > min(BORDER * reach, 0.5 * depth.max())
+        belongs = np.where(is_deep[..., None], np.float32(1.0), belongs)
         belongs = np.where(in_object, belongs, averaged(belongs, seen, max(1.0, EVEN * reach)))
         share = belongs * smoothstep(1.0 - (away - 1.0) / (FARTHEST * reach))
-        share[share <= LEAST_SHARE], gloss[in_object] = 0.0, 0.0
+        share[share <= LEAST_SHARE] = 0.0
+        gloss[in_object] = 0.0
         return cls(inside, belongs, gloss, share, seen, reach)
 
     def spread(self, values: np.ndarray, lit: np.ndarray) -> np.ndarray:
         """Return the light (h, w, 3) that is ``values`` inside the mesh, and ``lit`` plus the nearby rest around it."""
         at = _extent(self.share[..., 0] > 0)
         light, rest, inside = self.belongs * lit, values[at] - lit[at], self.inside[at]
-        grey, known = mean_of(rest)[..., None], inside[..., None]
-        colour = averages(rest - grey, known, COLOUR * self.reach)
-        light[at] += self.share[at] * np.where(known, rest, carried(grey + colour, inside, self.seen[at], self.reach))
+        grey, in_object = mean_of(rest)[..., None], inside[..., None]
+        colour = averages(rest - grey, in_object, COLOUR * self.reach)
+        light[at] += self.share[at] * np.where(
+            in_object, rest, carried(grey + colour, inside, self.seen[at], self.reach)
+        )
         return light
 
 
 def carried(values: np.ndarray, inside: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
     """Return means of nearby values (h, w, c) float32 of a mask (h, w), within the edges of an image (h, w, 3)."""
-    known = inside[..., None].astype(np.float32)
-    sums = averaged(np.concatenate([values * known, known], axis=2), seen, max(1.0, NEARBY * reach))
+    weight = inside[..., None].astype(np.float32)
+    sums = averaged(np.concatenate([values * weight, weight], axis=2), seen, max(1.0, NEARBY * reach))
     return sums[..., :-1] / np.maximum(sums[..., -1:], 1e-20)
 
 
@@ -99,6 +96,26 @@ def _extent(mask: np.ndarray) -> tuple[slice, slice]:
     """Return the rows and columns of a mask (h, w)."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
+def _nearer_to_object(inside: np.ndarray, away: np.ndarray, seen: np.ndarray, reach: float) -> np.ndarray:
+    """Return how much nearer pixels are to the mask than to the background, (h, w, 1) from 0 to 1, within edges.
+
+    Background is what is far ``away`` (h, w, 1) from the mask, but not what is below it, such as a neck or a stem.
+    """
+    background = (away > BACKGROUND * reach).astype(np.float32)
+    rows, columns = _extent(inside)
+    background[rows.stop - 1 :, columns] = 0.0
+    both = averaged(np.dstack([inside, background]), seen, max(1.0, ACROSS * reach))
+    near, far = np.dsplit(np.square(both), 2)
+    return near / np.maximum(near + far, 1e-12)
+
+
+def _is_enclosed(solid: np.ndarray) -> np.ndarray:
+    """Return the mask of what is not solid and not connected to the image's border by such pixels, (h, w, 1)."""
+    filled = np.pad(solid, ((1, 1), (1, 1), (0, 0))).astype(np.uint8)
+    cv2.floodFill(filled, None, (0, 0), 1)
+    return filled[1:-1, 1:-1] == 0
 
 
 def _alike(inside: np.ndarray, own: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -30,27 +30,49 @@ def spared(
     colours = small - mean_of(small)[..., None]
     if np.var(colours, axis=(0, 1), where=around.inside[..., None]).sum() < TONED**2:
         light = np.repeat(mean_of(light)[..., None], 3, axis=2)
-    some = reduce(cv2.max, cv2.split(own)) >= CLIPPED
-    unknown, clipped = around.gloss, some.any()
-    if clipped:
-        every = (reduce(cv2.min, cv2.split(own)) >= CLIPPED).astype(np.float32)
-        gone = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
-        unknown = np.maximum(smoothstep(4.0 * gone), unknown)
+    is_clipped = reduce(cv2.max, cv2.split(own)) >= CLIPPED
+    unknown = around.gloss
+    if is_clipped.any():
+        unknown = np.maximum(_wholly_clipped(own, region), unknown)
     light = light + unknown * (np.minimum(mean_of(light)[..., None], 0.0) - light)
-    if not clipped:
+    if not is_clipped.any():
         return light, own
+    return light, _beyond_white(
+        own, is_clipped, _colour_around(small, colours, is_clipped, around, region), around, region
+    )
+
+
+def _wholly_clipped(own: np.ndarray, region: Region) -> np.ndarray:
+    """Return how near pixels are to highlights that are clipped in all channels, (lh, lw, 1) from 0 to 1."""
+    every = (reduce(cv2.min, cv2.split(own)) >= CLIPPED).astype(np.float32)
+    near = cv2.GaussianBlur(region.reduced(every), (0, 0), region.reach)[..., None]
+    return smoothstep(4.0 * near)
+
+
+def _colour_around(
+    small: np.ndarray, colours: np.ndarray, is_clipped: np.ndarray, around: Surroundings, region: Region
+) -> np.ndarray:
+    """Return the mean colour of the object's bright pixels that are not clipped, around each pixel, (lh, lw, 3)."""
     bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
-    weights = bright * around.belongs * (1.0 - region.reduced(some.astype(np.float32))[..., None])
-    colour = averages(colours, weights, COLOUR_REACH * region.reach, FALLBACK)
-    whole, at = own.copy(), np.nonzero(some)
-    colour, seen = region.enlarged(colour)[at], own[at]
+    weights = bright * around.belongs * (1.0 - region.reduced(is_clipped.astype(np.float32))[..., None])
+    return averages(colours, weights, COLOUR_REACH * region.reach, FALLBACK)
+
+
+def _beyond_white(
+    own: np.ndarray, is_clipped: np.ndarray, colour: np.ndarray, around: Surroundings, region: Region
+) -> np.ndarray:
+    """Continue clipped channels of logarithms of light (bh, bw, 3) beyond white, in the colour around them."""
+    at = np.nonzero(is_clipped)
+    colour = region.enlarged(colour)[at]
+    seen = own[at]
     over = seen >= CLIPPED
     # Gloss raises the weaker channels more.
     level = np.where(over, np.inf, seen - colour).min(axis=1, keepdims=True)
     level = np.where(over.all(axis=1, keepdims=True), -colour.min(axis=1, keepdims=True), level)
     beyond = np.where(over, np.maximum(colour + level - seen, 0.0), 0.0)
-    whole[at] += region.enlarged(around.belongs).reshape(some.shape)[at][:, None] * beyond
-    return light, whole
+    whole = own.copy()
+    whole[at] += region.enlarged(around.belongs).reshape(is_clipped.shape)[at][:, None] * beyond
+    return whole
 
 
 def below_white(log_rgb: np.ndarray, own: np.ndarray) -> np.ndarray:

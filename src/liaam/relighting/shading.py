@@ -85,23 +85,29 @@ ALIKE = 0.3  # Standard deviation of the light that both halves share, at which 
 def light_on_frame(model: AAM) -> tuple[np.ndarray, np.ndarray]:
     """Return modes of light on a model's reference frame, each one standard deviation, (k, n_pixels, 3) float32.
 
-    Also return the standard deviation of what they do not explain, (n_pixels,). Without lamps, they are products of
-    Legendre polynomials in x and y, of brightness and then of colour temperature.
+    Also return the standard deviation of what they do not explain, (n_pixels,). Without lamps, the modes are smooth.
     """
-    mean, frame, modes = model.shape_model.mean, model.frame, []
     if model.light is None:
-        away = frame.pixels - frame.pixels.mean(axis=0)
-        down, right = legvander(away / np.abs(away).max(), DEGREE).transpose(1, 2, 0)
-        theta = model.camera.theta if np.isfinite(model.camera.theta) else THETA_DEFAULT
-        for degree, colour in ((DEGREE, np.ones(3)), (OF_COLOUR, temperature_direction(theta))):
-            pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-            modes += [np.outer(AMOUNT / (1 + i + j) * down[i] * right[j], colour) for i, j in pairs]
-        return np.array(modes, np.float32), np.full(model.n_pixels, UNEXPLAINED)
-    away = frame.pixels[:, ::-1] + frame.origin - 0.5 * (mean.min(axis=0) + mean.max(axis=0))
+        return _smooth_modes(model), np.full(model.n_pixels, UNEXPLAINED)
+    mean = model.shape_model.mean
+    away = model.frame.pixels[:, ::-1] + model.frame.origin - 0.5 * (mean.min(axis=0) + mean.max(axis=0))
     at = in_field(away / diagonal_of(mean))[:, None]
     pictures = [*model.light.modes, model.light.remainder]
     *modes, remainder = (sample_field(picture.astype(np.float32), at)[:, 0] for picture in pictures)
     return np.stack(modes), np.maximum(remainder, LEAST_UNEXPLAINED)
+
+
+def _smooth_modes(model: AAM) -> np.ndarray:
+    """Return products of Legendre polynomials in x and y, of brightness and then of colour temperature."""
+    away = model.frame.pixels - model.frame.pixels.mean(axis=0)
+    down, right = legvander(away / np.abs(away).max(), DEGREE).transpose(1, 2, 0)
+    theta = model.camera.theta if np.isfinite(model.camera.theta) else THETA_DEFAULT
+    modes = []
+    for degree, colour in ((DEGREE, np.ones(3)), (OF_COLOUR, temperature_direction(theta))):
+        for i in range(degree + 1):
+            for j in range(degree + 1 - i):
+                modes.append(np.outer(AMOUNT / (1 + i + j) * down[i] * right[j], colour))
+    return np.array(modes, np.float32)
 
 
 def light_on_image(model: AAM, coordinates: np.ndarray, region: Region) -> np.ndarray:
@@ -124,41 +130,78 @@ def appearance_in_light(
     pixels that are ``usable`` (n_pixels,), 0 or 1. Also return the covariance (k, k) of the coordinates of the light,
     and the logarithm of the image's level (3,), times the probability of another light than that of training.
     """
-    appearance, (every, unexplained) = model.levels[-1].appearances["log"], light_on_frame(model)
-    n, side = appearance.n_modes, CORRELATED * model.diagonal
-    step = max(1, int(side / ACROSS))
-    pixels = np.flatnonzero((model.frame.pixels % step == 0).all(axis=1))
-    part, usable = appearance.at(pixels), (usable * (appearance.usable > 0))[pixels]
-    together = 1.0 if model.light is None else max(1.0, np.square(side / step))
+    appearance = model.levels[-1].appearances["log"]
+    of_lamps, unexplained = light_on_frame(model)
+    pixels, together = _samples(model)
+    part = appearance.at(pixels)
     levels = np.array([np.full(3, LEVEL), *(TINT * CHROMATICITY)], np.float32)
-    every = np.concatenate([every[:, pixels], np.broadcast_to(levels[:, None], (3, len(pixels), 3))])
-    precision = np.concatenate([1.0 / np.maximum(appearance.eigenvalues, 1e-12), np.ones(len(every))])
-    grey, each = np.ones((3, 3)), np.eye(3)
-    of_light = np.square(unexplained[pixels])[:, None, None] * (grey + COLOURED**2 * (each - grey / 3.0))
-    of_model = UNKNOWN**2 * grey if part.unexplained is None else part.unexplained
-    errors = of_model + NOISE_FACTOR * noise[pixels, None] * each + of_light
-    whitened = np.linalg.cholesky(np.linalg.inv(errors)).astype(np.float32)
+    of_levels = np.broadcast_to(levels[:, None], (3, len(pixels), 3))
+    of_light = np.concatenate([of_lamps[:, pixels], of_levels])
+    whitened = _whitening(part.unexplained, noise[pixels], unexplained[pixels])
     target = np.einsum("nc,ncd->nd", log[pixels] - part.mean, whitened).ravel()
-    modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, every]), whitened, optimize=True)
-    modes, weights = modes.reshape(len(modes), -1), usable
-    for _ in range(PASSES):
-        rows = modes * np.repeat(weights / np.float32(together), 3)
-        hessian = (rows @ modes.T).astype(np.float64) + np.diag(precision)
-        estimate = np.linalg.solve(hessian, rows @ target)
-        left = (target - estimate.astype(np.float32) @ modes).reshape(-1, 3)
-        weights = usable * ((FREEDOM + 3.0) / (FREEDOM + np.square(left).sum(axis=1)))
-    of_light_modes, covariance = slice(n, -3), np.linalg.inv(hessian)
-    light, variance = estimate[of_light_modes], covariance[of_light_modes, of_light_modes]
+    modes = np.einsum("mnc,ncd->mnd", np.concatenate([part.modes, of_light]), whitened, optimize=True)
+    modes = modes.reshape(len(modes), -1)
+    precision = np.concatenate([1.0 / np.maximum(appearance.eigenvalues, 1e-12), np.ones(len(of_light))])
+    counts = (usable * (appearance.usable > 0))[pixels]
+    coordinates, hessian = _robust_coordinates(modes, target, counts, precision, together)
+
+    # The light is 0 with the probability that the data give to it.
+    n = appearance.n_modes
+    light_part = slice(n, -3)
+    covariance = np.linalg.inv(hessian)
+    light = coordinates[light_part]
+    variance = covariance[light_part, light_part]
     same = as_in_training(light, variance)
-    level = np.float32(1.0 - same) * (estimate[-3:].astype(np.float32) @ levels)
-    estimate = estimate - same * covariance[:, of_light_modes] @ np.linalg.solve(variance, light)
+    level = np.float32(1.0 - same) * (coordinates[-3:].astype(np.float32) @ levels)
+    coordinates = coordinates - same * covariance[:, light_part] @ np.linalg.solve(variance, light)
     spread = (1.0 - same) * (variance + same * np.outer(light, light))
     deviations = np.sqrt(np.diag(covariance)[:n])
     return (
-        ShadowFree(appearance.texture(estimate[:n]), estimate[:n], deviations, estimate[of_light_modes]),
+        ShadowFree(appearance.texture(coordinates[:n]), coordinates[:n], deviations, coordinates[light_part]),
         spread,
         level,
     )
+
+
+def _samples(model: AAM) -> tuple[np.ndarray, float]:
+    """Return pixels on a grid, by index, and how many of them lie in the area in which errors count as one."""
+    side = CORRELATED * model.diagonal
+    step = max(1, int(side / ACROSS))
+    pixels = np.flatnonzero((model.frame.pixels % step == 0).all(axis=1))
+    if model.light is None:
+        return pixels, 1.0
+    return pixels, max(1.0, np.square(side / step))
+
+
+def _whitening(of_model: np.ndarray | None, noise: np.ndarray, unexplained: np.ndarray) -> np.ndarray:
+    """Return factors W (n, 3, 3) with W W' the inverse covariance of a pixel's errors.
+
+    The errors are the model's, with covariances (n, 3, 3) or None if training has not measured them, noise of variances
+    (n, 3), and what the modes of light do not explain, of deviations (n,), which is more of brightness than of colour.
+    """
+    grey = np.ones((3, 3))
+    each = np.eye(3)
+    of_light = np.square(unexplained)[:, None, None] * (grey + COLOURED**2 * (each - grey / 3.0))
+    errors = UNKNOWN**2 * grey if of_model is None else of_model
+    errors = errors + NOISE_FACTOR * noise[:, None] * each + of_light
+    return np.linalg.cholesky(np.linalg.inv(errors)).astype(np.float32)
+
+
+def _robust_coordinates(
+    modes: np.ndarray, target: np.ndarray, usable: np.ndarray, precision: np.ndarray, together: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit whitened modes (m, 3 n) to a whitened target (3 n,) by Student's t distribution; return also the Hessian.
+
+    ``precision`` (m,) is that of the prior of the coordinates, and so many pixels as ``together`` count as one.
+    """
+    weights = usable
+    for _ in range(PASSES):
+        rows = modes * np.repeat(weights / np.float32(together), 3)
+        hessian = (rows @ modes.T).astype(np.float64) + np.diag(precision)
+        coordinates = np.linalg.solve(hessian, rows @ target)
+        left = (target - coordinates.astype(np.float32) @ modes).reshape(-1, 3)
+        weights = usable * ((FREEDOM + 3.0) / (FREEDOM + np.square(left).sum(axis=1)))
+    return coordinates, hessian
 
 
 def as_in_training(light: np.ndarray, covariance: np.ndarray) -> float:
@@ -194,27 +237,37 @@ class Shading:
 def find_shading(model: AAM, image: np.ndarray, shape: np.ndarray, response: Response) -> tuple[ShadowFree, Shading]:
     """Estimate the appearance and the light of an image (h, w, 3) with fitted landmarks (n, 2)."""
     log, usable = sample_appearance(image, shape, model.warp, "log", response, model.levels[-1].blur)
-    noise = noise_deviation(image, response) / max(1.0, align(model.shape_model.mean, shape).scale)
-    noise = np.square(noise_of_log(np.exp(log), noise)).astype(np.float32)
+    deviation = noise_deviation(image, response) / max(1.0, align(model.shape_model.mean, shape).scale)
+    noise = np.square(noise_of_log(np.exp(log), deviation)).astype(np.float32)
     appearance, covariance, level = appearance_in_light(model, log, usable, noise)
     modes, _ = light_on_frame(model)
     lit = np.tensordot(appearance.light.astype(np.float32), modes, axes=1) + level
     left = np.where(usable[:, None] > 0, log - appearance.log_rgb - lit, 0.0).astype(np.float32)
+
     bright = lit.mean(axis=1)
-    varying = np.maximum(smoothed(model, np.square(bright), WINDOW) - smoothed(model, bright, WINDOW) ** 2, 0.0)
-    wrong, contrast = WRONG**2 * varying, np.sqrt(CONTRAST**2 + CAST**2 * varying)
-    if model.light is None:
-        wrong, contrast = wrong + SHADOWS**2, np.full_like(wrong, SHADOWS)
-    else:
+    if model.light is not None:
         left = without_pairs(model, left, bright)
+    wrong, contrast = _variation_of_light(model, bright)
     weights = usable / (errors_of_the_model(model) + NOISE_FACTOR * noise.mean(axis=1))
     uncertain = 1.0 / np.maximum(ERRORS_PER_AREA * weights, 1e-6)
-    share = wrong / (wrong + uncertain)
+    share = wrong / (wrong + uncertain)  # how much of what the modes leave is light
+    light = lit + share[:, None] * without_marks(model, left, weights, contrast)
     brightness = modes.mean(axis=2)
     variance = np.einsum("kn,kl,ln->n", brightness, covariance, brightness, optimize=True) + share * uncertain
-    light = lit + share[:, None] * without_marks(model, left, weights, contrast)
     deviation = np.sqrt(np.maximum(variance, 0.0))
     return appearance, Shading(appearance.light, light.astype(np.float32), deviation.astype(np.float32))
+
+
+def _variation_of_light(model: AAM, bright: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how wrong the modes of light may be, a variance, and the contrast of a mark, both (n_pixels,).
+
+    Both grow with the variation of the brightness of the modes' light, (n_pixels,), in a window.
+    """
+    varying = np.maximum(smoothed(model, np.square(bright), WINDOW) - smoothed(model, bright, WINDOW) ** 2, 0.0)
+    wrong = WRONG**2 * varying
+    if model.light is None:
+        return wrong + SHADOWS**2, np.full_like(wrong, SHADOWS)
+    return wrong, np.sqrt(CONTRAST**2 + CAST**2 * varying)
 
 
 @lru_cache(maxsize=4)

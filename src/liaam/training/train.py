@@ -225,20 +225,21 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
     landmarks = data.shapes
     folds = folds_of(data.names)
     mean = scaled_mean(landmarks, options.diagonal)
+    check_flat(mean, landmarks)
+    triangles = mesh_of(mean, options.triangles, data.edges)  # whose faults are told before what takes long
     prior_of = options.priors(landmarks.shape[1])
     # Views with the same prior share recipe and shape model, which take time to learn.
     recipes = {prior: choose_recipe(mean, landmarks, prior, folds) for prior in dict.fromkeys(prior_of.values())}
     models = {
         prior: shape_model_on(mean, landmarks, options.variance, recipe, folds) for prior, recipe in recipes.items()
     }
-    check_flat(mean, landmarks)
     return _Shapes(
         landmarks=landmarks,
         folds=folds,
         mean=mean,
         recipes={view: recipes[prior_of[view]] for view in VIEWS},
         models={view: models[prior_of[view]] for view in VIEWS},
-        triangles=mesh_of(mean, options.triangles, data.edges),
+        triangles=triangles,
     )
 
 

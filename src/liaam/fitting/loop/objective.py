@@ -131,7 +131,7 @@ class Objective:
         """Return mean and modes projected by the parts of P (constant, cos, sin), (3, 1 + m, n, k) float32."""
         n, k, textures = len(appearance.mean), self.method.n_rows, self._textures(appearance, illumination)
         bias = {"none": np.zeros((0, 1, k)), "common": np.ones((1, 1, k)), "rows": np.eye(k)[:, None]}[self.method.bias]
-        constant = np.broadcast_to(bias, (len(bias), n, k))
+        constant = np.broadcast_to(bias.astype(np.float32), (len(bias), n, k))
         parts = [
             np.concatenate([*(texture @ metric.T for texture in textures), constant if i == 0 else 0.0 * constant])
             for i, metric in enumerate(self.method.model_metric_parts.astype(np.float32))

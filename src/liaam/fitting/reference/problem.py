@@ -93,7 +93,9 @@ class Problem:
         points = self.warp.points(self.p) @ matrix.T + self.image.from_model.offset  # W(x; p), eq 3
         self.values, by_place, self.usable = sample(self.image.channels, points)
         self.samples = self.values @ self.metric.T
-        self.sample_slopes = np.einsum("nac,kc->nka", by_place, self.metric) @ matrix  # by x and y, model pixels
+        by_axis = (by_place.reshape(-1, CHANNELS) @ self.metric.T).reshape(-1, 2, self.k)
+        by_row = np.ascontiguousarray(by_axis.swapaxes(1, 2)).reshape(-1, 2)  # by x and y, patch pixels
+        self.sample_slopes = (by_row @ matrix).reshape(-1, self.k, 2)  # model pixels
         if solves:
             self.lam[:] = 0.0
         self._subtract_appearance()
@@ -182,7 +184,8 @@ class Problem:
 
     def by_parameters(self, gradients: np.ndarray) -> np.ndarray:
         """dr/dp = dr/dW dW/dp, (n k, n_p), from spatial gradients dr/dW (n, k, 2)."""
-        return np.einsum("nka,nai->nki", gradients, self.warp.jacobian(self.p), optimize=True).reshape(-1, len(self.p))
+        # Not optimised: products of matrices as small as (k, 2) take twice as long.
+        return np.einsum("nka,nai->nki", gradients, self.warp.jacobian(self.p)).reshape(-1, len(self.p))
 
     def model_gradient(self) -> np.ndarray:
         """Spatial gradient of the fitted appearance, transformed to the image, (n, k, 2)."""

@@ -168,9 +168,10 @@ def shrink(model: AAM) -> AAM:
     factor = min(1.0, TEMPLATE / model.diagonal)
     frame = ReferenceFrame(shapes.mean * factor, model.triangles)
     at = (frame.pixels[:, ::-1] + frame.origin) / factor
+    mask = learnt.mask
 
     def reduced(values: np.ndarray) -> np.ndarray:
-        return _read(model.frame, values, learnt.mask, at, AVERAGED / factor if factor < 1.0 else 0.0)
+        return _read(model.frame, values, mask, at, AVERAGED / factor if factor < 1.0 else 0.0)
 
     appearance = AppearanceModel(
         mean=reduced(learnt.mean),
