@@ -265,8 +265,8 @@ class Uploads:
 
     def get(self, number: str) -> Upload:
         """Return the upload with an id."""
-        kept = f"only the {self._settings.uploads_kept} last used are kept"
-        return self._uploads.found(number, f"this picture is no longer in memory, where {kept}: drop it again")
+        limit = f"only the {self._settings.uploads_kept} last used are kept"
+        return self._uploads.found(number, f"this picture is no longer in memory, where {limit}: drop it again")
 
     def source(self, number: str) -> PictureSource:
         """Return an upload as a :class:`PictureSource`, which can be read while the upload is in memory."""

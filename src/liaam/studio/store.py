@@ -139,8 +139,8 @@ class Store:
             for end in ("", "-journal"):  # a journal of the damaged file would spoil the new one
                 with suppress(FileNotFoundError):
                     path.with_name(path.name + end).replace(path.with_name(name + end))
-            kept = f"{self.state}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
-            self.note("damaged", f"{kept}, but the template, proposals and reviews begin anew")
+            damage = f"{self.state}/{DATABASE} was damaged ({fault}) and is kept as {name}: landmarks are not affected"
+            self.note("damaged", f"{damage}, but the template, proposals and reviews begin anew")
             self._connection = _connected(path)
         else:
             self.note(DATABASE, None)

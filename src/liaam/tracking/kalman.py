@@ -82,13 +82,13 @@ def widened(belief: Belief, measured: np.ndarray, noise: np.ndarray) -> Belief:
 class Moments:
     """Running moments of a track's second differences.
 
-    ``own`` (k,) is their mean square, and ``neighbour`` (k,) the mean product of one with the next, over ``weight``
-    differences. ``last`` holds up to three measurements of consecutive frames, the newest last; it is empty after a
+    ``mean_square`` (k,) is theirs, and ``mean_product`` (k,) that of one with the next, over ``weight`` differences.
+    ``last`` holds up to three measurements of consecutive frames, the newest last; it is empty after a
     frame without a measurement.
     """
 
-    own: np.ndarray
-    neighbour: np.ndarray
+    mean_square: np.ndarray
+    mean_product: np.ndarray
     weight: float
     last: tuple[np.ndarray, ...] = ()
 
@@ -108,8 +108,8 @@ def observed(moments: Moments, measured: np.ndarray) -> Moments:
     weight = min(moments.weight + 1.0, MEMORY)
     share = 1.0 / weight
     return Moments(
-        moments.own + share * (0.5 * (before**2 + now**2) - moments.own),
-        moments.neighbour + share * (before * now - moments.neighbour),
+        moments.mean_square + share * (0.5 * (before**2 + now**2) - moments.mean_square),
+        moments.mean_product + share * (before * now - moments.mean_product),
         weight,
         last[1:],
     )
@@ -121,8 +121,8 @@ def noise_and_drive(moments: Moments, variances: np.ndarray) -> tuple[float, np.
     Return the fraction of these variances that changes from frame to frame, median over the coordinates, and the
     density of each coordinate's acceleration (k,). The rest is constant, such as the error of the model.
     """
-    scatter = (moments.own - 4.0 * moments.neighbour) / 22.0
+    scatter = (moments.mean_square - 4.0 * moments.mean_product) / 22.0
     middle = float(np.sort(scatter / variances)[len(scatter) // 2])
     share = min(max(middle, LEAST_SHARE), 1.0)
-    drive = 1.5 * (moments.own - 6.0 * share * variances)
+    drive = 1.5 * (moments.mean_square - 6.0 * share * variances)
     return share, np.maximum(drive, 1e-4 * share * variances)

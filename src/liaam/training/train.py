@@ -226,7 +226,9 @@ def _learn_shapes(data: TrainingData, options: TrainingOptions) -> _Shapes:
     folds = folds_of(data.names)
     mean = scaled_mean(landmarks, options.diagonal)
     check_flat(mean, landmarks)
-    triangles = mesh_of(mean, options.triangles, data.edges)  # whose faults are told before what takes long
+    triangles = mesh_of(
+        mean, options.triangles, data.edges
+    )  # first, since its faults need not wait for what takes long
     prior_of = options.priors(landmarks.shape[1])
     # Views with the same prior share recipe and shape model, which take time to learn.
     recipes = {prior: choose_recipe(mean, landmarks, prior, folds) for prior in dict.fromkeys(prior_of.values())}
