@@ -116,7 +116,8 @@ class Landmarks:
         return np.array(self.points, dtype) if copy else np.asarray(self.points, dtype)
 
     def __repr__(self) -> str:
-        points, contours = count_of(len(self), "point"), count_of(len(self.contours), "contour")
+        points = count_of(len(self), "point")
+        contours = count_of(len(self.contours), "contour")
         return f"Landmarks({points}, {self.missing.sum()} missing, {contours})"
 
     @property
@@ -223,7 +224,8 @@ def without_zeros(name: str) -> str:
 def contour_of(indices: Sequence[int], closed: bool) -> Contour | None:
     """Make a contour. A repeated first point closes it; a single point gives None."""
     if len(indices) > 2 and indices[0] == indices[-1]:
-        indices, closed = indices[:-1], True
+        indices = indices[:-1]
+        closed = True
     return Contour(tuple(indices), closed) if len({*indices}) > 1 else None
 
 
