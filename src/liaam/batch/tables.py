@@ -47,7 +47,7 @@ ParsedRow = tuple[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Table:
+class BatchTable:
     """Content of a table: its rows, the number of landmarks, and whether the rows have covariances.
 
     ``facts`` are the settings, ``contours`` lines through the landmarks, and ``names`` those of the landmarks or
@@ -106,7 +106,7 @@ def check_format(output: Path) -> None:
         )
 
 
-def write_table(output: Path, table: Table) -> None:
+def write_table(output: Path, table: BatchTable) -> None:
     """Write a table atomically in the format of its suffix."""
     with atomic_path(output) as temp:
         _WRITERS[output.suffix.lower()](temp, table)
@@ -125,7 +125,7 @@ def _write_parquet(path: Path, table: Table) -> None:
             writer.write_table(pa.Table.from_pylist(group, schema))
 
 
-def _write_csv(path: Path, table: Table) -> None:
+def _write_csv(path: Path, table: BatchTable) -> None:
     """Write flat columns: x1, y1, x2 ... and covariances xx1, xy1, yy1 ...; by names x_tip, y_tip, ..."""
     suffixes = [f"_{name}" for name in table.names] or [str(number) for number in range(1, table.n_points + 1)]
     headers = {name: _headers(name, suffixes) for name in _columns(table.covariance)}
@@ -157,7 +157,7 @@ def _write_lines(path: Path, table: Table) -> None:
             file.writelines(json.dumps(row | {NAMES: table.names}) + "\n" for _, row in table.rows)
 
 
-def _write_tps(path: Path, table: Table) -> None:
+def _write_tps(path: Path, table: BatchTable) -> None:
     """Write the landmarks of fits that may be used only, because the format has no status."""
     with path.open("w", encoding="utf-8", newline="") as file:
         for _, row in table.rows:

@@ -24,7 +24,7 @@ LEAST_DEVIATION = 0.1 / 255  # Standard deviation of a mean from causes other th
 
 
 @dataclass(frozen=True)
-class Blocks:
+class MeasuredBlocks:
     """Measurements of n blocks of one channel each in m images.
 
     Attributes

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from liaam.datasets import advice
-from liaam.datasets.dataset import Dataset, LeftOut, Sample
+from liaam.datasets.dataset import Dataset, Sample, UnusedFile
 from liaam.errors import ImageError, LandmarkError, MissingImageError
 from liaam.io.files import natural_key, some_names
 from liaam.io.images import PICTURE_SUFFIXES, size_and_orientation
@@ -99,8 +99,8 @@ def load_folder(
         reasons = [(left.path, left.reason) for left in left_out]
         raise LandmarkError(advice.no_pairs(root, wanted, reasons, unread, recursive))
     orphans = [left.path for left in left_out if left.reason == advice.NO_IMAGE]
-    left_out += [LeftOut(file, advice.UNKNOWN) for file in unread]
-    left_out += [LeftOut(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
+    left_out += [UnusedFile(file, advice.UNKNOWN) for file in unread]
+    left_out += [UnusedFile(file, advice.UNKNOWN_IMAGE) for file in advice.unread_images(files, orphans)]
     samples, unnamed = _in_one_order(samples, pairing.notes)
     samples, odd = _same_count(samples)
     left_out = sorted([*left_out, *unnamed, *odd], key=lambda left: natural_key(str(left.path)))
@@ -119,7 +119,7 @@ def _refuse_faults(left_out: list[LeftOut], unlike: list[LeftOut]) -> None:
 
 def pair_files(
     root: Path, images: list[Path], marks: Iterable[Path], place: Path | None = None
-) -> tuple[list[Sample], list[LeftOut]]:
+) -> tuple[list[Sample], list[UnusedFile]]:
     """Pair images of a folder with landmark files (``marks``) in it, or in a subfolder that is their ``place``.
 
     Numbers of landmarks may differ. Also return the files that were not used.
@@ -182,7 +182,7 @@ class _Pairing:
         self.wanted = wanted
         self.reading = reading
         self.notes = Notes(reading.strict)
-        self.left_out: list[LeftOut] = []
+        self.left_out: list[UnusedFile] = []
         self.unrecognised: list[Path] = []
         """Files of text that seem to hold no landmarks."""
         self.reported: set[Path] = set()
@@ -213,7 +213,7 @@ class _Pairing:
                 self._leave_out(file, f"{_UNREAD}: {fault}", image)
             return
         if notes.left_out:
-            self.left_out.append(LeftOut(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
+            self.left_out.append(UnusedFile(file, Notes(left_out=notes.left_out).lines()[0], partly=True))
         if read.is_single:
             (entry,) = entries
             self._add_single(read, image, entry)
@@ -300,7 +300,7 @@ class _Pairing:
         elif absent:
             verb = "is" if len(absent) == 1 else "are"
             some = f"{len(absent)} of its {len(file.entries)} images {verb} not in the folder ({some_names(absent)})"
-            self.left_out.append(LeftOut(file.path, f"{some}; the others are used", partly=True))
+            self.left_out.append(UnusedFile(file.path, f"{some}; the others are used", partly=True))
 
     def _add_option(self, file: LandmarkFile, image: Path, entry: str) -> None:
         """Add candidate landmarks of an image, in pixels."""
@@ -333,7 +333,7 @@ class _Pairing:
 
     def _leave_out(self, path: Path, reason: str, image: Path | None = None) -> None:
         """Record a file that is not used, and the image that it leaves without landmarks, if any."""
-        self.left_out.append(LeftOut(path, reason))
+        self.left_out.append(UnusedFile(path, reason))
         if image is not None:
             self.reported.add(image)
 
@@ -354,7 +354,7 @@ def _rank(file: Path, suffixes: tuple[str, ...]) -> int:
     return suffixes.index(file.suffix.lower())
 
 
-def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[LeftOut]]:
+def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], list[UnusedFile]]:
     """Put landmarks into the order of names that most samples have. Leave out those that lack some of the names."""
     orders = Counter(sample.landmarks.names for sample in samples if sample.landmarks.names)
     if len(orders) < 2:
@@ -377,7 +377,7 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
     return ordered, odd
 
 
-def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[LeftOut]]:
+def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[UnusedFile]]:
     """Keep the samples that have the most common number of landmarks."""
     [(usual, _)] = Counter(len(sample.landmarks) for sample in samples).most_common(1)
     alike = []

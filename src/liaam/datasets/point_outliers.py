@@ -174,7 +174,10 @@ def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
     fixed = target[:, 0] + 1j * target[:, 1]
     placed = moving
     are_near = np.ones(moving.shape)
-    for _ in range(3):
+    for i in range(3):
+        if i:
+            distances = np.abs(placed - fixed)
+            are_near = (distances <= np.quantile(distances, 0.75, axis=1, keepdims=True)).astype(float)
         weights = are_near / are_near.sum(axis=1, keepdims=True)
         centre = (weights * moving).sum(axis=1, keepdims=True)
         target_centre = (weights @ fixed)[:, None]
@@ -183,8 +186,6 @@ def resistant_fit(shapes: np.ndarray, target: np.ndarray) -> np.ndarray:
         product = (weights * centred.conj() * (fixed - target_centre)).sum(axis=1)
         factor = product / np.maximum(power, 1e-300)
         placed = factor[:, None] * centred + target_centre
-        distances = np.abs(placed - fixed)
-        are_near = (distances <= np.quantile(distances, 0.75, axis=1, keepdims=True)).astype(float)
     return np.stack([np.real(placed), np.imag(placed)], axis=-1)
 
 

@@ -282,11 +282,11 @@ class Evaluation:
 
 def _percentile(values: np.ndarray, percent: float) -> float:
     """Return a percentile of the values that are known; infinite where it lies among infinite ones."""
-    known = values[~np.isnan(values)]
-    if not len(known):
+    present = values[~np.isnan(values)]
+    if not len(present):
         return np.nan
     with np.errstate(invalid="ignore"):  # between two infinite values
-        return float(np.nan_to_num(np.percentile(known, percent), nan=np.inf, posinf=np.inf))
+        return float(np.nan_to_num(np.percentile(present, percent), nan=np.inf, posinf=np.inf))
 
 
 def _percentiles(errors: np.ndarray, percent: float) -> list[float]:

@@ -156,7 +156,7 @@ def _fields(header: dict, tensors: dict[str, np.ndarray]) -> dict[str, Any]:
     contours = tuple((tuple(int(i) for i in indices), bool(closed)) for indices, closed in header["contours"])
     if any(not 0 <= i < n for indices, _ in contours for i in indices):
         raise ValueError("a contour names a landmark that does not exist")
-    made = {name: _view(name, about, tensors, mean, triangles, sizes) for name, about in views.items()}
+    made = {name: _view(name, description, tensors, mean, triangles, sizes) for name, description in views.items()}
     cost.check_cost(made.values())
     return {
         "views": made,
@@ -184,18 +184,18 @@ def _check_memory(header: dict, tensors: dict[str, np.ndarray]) -> None:
     named = re.compile(r"(?:others/([0-9])/)?([a-z]+)/[0-9]+/([a-z]+)\.modes")
     total = 0.0
     for key, modes in tensors.items():
-        if not (found := named.fullmatch(key)) or found[3] not in CHANNELS:
+        if not (match := named.fullmatch(key)) or match[3] not in CHANNELS:
             continue
-        n_pixels = _n_pixels(header, found[1], found[2])
-        total += cost.LOADED * float(len(modes)) * n_pixels * CHANNELS[found[3]]
+        n_pixels = _n_pixels(header, match[1], match[2])
+        total += cost.LOADED * float(len(modes)) * n_pixels * CHANNELS[match[3]]
     cost.check_memory(total)
 
 
 def _n_pixels(header: dict, other: str | None, view: str) -> float:
     """Number of pixels of a view, as a header states it; 0 if it does not, for which the file is refused later."""
     try:
-        about = header if other is None else header["others"][int(other)]
-        return float(about["views"][view]["n_pixels"])
+        part = header if other is None else header["others"][int(other)]
+        return float(part["views"][view]["n_pixels"])
     except (KeyError, IndexError, TypeError, ValueError):
         return 0.0
 
@@ -214,31 +214,32 @@ def _fields_of_others(header: dict, tensors: dict[str, np.ndarray]) -> list[dict
     if not isinstance(others, list) or len(others) >= MOST_SHAPES:
         raise ValueError(f"there are not 1 to {MOST_SHAPES} shapes")
     made: list[dict[str, Any] | np.ndarray] = []
-    for i, about in enumerate(others):
-        if i and MIRRORED in about:
-            order, n = np.array(about[MIRRORED]), len(tensors["mean"])
+    for i, part in enumerate(others):
+        if i and MIRRORED in part:
+            order, n = np.array(part[MIRRORED]), len(tensors["mean"])
             if order.shape != (n,) or order.dtype.kind != "i" or not 0 <= order.min() <= order.max() < n:
                 raise ValueError(f"{MIRRORED} has not {n} indices of landmarks")
             if not np.array_equal(order[order], np.arange(n)):
                 raise ValueError(f"{MIRRORED} does not exchange pairs of landmarks")
             made.append(order)
             continue
-        own = {key.removeprefix(prefix_of(i)): value for key, value in tensors.items() if key.startswith(prefix_of(i))}
-        if own["mean"].shape != tensors["mean"].shape:
+        prefix = prefix_of(i)
+        part_tensors = {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
+        if part_tensors["mean"].shape != tensors["mean"].shape:
             raise ValueError("the shapes do not have the same number of landmarks")
-        made.append(_fields(about, own))
+        made.append(_fields(part, part_tensors))
     return made
 
 
 def _light(tensors: dict[str, np.ndarray], n: int) -> LightBasis:
     mean = checked_tensor(tensors, "light.mean", np.float64, (n, 2))
-    known = _known(tensors, "light", SIDE * SIDE)
-    square = (SIDE, SIDE) if known is None else (int(known.sum()),)
+    mask = _known(tensors, "light", SIDE * SIDE)
+    square = (SIDE, SIDE) if mask is None else (int(mask.sum()),)
     modes = _modes(tensors, "light", (None, *square, 3))
     if not 1 <= len(modes) <= MAX_LIGHTS:
         raise ValueError(f"light.modes has shape {modes.shape}")
-    if known is not None:
-        modes = spread(modes, known, axis=1).reshape(-1, SIDE, SIDE, 3)
+    if mask is not None:
+        modes = spread(modes, mask, axis=1).reshape(-1, SIDE, SIDE, 3)
     remainder = checked_tensor(tensors, "light.remainder", np.float16, (SIDE, SIDE))
     # Coordinates of a mean shape with diagonal 1, and standard deviations.
     if np.abs(mean).max() > 1.0 or diagonal_of(mean) < 0.5 or (remainder < 0).any():
@@ -278,7 +279,7 @@ def _point_map(tensors: dict[str, np.ndarray], n: int) -> PointMap | None:
 
 def _view(
     name: str,
-    about: dict,
+    description: dict,
     tensors: dict[str, np.ndarray],
     mean: np.ndarray,
     triangles: np.ndarray,
@@ -287,10 +288,10 @@ def _view(
     """Make one view; all views share the mean shape. ``counts`` are the channels and most modes of each appearance."""
     if name not in VIEWS:
         raise ValueError(f"view {shortened(name)!r} is unknown; the views are {', '.join(VIEWS)}")
-    if not isinstance(about, dict):
-        raise ValueError(f"view {name} is described by {shortened(about)}")
+    if not isinstance(description, dict):
+        raise ValueError(f"view {name} is described by {shortened(description)}")
     tensors = {key.removeprefix(f"{name}/"): value for key, value in tensors.items() if key.startswith(f"{name}/")}
-    blurs, n, n_pixels = [finite(blur) for blur in about["blurs"]], len(mean), about["n_pixels"]
+    blurs, n, n_pixels = [finite(blur) for blur in description["blurs"]], len(mean), description["n_pixels"]
     if not 1 <= len(blurs) <= MAX_LEVELS or not all(0 <= blur <= MAX_BLUR for blur in blurs):
         raise ValueError(f"blurs {shortened(blurs)}: 1 to {MAX_LEVELS} numbers between 0 and {MAX_BLUR:g} are expected")
     if not isinstance(n_pixels, int) or n_pixels < 1:
@@ -301,25 +302,25 @@ def _view(
     levels = []
     for i, blur in enumerate(blurs):
         names = [name for name in CHANNELS if f"{i}/{name}.mean" in tensors]
-        found = {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
-        if name == MESH and i == 0 and "search" not in found and "orientation" in found:
-            found["search"] = strongest_modes(found["orientation"])
-        levels.append(Level(blur, found))
+        appearances = {name: _appearance(tensors, f"{i}/{name}", n_pixels, *counts[name]) for name in names}
+        if name == MESH and i == 0 and "search" not in appearances and "orientation" in appearances:
+            appearances["search"] = strongest_modes(appearances["orientation"])
+        levels.append(Level(blur, appearances))
     # The drawings of a model and the light on its object need the logarithms of the sharpest level.
     if "log" not in levels[-1].appearances if name == MESH else not all(level.appearances for level in levels):
         raise ValueError(f"view {name} lacks an appearance")
     if signed_areas(mean, triangles).sum() > ROOMY * n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
-    warp = VIEWS[name](_shape_model(about, tensors, mean), triangles)
+    warp = VIEWS[name](_shape_model(description, tensors, mean), triangles)
     if n_pixels != warp.frame.n_pixels:
         raise ValueError(f"the reference frame of view {name} does not match its number of pixels")
     named = re.compile(r"(reliability(?:/([a-z0-9-]{1,40}))?)\.weights")
-    calibrations = {found[2] or UNNAMED: found[1] for key in sorted(tensors) if (found := named.fullmatch(key))}
-    known = {method: _reliability(tensors, own, n) for method, own in calibrations.items()}
-    return View(replace(warp, from_right=bool(about.get("from_right", False))), tuple(levels), known)
+    prefixes = {match[2] or UNNAMED: match[1] for key in sorted(tensors) if (match := named.fullmatch(key))}
+    reliabilities = {method: _reliability(tensors, prefix, n) for method, prefix in prefixes.items()}
+    return View(replace(warp, from_right=bool(description.get("from_right", False))), tuple(levels), reliabilities)
 
 
-def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
+def _shape_model(description: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) -> ShapeModel:
     n = len(mean)
     modes = checked_tensor(tensors, "shape.modes", np.float64, (None, 2 * n))
     if len(modes) > 2 * n - 4:  # they are orthogonal to each other and to the four similarity vectors
@@ -334,48 +335,49 @@ def _shape_model(about: dict, tensors: dict[str, np.ndarray], mean: np.ndarray) 
     if unexplained is not None:
         check_covariances(key, unexplained, MAX_VARIANCE)
     check_magnitude("shape.eigenvalues", eigenvalues, n * MAX_VARIANCE)
-    freedom = finite(about["freedom"]) if "freedom" in about else np.inf
+    freedom = finite(description["freedom"]) if "freedom" in description else np.inf
     if not freedom >= LEAST_FREEDOM:
         raise ValueError(f"freedom {freedom:g} is below {LEAST_FREEDOM:g}")
     return ShapeModel(mean, modes, eigenvalues, unexplained, freedom)
 
 
-def _reliability(tensors: dict[str, np.ndarray], own: str, n: int) -> Reliability:
-    landmarks, bias = (checked_tensor(tensors, f"{own}.{key}", np.float64, (n, 2, 2)) for key in ("landmarks", "bias"))
-    tensors = {f"{own}.prior": np.ones(1), **tensors}  # older files have none
+def _reliability(tensors: dict[str, np.ndarray], prefix: str, n: int) -> Reliability:
+    landmarks = checked_tensor(tensors, f"{prefix}.landmarks", np.float64, (n, 2, 2))
+    bias = checked_tensor(tensors, f"{prefix}.bias", np.float64, (n, 2, 2))
+    tensors = {f"{prefix}.prior": np.ones(1), **tensors}  # older files have none
     unit, factor, typical, prior = (
-        float(checked_tensor(tensors, f"{own}.{name}", np.float64, (1,))[0])
+        float(checked_tensor(tensors, f"{prefix}.{name}", np.float64, (1,))[0])
         for name in ("unit", "variance_factor", "typical", "prior")
     )
-    check_covariances(f"{own}.landmarks", landmarks, MAX_VARIANCE)
-    check_covariances(f"{own}.bias", bias, MAX_VARIANCE)
+    check_covariances(f"{prefix}.landmarks", landmarks, MAX_VARIANCE)
+    check_covariances(f"{prefix}.bias", bias, MAX_VARIANCE)
     if not (unit > 0.0 and prior > 0.0):
-        raise ValueError(f"{own}.{'prior' if unit > 0.0 else 'unit'} is not positive")
+        raise ValueError(f"{prefix}.{'prior' if unit > 0.0 else 'unit'} is not positive")
     if not UNITS[0] <= unit <= UNITS[1]:
-        raise ValueError(f"{own}.unit {unit:g} is not between {UNITS[0]:g} and {UNITS[1]:g}")
+        raise ValueError(f"{prefix}.unit {unit:g} is not between {UNITS[0]:g} and {UNITS[1]:g}")
     if not 1.0 / MAX_FACTOR <= prior <= MAX_FACTOR:
-        raise ValueError(f"{own}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
+        raise ValueError(f"{prefix}.prior {prior:g} is not between {1.0 / MAX_FACTOR:g} and {MAX_FACTOR:g}")
     if factor < 1.0:
-        raise ValueError(f"{own}.variance_factor is below 1")
-    check_magnitude(f"{own}.variance_factor", np.array(factor), MAX_FACTOR)
+        raise ValueError(f"{prefix}.variance_factor is below 1")
+    check_magnitude(f"{prefix}.variance_factor", np.array(factor), MAX_FACTOR)
     if not 0.0 <= typical <= 1.0:
-        raise ValueError(f"{own}.typical is not a probability")
-    weights = checked_tensor(tensors, f"{own}.weights", np.float64, (3,))
-    check_magnitude(f"{own}.weights", weights, MAX_FACTOR)
+        raise ValueError(f"{prefix}.typical is not a probability")
+    weights = checked_tensor(tensors, f"{prefix}.weights", np.float64, (3,))
+    check_magnitude(f"{prefix}.weights", weights, MAX_FACTOR)
     return Reliability(landmarks, bias, unit, weights, factor, typical, prior)
 
 
 def _appearance(
     tensors: dict[str, np.ndarray], prefix: str, n_pixels: int, channels: int, n_textures: int
 ) -> AppearanceModel:
-    known = _known(tensors, prefix, n_pixels)
-    n = n_pixels if known is None else int(known.sum())
+    mask = _known(tensors, prefix, n_pixels)
+    n = n_pixels if mask is None else int(mask.sum())
     modes = _modes(tensors, prefix, (None, n, channels))
     # More modes than images would need more memory in a fit than the file's size suggests.
     most = min(n_pixels * channels, n_textures)
     if len(modes) > most:
         raise ValueError(f"{prefix} has {len(modes)} modes; the maximum is {most}")
-    in_part = known is not None or not modes.any(axis=(0, 2)).all()  # of some, only pixels that are used are kept
+    in_part = mask is not None or not modes.any(axis=(0, 2)).all()  # of some, only pixels that are used are kept
     if not are_unit(modes.reshape(len(modes), n * channels), at_most=in_part):
         raise ValueError(f"{prefix}.modes are not of unit length")
     key, errors = f"{prefix}.unexplained", None
@@ -400,7 +402,7 @@ def _appearance(
         usable=half_or_single(tensors, f"{prefix}.usable", (n,)),
         unexplained=errors,
     )
-    return appearance if known is None else appearance.spread(known)
+    return appearance if mask is None else appearance.spread(mask)
 
 
 def _known(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.ndarray | None:
@@ -408,10 +410,10 @@ def _known(tensors: dict[str, np.ndarray], prefix: str, n_pixels: int) -> np.nda
     if f"{prefix}.known" not in tensors:
         return None
     bits = checked_tensor(tensors, f"{prefix}.known", np.uint8, (-(-n_pixels // 8),))
-    known = np.unpackbits(bits, count=n_pixels).astype(bool)
-    if known.sum() < LEAST_SHARE * n_pixels:
-        raise ValueError(f"{prefix} has {known.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
-    return known
+    mask = np.unpackbits(bits, count=n_pixels).astype(bool)
+    if mask.sum() < LEAST_SHARE * n_pixels:
+        raise ValueError(f"{prefix} has {mask.sum()} of {n_pixels} pixels; at least {LEAST_SHARE:.0%} are expected")
+    return mask
 
 
 def _modes(tensors: dict[str, np.ndarray], prefix: str, shape: tuple) -> np.ndarray:

@@ -47,27 +47,29 @@ def with_even_curves(specimens: Iterable[Specimen], numbers: str | int) -> tuple
     if not 3 <= min(given) <= max(given) <= 1000:
         raise LiaamError(f"curves of {numbers} points: give 3 to 1000, such as 20, or 20,12 for two curves")
     specimens = tuple(specimens)
-    suited = [bool(own.curves) and len(given) in (1, len(own.curves)) for own in specimens]
+    suited = [bool(specimen.curves) and len(given) in (1, len(specimen.curves)) for specimen in specimens]
     if not any(suited):
         raise LiaamError(f"no specimen has curves to resample by {numbers}: give one number, or one for each curve")
-    return tuple(_with_even_curves(own, given) if yes else own for own, yes in zip(specimens, suited, strict=True))
+    return tuple(
+        _with_even_curves(specimen, given) if yes else specimen for specimen, yes in zip(specimens, suited, strict=True)
+    )
 
 
 def _with_even_curves(specimen: Specimen, numbers: Sequence[int]) -> Specimen:
     times = Counter(index for curve in specimen.curves for index in set(curve.indices))
-    kept = [index for index in range(len(specimen.points)) if times[index] != 1]
+    remaining = [index for index in range(len(specimen.points)) if times[index] != 1]
     old = specimen.names or [""] * len(specimen.points)
-    points, names, curves = list(specimen.points[kept]), [old[index] for index in kept], []
+    points, names, curves = list(specimen.points[remaining]), [old[index] for index in remaining], []
     counts = numbers if len(numbers) > 1 else [*numbers] * len(specimen.curves)
     for number, (curve, count) in enumerate(zip(specimen.curves, counts, strict=True), 1):
-        ends, own = {0: curve.indices[0]} | ({} if curve.closed else {count - 1: curve.indices[-1]}), []
+        ends, line = {0: curve.indices[0]} | ({} if curve.closed else {count - 1: curve.indices[-1]}), []
         for place, point in enumerate(resample(specimen.points[list(curve.indices)], count, curve.closed)):
             end = ends.get(place)
-            own.append(kept.index(end) if end in kept else len(points))
-            if end not in kept:
+            line.append(remaining.index(end) if end in remaining else len(points))
+            if end not in remaining:
                 points.append(point)
                 names.append(f"curve{number}_{place + 1}" if end is None else old[end])
-        curves.append(Contour(tuple(own), curve.closed))
+        curves.append(Contour(tuple(line), curve.closed))
     names = tuple(names) if specimen.names else ()
     return replace(specimen, points=np.array(points), covariances=None, names=names, curves=tuple(curves))
 
@@ -112,12 +114,12 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
     chain, sliding = semilandmarks(curves)
     if not len(shapes) or not len(sliding):
         return shapes
-    tracks = [_Track(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
+    tracks = [_JoinedCurves(shape, chain, sliding, _lengths(shape[chain])) for shape in shapes]
     places, mean = [track.lengths for track in tracks], procrustes_mean(shapes)
     for _ in range(_ROUNDS):
         weights = bending_energy(mean) if criterion == "bending" else np.eye(len(mean))
-        places = [track.step(own, mean, weights) for track, own in zip(tracks, places, strict=True)]
-        shapes = np.array([track.shape_at(own) for track, own in zip(tracks, places, strict=True)])
+        places = [track.step(positions, mean, weights) for track, positions in zip(tracks, places, strict=True)]
+        shapes = np.array([track.shape_at(positions) for track, positions in zip(tracks, places, strict=True)])
         last, mean = mean, procrustes_mean(shapes)
         if np.abs(align(mean, last)(mean) - last).max() < _TOLERANCE:
             break
@@ -125,7 +127,7 @@ def slide(shapes: np.ndarray, curves: Sequence[Contour], criterion: str) -> np.n
 
 
 @dataclass(frozen=True, eq=False)
-class _Track:
+class _JoinedCurves:
     """The curves of a shape, joined into one line; places on it are lengths from its start."""
 
     shape: np.ndarray
@@ -141,12 +143,12 @@ class _Track:
 
     def step(self, places: np.ndarray, mean: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Move along the curves to a smaller trace(d' W d) of the differences d from the mean and weights W (n, n)."""
-        shape, own = self.shape_at(places), self.chain[self.sliding]
+        shape, on_chain = self.shape_at(places), self.chain[self.sliding]
         target = align(mean, shape)(mean)
         along = shape[self.chain[self.sliding + 1]] - shape[self.chain[self.sliding - 1]]
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
-        slope = np.sum(along * (weights @ (shape - target))[own], axis=1)
-        moves = -np.linalg.lstsq(weights[np.ix_(own, own)] * (along @ along.T), slope, rcond=1e-10)[0]
+        slope = np.sum(along * (weights @ (shape - target))[on_chain], axis=1)
+        moves = -np.linalg.lstsq(weights[np.ix_(on_chain, on_chain)] * (along @ along.T), slope, rcond=1e-10)[0]
         gaps, cost = np.diff(places) / 2, np.vdot(shape - target, weights @ (shape - target))
         while np.abs(moves).max() > 1e-3 * gaps.mean():
             moved = places.copy()

@@ -10,7 +10,7 @@ from liaam.drawing import as_picture
 from liaam.io import atomic_path
 from liaam.model import AAM
 from liaam.photometry import invariant, linear_to_srgb
-from liaam.training import Lamps
+from liaam.training import LearntLamps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,8 +103,8 @@ def figure_of_model(model: AAM, n_modes: int = 3) -> "Figure":
     The shapes of a model of several are drawn below each other.
     """
     parts = [(part, part.levels[-1].appearances["log"]) for part in model.parts]
-    known = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
-    shown = max(1, min(n_modes, known))
+    most = max(max(len(part.shape_model.modes), appearance.n_modes) for part, appearance in parts)
+    shown = max(1, min(n_modes, most))
     figure, grid = subplots(2 * len(parts), 2 + shown, (2.6 * (2 + shown), 6.0 * len(parts)))
     for axis in grid.ravel():
         axis.axis("off")
@@ -154,12 +154,12 @@ def _stored(model: AAM, log_rgb: np.ndarray) -> np.ndarray:
 LAMPS_DRAWN, LAMPS_ACROSS = 47, 8  # Maximum number of lamps, and number of images in a row
 
 
-def figure_of_lamps(lamps: Lamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
+def figure_of_lamps(lamps: LearntLamps, image: np.ndarray | None = None, points: np.ndarray | None = None) -> "Figure":
     """Draw an image under each lamp.
 
     Parameters
     ----------
-    lamps : Lamps
+    lamps : LearntLamps
     image : (h, w, 3) array, optional
         Image under the training light. By default plain grey.
     points : (n, 2) float, optional

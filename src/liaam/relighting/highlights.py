@@ -54,8 +54,8 @@ def _colour_around(
 ) -> np.ndarray:
     """Return the mean colour of the object's bright pixels that are not clipped, around each pixel, (lh, lw, 3)."""
     bright = np.exp(POWER * reduce(cv2.max, cv2.split(small)))[..., None]
-    known = bright * around.belongs * (1.0 - region.reduced(is_clipped.astype(np.float32))[..., None])
-    return averages(colours, known, COLOUR_REACH * region.reach, FALLBACK)
+    weights = bright * around.belongs * (1.0 - region.reduced(is_clipped.astype(np.float32))[..., None])
+    return averages(colours, weights, COLOUR_REACH * region.reach, FALLBACK)
 
 
 def _beyond_white(

@@ -90,15 +90,15 @@ def paint(image: np.ndarray, shape: np.ndarray, model: AAM, values: np.ndarray) 
     rows, columns = box_of(shape, 0.0, image.shape)
     corners = np.pad(shape - (columns.start, rows.start), ((0, 0), (0, 1)))
     there, size = model.shape_model.mean - model.frame.origin, (rows.stop - rows.start, columns.stop - columns.start)
-    owner, own = _core.draw_triangles(corners, np.ascontiguousarray(triangles, np.int32), there, *size)
+    owner, places = _core.draw_triangles(corners, np.ascontiguousarray(triangles, np.int32), there, *size)
     y, x = np.nonzero(owner >= 0)
     # At the mesh's border, pixels outside it have no weight.
-    known = np.ones((len(values), 1), np.float32)
-    layers = model.frame.picture(np.concatenate([values, known, known], axis=1))
-    warped, _ = _core.sample_channels(np.ascontiguousarray(layers, np.float32), own[y, x])
-    kept = warped[:, -1] > 1e-3
-    at = y[kept] + rows.start, x[kept] + columns.start
-    picture[at], inside[at] = warped[kept, :-1] / warped[kept, -1:], True
+    ones = np.ones((len(values), 1), np.float32)
+    layers = model.frame.picture(np.concatenate([values, ones, ones], axis=1))
+    warped, _ = _core.sample_channels(np.ascontiguousarray(layers, np.float32), places[y, x])
+    inside_mesh = warped[:, -1] > 1e-3
+    at = y[inside_mesh] + rows.start, x[inside_mesh] + columns.start
+    picture[at], inside[at] = warped[inside_mesh, :-1] / warped[inside_mesh, -1:], True
     return picture, inside
 
 

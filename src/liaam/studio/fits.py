@@ -29,9 +29,9 @@ from liaam.relighting import Lamp, Relighter, paint
 from liaam.studio import layers
 from liaam.studio.folder import plain_name
 from liaam.studio.model_store import ModelInUse, ModelStore
-from liaam.studio.pictures import Kept, Pictures, Source, averaged, fitted_size, png_bytes, shown
+from liaam.studio.pictures import Kept, Pictures, PictureSource, averaged, fitted_size, png_bytes, shown
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
+from liaam.studio.settings import StudioSettings
 from liaam.studio.template import text_of
 
 LAYER_SIZE = 1280  # default longest side of a layer in pixels
@@ -69,7 +69,7 @@ class Fit:
     """A fit and its inputs."""
 
     id: str
-    source: Source
+    source: PictureSource
     fitter: Fitter
     result: FitResult
     search_seconds: float
@@ -212,7 +212,7 @@ class Fits:
 
     def fit(
         self,
-        source: Source,
+        source: PictureSource,
         of: tuple[str, str],
         method: str = DEFAULT_METHOD,
         start: Any = None,
@@ -292,7 +292,7 @@ class Fits:
         return self._layers.get((fit.id, what, size), make)
 
     def draw(
-        self, fit: Fit, what: str, size: int | None, light: Light | None = None
+        self, fit: Fit, what: str, size: int | None, light: Lighting | None = None
     ) -> tuple[np.ndarray, dict[str, Any] | None]:
         """Draw a layer of the whole picture as (h, w, 4) or (h, w, 3) uint8, its longest side at most ``size``.
 
@@ -319,7 +319,7 @@ class Fits:
             return averaged(relighter.under(*light), to), None
         return averaged(relighter.flat(), to), None
 
-    def export(self, fit: Fit, what: str, light: Light) -> tuple[str, str, bytes]:
+    def export(self, fit: Fit, what: str, light: Lighting) -> tuple[str, str, bytes]:
         """Return the name, media type and content of a file, one of :data:`FILES`; the light is for ``relit``."""
         if what not in FILES:
             raise Refusal(422, f"a fit cannot be exported as '{what[:40]}': choose one of {', '.join(FILES)}")

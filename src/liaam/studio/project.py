@@ -28,11 +28,11 @@ from liaam.io.table_writer import columns_text
 from liaam.morphometry import Specimen, measure
 from liaam.studio.folder import File, Folder, Listing, checked_folder, plain_name, revision_of, sets_in
 from liaam.studio.landmark_files import LandmarkFiles, parse_bar
-from liaam.studio.pictures import Source, source_of
+from liaam.studio.pictures import PictureSource, source_of
 from liaam.studio.review import PictureStates, ReviewLog, parse_who
 from liaam.studio.safety import Refusal
-from liaam.studio.settings import Settings
-from liaam.studio.store import Store, Table
+from liaam.studio.settings import StudioSettings
+from liaam.studio.store import Store, StoredTable
 from liaam.studio.template import Template, Templates, parse_indices, parse_points, parse_template, template_of, text_of
 
 PART_SECONDS = 0.02  # how long files are read at a time, while requests wait
@@ -85,7 +85,11 @@ class Project:
     """
 
     def __init__(
-        self, folder: str | Path, settings: Settings | None = None, set_name: str = "", first: "Project | None" = None
+        self,
+        folder: str | Path,
+        settings: StudioSettings | None = None,
+        set_name: str = "",
+        first: "Project | None" = None,
     ) -> None:
         self.settings = settings or Settings()
         self.set_name = set_name
@@ -215,14 +219,14 @@ class Project:
                 self._states.as_json(file, {})  # which reads them
             n_read += 1
 
-    def source(self, name: str) -> Source:
+    def source(self, name: str) -> PictureSource:
         """Return a picture that can be decoded."""
         with self._lock:
             self._listing.usable_size(self._find(name))
             path = self.folder.inside(name)
         return source_of(path, self.settings.pixels, name)
 
-    def mark_unreadable(self, source: Source, fault: ImageError) -> None:
+    def mark_unreadable(self, source: PictureSource, fault: ImageError) -> None:
         """Remember that a picture without landmarks cannot be decoded, unless that may pass."""
         cause: BaseException | None = fault
         while cause is not None:

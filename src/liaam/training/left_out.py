@@ -15,14 +15,14 @@ from liaam.model.shape import Recipe, shape_model_on
 from liaam.photometry.encoding import as_colour
 from liaam.training.entries import Entry, image_of
 from liaam.training.lamps import Copies
-from liaam.training.reliability import LeftOut, calibrate
+from liaam.training.reliability import LeftOutImage, calibrate
 from liaam.training.textures import FITTED, SOURCES, Sampled, Steps, learning_cost
 
 # Largest numbers of models to train without a fold, and of left-out images to fit
 LEFT_OUT_FOLDS, LEFT_OUT_PICTURES = 5, 20
 
 
-Settings = Mapping[str, tuple[Recipe, Variance, Variance]]
+ViewSettings = Mapping[str, tuple[Recipe, Variance, Variance]]
 """Recipe of the shapes, and variances of shapes and appearances to keep, by view."""
 
 
@@ -32,7 +32,7 @@ def calibrated(
     shapes: np.ndarray,
     sampled: Sampled,
     copied: Copies,
-    settings: Settings,
+    settings: ViewSettings,
     methods: Sequence[Method],
     folds: list[np.ndarray],
     steps: Steps,
@@ -44,24 +44,28 @@ def calibrated(
     """
     halves = [np.zeros(0, int)] if copied.lamps is None else copied.lamps.halves()
 
-    def images() -> Iterator[LeftOut]:
+    def images() -> Iterator[LeftOutImage]:
         """Yield some images of each fold with the model of the other folds, one model at a time."""
         for i, fold in enumerate(folds):
             steps.next(f"leaving out part {i + 1} of {len(folds)}", learning_cost(model.n_textures))
             lamps = halves[i % len(halves)]
-            known = np.flatnonzero(~np.isin(copied.lit_by, lamps))
-            part = _without(model, fold, shapes, sampled, settings, methods, known)
+            usable_rows = np.flatnonzero(~np.isin(copied.lit_by, lamps))
+            part = _without(model, fold, shapes, sampled, settings, methods, usable_rows)
             for j in fitted_of(fold, folds):
                 steps.next(f"fitting {entries[j].name}", FITTED)
                 image = as_colour(entries[j].read_image(), entries[j].name)
-                yield LeftOut(part, image, shapes[j])
+                yield LeftOutImage(part, image, shapes[j])
                 for relit in copied.relit(j, image, shapes[j], model.response, lamps):
-                    yield LeftOut(part, relit, shapes[j], relit=True)
+                    yield LeftOutImage(part, relit, shapes[j], relit=True)
 
-    found = calibrate(model, images(), methods)
+    reliabilities = calibrate(model, images(), methods)
     for view in VIEWS:
-        own = {method.name: found[method.name] for method in methods if method.view == view and method.name in found}
-        model = model.with_view(view, reliabilities=own)
+        of_view = {
+            method.name: reliabilities[method.name]
+            for method in methods
+            if method.view == view and method.name in reliabilities
+        }
+        model = model.with_view(view, reliabilities=of_view)
     return model
 
 
@@ -109,13 +113,13 @@ def _without(
     fold: np.ndarray,
     shapes: np.ndarray,
     sampled: Sampled,
-    settings: Settings,
+    settings: ViewSettings,
     methods: Sequence[Method],
-    known: np.ndarray,
+    usable_rows: np.ndarray,
 ) -> AAM:
     """Train a model without a fold, on the frame and with the settings of the whole model.
 
-    Of the textures with copies, only the ``known`` are used: those under lamps that are not left out.
+    Of the textures with copies, only the ``usable_rows`` are used: those under lamps that are not left out.
     """
     others = np.setdiff1d(np.arange(len(shapes)), fold)
     for name in dict.fromkeys(method.view for method in methods):
@@ -123,15 +127,15 @@ def _without(
         view, levels = model.views[name], []
         needed = set().union(*(needed_by(method) for method in methods if method.view == name))
         for i, level in enumerate(view.levels):
-            found = {}
+            appearances = {}
             for kind in needed & level.appearances.keys():
                 whole, rows = level.appearances[kind], sampled.rows(kind, others)
-                rows = np.intersect1d(rows, known) if kind in COPIED_APPEARANCES else rows
-                kept = whole.n_modes if appearance_variance == "auto" else appearance_variance
-                part = train_appearance_model(sampled.textures[kind][i], kept, rows, left_out=None)
+                rows = np.intersect1d(rows, usable_rows) if kind in COPIED_APPEARANCES else rows
+                retained = whole.n_modes if appearance_variance == "auto" else appearance_variance
+                part = train_appearance_model(sampled.textures[kind][i], retained, rows, left_out=None)
                 # The error on unseen images is that of the whole model's folds.
-                found[kind] = replace(part, unexplained=whole.unexplained)
-            levels.append(Level(level.blur, found))
+                appearances[kind] = replace(part, unexplained=whole.unexplained)
+            levels.append(Level(level.blur, appearances))
         modes = len(view.shape_model.modes) if variance == "auto" else variance
         part = shape_model_on(view.shape_model.mean, shapes[others], modes, recipe)
         model = model.with_view(name, warp=replace(view.warp, shape_model=part), levels=tuple(levels))

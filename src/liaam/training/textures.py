@@ -131,8 +131,8 @@ def sample_all(
         encoding = encoder if encoder is not None and name == "features" else ENCODING_OF[name]
         for level, (values, usable) in room[name].items():
             blur = blurs[view_of[name]][level]
-            found = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
-            values[row], usable[row] = _learnt(encoding, *found, camera.theta, colour)
+            sampled_pixels = sample_appearance(image, points, warps[name], encoding, camera.response, blur)
+            values[row], usable[row] = _learnt(encoding, *sampled_pixels, camera.theta, colour)
 
     copied_names = [name for name in view_of if name in COPIED_APPEARANCES]
     first = np.searchsorted(owners, np.arange(len(entries)))
@@ -140,9 +140,9 @@ def sample_all(
         steps.next(entry.name)
         image = camera.flatten(as_colour(entry.read_image(), entry.name))
         filters.add(image, entry.points)
-        own = np.flatnonzero(coloured == i)
+        rows = np.flatnonzero(coloured == i)
         for name in view_of:
-            for row in [first[i]] if name in COPIED_APPEARANCES else own:
+            for row in [first[i]] if name in COPIED_APPEARANCES else rows:
                 sample(image, entry.points, name, int(row), not grey[i])
         made = copied.of_picture(i, image, entry.points, camera.response, model.diagonal)
         for row, (copy, points) in enumerate(made, first[i] + 1):
@@ -170,9 +170,9 @@ def _learnt(
     """
     if encoding != "soft":
         return values[:, : CHANNELS[encoding] if isinstance(encoding, str) else None], usable
-    direction, log_rgb, known = np.split(values, [2, 5], axis=1)
+    direction, log_rgb, colour_known = np.split(values, [2, 5], axis=1)
     rows = np.concatenate([direction, log_rgb @ invariant_row(theta).T.astype(np.float32)], axis=1)
-    return rows, np.column_stack([usable, usable, usable * ((known[:, 0] > 0.99) & colour)])
+    return rows, np.column_stack([usable, usable, usable * ((colour_known[:, 0] > 0.99) & colour)])
 
 
 def sample_appearance(
@@ -208,17 +208,17 @@ def level_appearances(
         textures = source[level]
         if name == "illumination":
             # Evidence from left-out images under the training light cannot choose the number of illumination modes.
-            kept = 0.98 if variance == "auto" else variance
+            share = 0.98 if variance == "auto" else variance
             rows = sampled.copies
             relit = Textures(textures.values[rows], textures.observed[rows], textures.usable[rows])
-            appearances[name] = train_illumination(appearances["value"], relit, kept)
+            appearances[name] = train_illumination(appearances["value"], relit, share)
             continue
         if name == "invariant":
             # LIT: project first, then learn (paper section 4).
             textures = Textures.of(textures.values @ invariant_row(theta).T.astype(np.float32), textures.usable)
-        kept = count_by_evidence(textures.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
+        share = count_by_evidence(textures.vectors, sampled.folds(name, folds)) if variance == "auto" else variance
         if name == "search":
-            appearances[name] = strongest_modes(train_appearance_model(textures, kept))
+            appearances[name] = strongest_modes(train_appearance_model(textures, share))
         else:
-            appearances[name] = train_appearance_model(textures, kept, left_out=sampled.folds(name, every))
+            appearances[name] = train_appearance_model(textures, share, left_out=sampled.folds(name, every))
     return appearances

@@ -20,9 +20,9 @@ def covariance(
     of which the stage may have only the first.
     """
     objective, solution, whole = stage.objective, stage.solution, whole or stage.objective
-    n_p, own = whole.warp.n_parameters, own_parameters(objective.warp.n_parameters, whole.warp.n_parameters)
-    own, precision = np.r_[own, n_p : whole.n_q], np.zeros((whole.n_q, whole.n_q))
-    precision[np.ix_(own, own)] = solution.expected_hessian / max(objective.noise_variance(solution), 1e-12)
+    n_p, indices = whole.warp.n_parameters, own_parameters(objective.warp.n_parameters, whole.warp.n_parameters)
+    indices, precision = np.r_[indices, n_p : whole.n_q], np.zeros((whole.n_q, whole.n_q))
+    precision[np.ix_(indices, indices)] = solution.expected_hessian / max(objective.noise_variance(solution), 1e-12)
     precision[~np.isfinite(precision)] = 0.0  # of a diverged fit
     precision[np.arange(n_p), np.arange(n_p)] += strength * whole.prior
     if pull is not None:
@@ -114,5 +114,5 @@ def landmark_covariances(
     if contours and unexplained is not None:
         turns = contour_turns(shapes.mean, shapes.shape(p), contours)
         unexplained = turns @ unexplained @ np.swapaxes(turns, 1, 2)
-    own = fitted if unexplained is None else fitted + unexplained
-    return pose.matrix @ own @ pose.matrix.T
+    total = fitted if unexplained is None else fitted + unexplained
+    return pose.matrix @ total @ pose.matrix.T

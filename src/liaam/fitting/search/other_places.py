@@ -11,7 +11,7 @@ import numpy as np
 
 from liaam.fitting.detection import Detection, are_apart
 from liaam.fitting.loop.levels import Target
-from liaam.fitting.prepared import Prepared
+from liaam.fitting.one_shape_fitter import OneShapeFitter
 from liaam.fitting.result import LEAST_QUALITY, FitResult, FitStatus, odds_of, with_prior
 from liaam.fitting.search.finder import LARGE, Finder
 from liaam.model.shape import diagonal_of
@@ -26,13 +26,13 @@ Start = tuple[Target, Detection | None]
 
 
 def likeliest(
-    prepared: Prepared, finder: Finder, first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
+    fitter: OneShapeFitter, finder: Finder, first: FitResult, start: Start, region: tuple[np.ndarray, np.ndarray]
 ) -> tuple[FitResult, float, Start]:
     """Return the most likely fit in a region (its corners), the factor on its odds, and its start.
 
     That is the first one if it is more likely right than wrong.
     """
-    (low, high), (target, found) = region, start
+    (low, high), (target, detection) = region, start
     large = LARGE * float((high - low).min())
 
     def prior(shape: np.ndarray, quality: float) -> float:
@@ -41,17 +41,17 @@ def likeliest(
     def odds(shape: np.ndarray, quality: float) -> float:
         return prior(shape, quality) * odds_of(quality)
 
-    own, brief = prior(first.landmarks, first.quality), replace(prepared.options, max_iterations=BRIEF)
-    if with_prior(first, min(own, 1.0)).quality >= LEAST_QUALITY:
-        return first, min(own, 1.0), start
+    factor, brief = prior(first.landmarks, first.quality), replace(fitter.options, max_iterations=BRIEF)
+    if with_prior(first, min(factor, 1.0)).quality >= LEAST_QUALITY:
+        return first, min(factor, 1.0), start
 
     blurred = []
     for place in finder.others_in(target.linear.crop(low, high)):
-        fit = prepared.fit_blurred(target._replace(start=place.landmarks + low), brief)
-        blurred.append((fit, found and replace(place, others=found.others)))
+        fit = fitter.fit_blurred(target._replace(start=place.landmarks + low), brief)
+        blurred.append((fit, detection and replace(place, others=detection.others)))
     blurred.sort(key=lambda each: odds(each[0].shape, each[0].quality), reverse=True)
     tried = [(first, start)]
-    tried += [(prepared.fit_sharpest(fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
+    tried += [(fitter.fit_sharpest(fit, brief), (fit.target, place)) for fit, place in blurred[:PROMISING]]
     unfinished = {i for i, (each, _) in enumerate(tried) if i and each.status is FitStatus.MAX_ITERATIONS}
     while True:
         i = int(np.argmax([odds(each.landmarks, each.quality) for each, _ in tried]))
@@ -59,10 +59,10 @@ def likeliest(
         if i not in unfinished:
             break
         unfinished.remove(i)
-        tried[i] = prepared.fit_target(start[0]), start
+        tried[i] = fitter.fit_target(start[0]), start
     seen = [(each.landmarks, each.quality) for each, _ in tried]
     seen += [(fit.shape, fit.quality) for fit, _ in blurred[PROMISING:]]
     others = sum(odds(*each) for each in seen if are_apart(best.landmarks, each[0]))
-    own = prior(best.landmarks, best.quality)
-    shared = own / (own + others) if own > 0 else 1.0
-    return replace(best, n_starts=1 + len(blurred)), min(own, 1.0) * shared, start
+    factor = prior(best.landmarks, best.quality)
+    shared = factor / (factor + others) if factor > 0 else 1.0
+    return replace(best, n_starts=1 + len(blurred)), min(factor, 1.0) * shared, start

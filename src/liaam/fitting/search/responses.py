@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from liaam import _core
-from liaam.fitting.search.templates import Field, Template, spectra
+from liaam.fitting.search.templates import Field, OrientationTemplate, spectra
 
 # Number of field pixels for which spectra are cached, about 100 bytes each. Larger fields, of panoramas and strips, are
 # cut into tiles of so many pixels at most, so that memory for spectra and the time per pixel do not grow with them.
@@ -32,7 +32,7 @@ class Bank:
     mean cosines.
     """
 
-    def __init__(self, templates: Sequence[Template], pad: int, normalised: bool = False) -> None:
+    def __init__(self, templates: Sequence[OrientationTemplate], pad: int, normalised: bool = False) -> None:
         self.templates, self.pad = tuple(templates), pad
         self.shapes = np.array([template.field.shape for template in templates])
         self.origins = np.array([template.origin for template in templates])
@@ -76,8 +76,8 @@ class Bank:
         product = np.empty((*fast, 2), np.float32)
         joined = product if len(tiles) == 1 else np.empty((*size, 2), np.float32)
         for expected in self._spectra_of(fast):
-            for tile, own in zip(tiles, seen, strict=True):
-                _core.correlate(own, expected, product)
+            for tile, values in zip(tiles, seen, strict=True):
+                _core.correlate(values, expected, product)
                 cv2.idft(product, product)
                 if joined is not product:
                     part = joined[tile]  # the next tile overwrites what this one cannot know
@@ -119,15 +119,15 @@ class Bank:
 
     def _spectra_of(self, size: tuple[int, int]) -> list[np.ndarray]:
         """Return the spectra of all pairs of templates for fields of a size; those of the last sizes are cached."""
-        known = self._spectra.get(size)
-        if known is not None:
-            return known
+        cached = self._spectra.get(size)
+        if cached is not None:
+            return cached
         n_pixels = float(np.prod(size))  # OpenCV's inverse is not normalised
         made = [spectra(pair / n_pixels, (0, 0), size) for pair in self.pairs]
-        kept = [*self._spectra, size]  # a copy: other threads may search at the same time
-        while kept and sum(height * width for height, width in kept) > SPECTRA_KEPT:
-            self._spectra.pop(kept.pop(0), None)
-        if kept:
+        cached_sizes = [*self._spectra, size]  # a copy: other threads may search at the same time
+        while cached_sizes and sum(height * width for height, width in cached_sizes) > SPECTRA_KEPT:
+            self._spectra.pop(cached_sizes.pop(0), None)
+        if cached_sizes:
             self._spectra[size] = made
         return made
 

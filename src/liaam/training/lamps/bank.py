@@ -43,7 +43,7 @@ MOST = 10_000  # Largest number of lamps in a file
 
 
 @dataclass(frozen=True, eq=False)
-class Lamps:
+class LearntLamps:
     """Lamps for relighting images of a class of objects.
 
     Attributes
@@ -64,7 +64,7 @@ class Lamps:
         return len(self.fields)
 
     def __repr__(self) -> str:
-        return f"Lamps({count_of(len(self), 'lamp')}, {len(self.mean)} landmarks)"
+        return f"LearntLamps({count_of(len(self), 'lamp')}, {len(self.mean)} landmarks)"
 
     def check_landmarks(self, n: int, whose: str) -> None:
         """Raise unless the lamps were learnt with n landmarks; ``whose`` names the objects in the message."""
@@ -122,9 +122,9 @@ class Lamps:
         list of (m,) int64
             Indices of each half's lamps; there is only one half of a single lamp.
         """
-        known, lamps = np.unique([name.rpartition("-")[2] for name in self.names], return_inverse=True)
+        lamp_names, lamps = np.unique([name.rpartition("-")[2] for name in self.names], return_inverse=True)
         brightness = self.fields.astype(np.float32).mean(axis=3).reshape(len(self), -1)
-        mean = np.array([brightness[lamps == i].mean(axis=0) for i in range(len(known))])
+        mean = np.array([brightness[lamps == i].mean(axis=0) for i in range(len(lamp_names))])
         away = mean - mean.mean(axis=0)
         along = np.linalg.eigh(away @ away.T)[1][:, -1]
         order = np.argsort(along * (1.0 if along[0] >= 0 else -1.0), kind="stable")
@@ -133,18 +133,18 @@ class Lamps:
     def basis(self, mirrored: bool) -> LightBasis:
         """Summarise the lamps, and their mirror images if the objects are symmetric, by a low-rank basis."""
         away = _away_from(self.mean)[..., None]
-        sharp, kept = (np.clip((far - away) / (FADED - SHARP), 0.0, 1.0) for far in (2 * SHARP, FADED))
-        kept = kept * kept * (3.0 - 2.0 * kept)
+        sharp, fade = (np.clip((far - away) / (FADED - SHARP), 0.0, 1.0) for far in (2 * SHARP, FADED))
+        fade = fade * fade * (3.0 - 2.0 * fade)
         fields = GAMMA * self.fields.astype(np.float32)
         blur = SOFTNESS * SIDE / (2 * HALF)
-        fields = np.stack([f * sharp + cv2.GaussianBlur(f, (0, 0), blur) * (1.0 - sharp) for f in fields]) * kept
+        fields = np.stack([f * sharp + cv2.GaussianBlur(f, (0, 0), blur) * (1.0 - sharp) for f in fields]) * fade
         fields = np.concatenate([fields, fields[:, :, ::-1]]) if mirrored else fields
         objects = [name.rpartition("-")[0] for name in self.names]
         groups = objects if len(set(objects)) > 1 else list(self.names)
         inside = away[..., 0] <= 0
         rest = _left_out(fields, np.tile(groups, len(fields) // len(groups)), inside)
         remainder = np.sqrt(np.square(rest.mean(axis=3)).mean(axis=0))
-        modes = np.concatenate([_modes(fields), TINT * CHROMATICITY[:, None, None] * kept])
+        modes = np.concatenate([_modes(fields), TINT * CHROMATICITY[:, None, None] * fade])
         return LightBasis(self.mean, rounded(modes), remainder.astype(np.float16))
 
     def save(self, path: str | os.PathLike) -> None:
@@ -157,8 +157,8 @@ class Lamps:
         """
         from safetensors.numpy import save
 
-        about = {"format": LAMPS_FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
-        write_bytes_atomically(path, save({"mean": self.mean, "fields": self.fields}, {"liaam": json.dumps(about)}))
+        header = {"format": LAMPS_FORMAT, "schema": SCHEMA_VERSION, "names": list(self.names)}
+        write_bytes_atomically(path, save({"mean": self.mean, "fields": self.fields}, {"liaam": json.dumps(header)}))
 
 
 def _modes(fields: np.ndarray) -> np.ndarray:
@@ -178,13 +178,13 @@ def _left_out(fields: np.ndarray, groups: np.ndarray, inside: np.ndarray) -> np.
     """
     rest = fields.copy()
     for group in np.unique(groups):
-        own = groups == group
-        if own.all():
+        in_group = groups == group
+        if in_group.all():
             break
-        modes = _modes(fields[~own])
+        modes = _modes(fields[~in_group])
         near = modes[:, inside].reshape(len(modes), -1)
-        coordinates = np.linalg.lstsq(near.T, fields[own][:, inside].reshape(own.sum(), -1).T, rcond=None)[0]
-        rest[own] -= np.tensordot(coordinates.T, modes, axes=1)
+        coordinates = np.linalg.lstsq(near.T, fields[in_group][:, inside].reshape(in_group.sum(), -1).T, rcond=None)[0]
+        rest[in_group] -= np.tensordot(coordinates.T, modes, axes=1)
     return rest
 
 
@@ -196,9 +196,9 @@ def places(mean: np.ndarray, points: np.ndarray, size: tuple[int, int]) -> np.nd
     width, height = size
     x, y = np.arange(0, width + STRIDE, STRIDE), np.arange(0, height + STRIDE, STRIDE)
     coarse = np.stack(np.meshgrid(x, y), axis=-1).astype(np.float64)
-    found = in_field(_to_mean(mean, points, coarse))
+    positions = in_field(_to_mean(mean, points, coarse))
     across, down = (np.arange(n, dtype=np.float32) / STRIDE for n in size)
-    return cv2.remap(found, *np.meshgrid(across, down), cv2.INTER_LINEAR)
+    return cv2.remap(positions, *np.meshgrid(across, down), cv2.INTER_LINEAR)
 
 
 def carried(mean: np.ndarray, fields: np.ndarray, shape: np.ndarray) -> np.ndarray:
@@ -218,9 +218,9 @@ def _to_mean(mean: np.ndarray, points: np.ndarray, at: np.ndarray) -> np.ndarray
 
     rest, there = anchors(mean, points)
     # Triangulate the image's points, not the mean shape: this cannot fold.
-    found = LinearNDInterpolator(there, rest)(at)
+    inside = LinearNDInterpolator(there, rest)(at)
     outside = align(mean, points).inverse()(at.reshape(-1, 2)).reshape(at.shape)
-    return np.where(np.isfinite(found), found, outside)
+    return np.where(np.isfinite(inside), inside, outside)
 
 
 def square() -> np.ndarray:
@@ -253,7 +253,7 @@ def as_srgb(image: np.ndarray, response: Response) -> np.ndarray:
     return stored if response == "srgb" else linear_to_srgb(to_linear(stored, response)).astype(np.float32)
 
 
-def load_lamps(path: str | os.PathLike) -> Lamps:
+def load_lamps(path: str | os.PathLike) -> LearntLamps:
     """Read and validate a lamp file.
 
     Raises
@@ -269,7 +269,7 @@ def load_lamps(path: str | os.PathLike) -> Lamps:
     # NaN is not below a limit, either.
     if not has_types or not (np.abs(fields) <= MAX_LOG_LIGHT).all() or not (np.abs(mean) <= 1.0).all():
         raise LiaamError(f"{path}: {_CONTRADICTORY}")
-    return Lamps(mean, fields, tuple(names))
+    return LearntLamps(mean, fields, tuple(names))
 
 
 _CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it again"
@@ -277,10 +277,10 @@ _CONTRADICTORY = "the lamp file contradicts itself; copy it again or make it aga
 
 def _names(path: Path, text: str, shapes: Shapes) -> list[str]:
     """Read the names of the lamps from a file's header, and check them against the tensors' shapes."""
-    about = json_object(text) or {}
-    if (about.get("format"), about.get("schema")) != (LAMPS_FORMAT, SCHEMA_VERSION):
+    header = json_object(text) or {}
+    if (header.get("format"), header.get("schema")) != (LAMPS_FORMAT, SCHEMA_VERSION):
         raise LiaamError(f"{path}: this file contains no lamps; make one with '{MAKE}'")
-    names: Any = about.get("names")
+    names: Any = header.get("names")
     are_names = isinstance(names, list) and 1 <= len(names) <= MOST and all(isinstance(name, str) for name in names)
     mean = shapes.get("mean", ())
     is_shape = len(mean) == 2 and mean[0] >= 3 and mean[1] == 2

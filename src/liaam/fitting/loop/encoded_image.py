@@ -8,7 +8,7 @@ import numpy as np
 
 from liaam import _core
 from liaam.fitting.methods import Method
-from liaam.model.sampling import Light, Patch, make_patch
+from liaam.model.sampling import AveragedImage, Patch, make_patch
 from liaam.model.shape import Similarity, corners_of
 from liaam.photometry import NoiseModel, Response, linear_to_srgb, log_slope, noise_deviation
 
@@ -20,7 +20,7 @@ NO_NOISE = np.zeros(2, np.float32)  # the table for methods that do not weigh no
 
 
 @dataclass(frozen=True, eq=False)
-class LevelImage:
+class EncodedImage:
     """An image in a method's encoding, ready for an objective."""
 
     patch: Patch  # encoded region around the start
@@ -47,17 +47,17 @@ class LevelImage:
     @cached_property
     def compiled(self) -> Any:
         """The image in the form that the core takes."""
-        own = ("log_noise", "value_left", "slope_left", "correlated", "point_precision", "points")
+        attributes = ("log_noise", "value_left", "slope_left", "correlated", "point_precision", "points")
         height, width = self.channels.shape[:2]
-        about = {"pixels": self.channels.reshape(-1), "height": height, "width": width}
-        about |= {"from_model": np.column_stack([self.from_model.matrix, self.from_model.offset])}
-        about |= {"first_log": LOG_RANGE[0], "last_log": LOG_RANGE[1]}
-        return _core.make_image(about | {name: getattr(self, name) for name in own})
+        fields = {"pixels": self.channels.reshape(-1), "height": height, "width": width}
+        fields |= {"from_model": np.column_stack([self.from_model.matrix, self.from_model.offset])}
+        fields |= {"first_log": LOG_RANGE[0], "last_log": LOG_RANGE[1]}
+        return _core.make_image(fields | {name: getattr(self, name) for name in attributes})
 
     @classmethod
     def at(
         cls,
-        image: np.ndarray | Light,
+        image: np.ndarray | AveragedImage,
         shape: np.ndarray,
         pose: Similarity,
         method: Method,
@@ -66,7 +66,7 @@ class LevelImage:
         noise: NoiseModel | float | None = None,
         margin: float = MARGIN,
         density: float = 1.0,
-    ) -> "LevelImage":
+    ) -> "EncodedImage":
         """Crop and encode an image around a shape (n, 2) in it.
 
         The pose maps model pixels to image pixels, ``blur`` is in model pixels, ``margin`` a fraction of the object's
@@ -81,7 +81,7 @@ class LevelImage:
             return cls(patch, from_model, blur=blur, correlated=correlated)
         of_patch = from_model.scale * blur
         left = 1.0 / np.sqrt(correlated_pixels(of_patch)), from_model.scale * slope_left(of_patch)
-        picture = image.image if isinstance(image, Light) else image
+        picture = image.image if isinstance(image, AveragedImage) else image
         noise = noise_around(picture, shape, response) if noise is None else noise
         # Averaging over blocks reduces it.
         table = (noise_table(noise) * patch.from_image.scale).astype(np.float32)
