@@ -92,7 +92,7 @@ def checked_maps(homographies: Sequence[np.ndarray] | None, pictures: list[np.nd
 
 @dataclass(frozen=True)
 class _OneImage:
-    """All blocks of one image, in arrays (rows, columns, channels), as :class:`MeasuredBlocks` has those that are chosen."""
+    """All blocks of one image: arrays (rows, columns, channels) of what :class:`MeasuredBlocks` has of those chosen."""
 
     mean: np.ndarray
     deviation: np.ndarray
