@@ -22,8 +22,8 @@ from liaam.io.files import json_object, make_folder
 
 PAGE = 1000  # Number of images read from the journal at a time
 
-# Of each image: place is its key for sorting, state the size and time of its file and of its start, seen whether it is
-# in the current list, begun how often it was begun and not finished, and digest that of its row.
+# Of each image: `place` is its key for sorting, `state` the size and time of its file and of its start, `seen` whether
+# it is in the current list, `begun` how often work on it has started without an end, and `digest` that of its row.
 _TABLES = """
 CREATE TABLE IF NOT EXISTS facts (text TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS pictures (
@@ -166,7 +166,7 @@ class Journal:
         self._in_progress.discard(path)
 
     def _count_begun(self, number: int, *paths: str) -> None:
-        """Add a number to how often images were begun; inside a transaction."""
+        """Add a number to how often work on images has started; inside a transaction."""
         entries = [(number, place_of(path), os.fsencode(path)) for path in paths]
         self._database.executemany("UPDATE pictures SET begun = begun + ? WHERE place = ? AND path = ?", entries)
 

@@ -112,7 +112,7 @@ def write_table(output: Path, table: BatchTable) -> None:
         _WRITERS[output.suffix.lower()](temp, table)
 
 
-def _write_parquet(path: Path, table: Table) -> None:
+def _write_parquet(path: Path, table: BatchTable) -> None:
     pa = importlib.import_module("pyarrow")
     parquet = importlib.import_module("pyarrow.parquet")
     types = {name: pa.type_for_alias(name) for name in ("string", "float32", "float64", "int32")}
@@ -149,7 +149,7 @@ def _cells(value: Any, n_columns: int) -> list[Any]:
     return value if isinstance(value, list) else [value] * n_columns
 
 
-def _write_lines(path: Path, table: Table) -> None:
+def _write_lines(path: Path, table: BatchTable) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         if not table.names:
             file.writelines(f"{text}\n" for text, _ in table.rows)

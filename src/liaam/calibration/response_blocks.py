@@ -92,7 +92,7 @@ def checked_maps(homographies: Sequence[np.ndarray] | None, pictures: list[np.nd
 
 @dataclass(frozen=True)
 class _OneImage:
-    """All blocks of one image, in arrays (rows, columns, channels), as :class:`Blocks` has those that are chosen."""
+    """All blocks of one image: arrays (rows, columns, channels) of what :class:`MeasuredBlocks` has of those chosen."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -100,7 +100,7 @@ class _OneImage:
     radius2: np.ndarray
 
 
-def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> Blocks:
+def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) -> MeasuredBlocks:
     """Average blocks of the first image's pixels in all images, and choose those that are usable in ``least`` of them.
 
     Of more than :data:`MOST_BLOCKS`, every second, third or so is chosen, in the order of rows.
@@ -121,7 +121,7 @@ def observe(pictures: list[np.ndarray], maps: list[np.ndarray], least: int = 2) 
     middle_x = x.max() / 2
     middle_y = y.max() / 2
     offset = np.stack([x - middle_x, y - middle_y], axis=-1) / np.hypot(middle_x, middle_y)
-    return Blocks(
+    return MeasuredBlocks(
         stored=of_chosen([image.mean for image in images]),
         deviation=of_chosen([image.deviation for image in images]),
         usable=of_chosen([image.usable for image in images]),

@@ -109,7 +109,7 @@ def load_folder(
     return Dataset(tuple(samples), tuple(left_out), str(root), tuple(pairing.notes.lines()))
 
 
-def _refuse_faults(left_out: list[LeftOut], unlike: list[LeftOut]) -> None:
+def _refuse_faults(left_out: list[UnusedFile], unlike: list[UnusedFile]) -> None:
     """Raise if landmarks are left out because of a fault, or because they are unlike those of most images."""
     for left in left_out:
         is_fault = left.partly or left.reason.startswith((_UNREAD, _PARTIAL, advice.ABSENT))
@@ -254,14 +254,14 @@ class _Pairing:
             else:
                 remedy = f"place them or delete the object, in {option.file.name}"
                 reason = f"{_PARTIAL}: {landmarks.missing.sum()} of {len(landmarks)}; {remedy}"
-                self.left_out.append(LeftOut(image.with_name(PurePosixPath(name).name), reason))
+                self.left_out.append(UnusedFile(image.with_name(PurePosixPath(name).name), reason))
         return samples
 
     def _leave_out_option(self, image: Path, option: _Option, used: _Option) -> None:
         """Record a file that is not used for an image, once for all images, and note if it disagrees with the used."""
         is_recorded = any(left.path == option.file and left.reason.startswith(_LESSER) for left in self.left_out)
         if not is_recorded:
-            self.left_out.append(LeftOut(option.file, f"{_LESSER}: {used.file.name} is used"))
+            self.left_out.append(UnusedFile(option.file, f"{_LESSER}: {used.file.name} is used"))
         if _disagree(used.landmarks, option.landmarks):
             kinds = f"{used.file.suffix} and {option.file.name}"
             remedy = f"remove one (the {used.file.suffix} is used)"
@@ -294,7 +294,7 @@ class _Pairing:
                 self._add_option(file, image, entry)
             else:  # perhaps an image of another folder, which is not there
                 both = f"'{entry}' and '{entry_of[image]}' both name {image.name}; the landmarks of the second are used"
-                self.left_out.append(LeftOut(file.path, both, partly=True))
+                self.left_out.append(UnusedFile(file.path, both, partly=True))
         if len(absent) == len(file.entries):
             self._leave_out(file.path, f"{advice.ABSENT}: {some_names(absent)}")
         elif absent:
@@ -369,7 +369,7 @@ def _in_one_order(samples: list[Sample], notes: Notes) -> tuple[list[Sample], li
             landmarks = sample.landmarks.in_order_of(usual)
         except LandmarkError as fault:
             reason = f"other landmarks than most: {sample.name}: {fault}"
-            odd.append(LeftOut(sample.landmark_file or Path(sample.name), reason))
+            odd.append(UnusedFile(sample.landmark_file or Path(sample.name), reason))
             continue
         if landmarks is not sample.landmarks:
             notes.say("images name their landmarks in another order, and are taken by name", sample.name)
@@ -388,5 +388,5 @@ def _same_count(samples: list[Sample]) -> tuple[list[Sample], list[UnusedFile]]:
             alike.append(sample)
         else:
             reason = f"{count} landmarks where most have {usual}: those of {sample.name}"
-            odd.append(LeftOut(sample.landmark_file or Path(sample.name), reason))
+            odd.append(UnusedFile(sample.landmark_file or Path(sample.name), reason))
     return alike, odd

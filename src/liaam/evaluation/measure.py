@@ -108,7 +108,7 @@ def evaluate(
     >>> print(found.report())                                                               # doctest: +SKIP
     >>> found.to_dataframe().groupby("landmark").error.median()                             # doctest: +SKIP
     """
-    fitter = Fitter.of(model, method, known=evaluate, **settings)
+    fitter = Fitter.of(model, method, caller=evaluate, **settings)
     samples = _samples(samples)
     model = fitter.model
     protocol = _protocol(samples, model.landmark_names, model.n_points, model.contours, normalise, limit)

@@ -43,7 +43,7 @@ LAYER_BYTES = 30_000_000  # maximum bytes of encoded layers in the cache
 LIGHT_BYTES = 200_000_000  # maximum bytes of relighters in the cache: a few at 1280 pixels, one at 2048
 MODELS_KEPT = 2  # models whose fits are cached: the current and the previous one, each with tens of megabytes
 FITTERS_KEPT = 16  # fitters in the cache, one for each model, method, and kind of picture (RAW or not)
-Light = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
+Lighting = tuple[Sequence[Lamp], float]  # lamps, and the fraction of ambient light
 SHARP = 2.0
 """Diagonal of the object on the copy of a large picture, relative to the model's, from which its fit is kept. The
 finest level compares at the model's resolution: on pictures of 12 megapixels, fits differ by 0.04 % of the diagonal."""
@@ -164,7 +164,7 @@ def numbers(values: np.ndarray, digits: int) -> list:
 class Fits:
     """Fits pictures with the current model; thread-safe. A new model is warmed up when it is published."""
 
-    def __init__(self, settings: Settings, models: ModelStore, pictures: Pictures) -> None:
+    def __init__(self, settings: StudioSettings, models: ModelStore, pictures: Pictures) -> None:
         self.settings = settings
         self.models = models
         self.pictures = pictures
@@ -248,7 +248,9 @@ class Fits:
         self._fits.put(fit.id, fit)
         return fit
 
-    def _compute(self, source: Source, fitter: Fitter, current: ModelInUse, start: Any, on_copy: bool) -> "_Computed":
+    def _compute(
+        self, source: PictureSource, fitter: Fitter, current: ModelInUse, start: Any, on_copy: bool
+    ) -> "_Computed":
         """Fit a picture, or the small copy of a large one, from a start, or else where the search finds the object."""
         with self.pictures.at_work(source, on_copy) as image:
             began = time.perf_counter()
@@ -270,7 +272,7 @@ class Fits:
             is_sharp=result.status.ok and diagonal_of(result.landmarks) >= least_diagonal,
         )
 
-    def _detection(self, source: Source, image: np.ndarray, current: ModelInUse) -> Detection:
+    def _detection(self, source: PictureSource, image: np.ndarray, current: ModelInUse) -> Detection:
         """Return the best place of the object in a picture; all methods share one search."""
         key = (source.name, source.tag, image.shape, current.number)
         searcher = self._searcher(current, source.raw)

@@ -91,7 +91,7 @@ class Project:
         set_name: str = "",
         first: "Project | None" = None,
     ) -> None:
-        self.settings = settings or Settings()
+        self.settings = settings or StudioSettings()
         self.set_name = set_name
         self._sets: dict[str, Project] = first._sets if first else {"": self}
         self.folder = Folder(checked_folder(folder))
@@ -102,11 +102,11 @@ class Project:
         self._asked = 0.0  # time of the last request for pictures
         self._salt = secrets.token_hex(8)  # makes stamps of another run different
         self._listing = Listing(self.folder, self.settings.pixels, place=f"{set_name}/" if set_name else "")
-        bars = first._landmarks.bars if first else Table(self.store, "bar")
+        bars = first._landmarks.bars if first else StoredTable(self.store, "bar")
         self._landmarks = LandmarkFiles(self._listing, self.store, self.settings.upload_bytes, bars)
-        self._proposals = Table(self.store, "proposal")
+        self._proposals = StoredTable(self.store, "proposal")
         # Pictures left at the mean shape have no landmark file, so no training uses them.
-        self._unchecked = Table(self.store, "unchecked")
+        self._unchecked = StoredTable(self.store, "unchecked")
         self.templates = Templates(self._listing, self.store, self._landmarks, self._proposals, self._lock)
         self._log = ReviewLog(self.store)
         self._states = PictureStates(
